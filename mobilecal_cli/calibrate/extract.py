@@ -23,6 +23,7 @@ from mobilecal_cli.calibrate.detect import (
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.calibrate.plan import WORTH_BYTES, plan_recording
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
+from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO,
@@ -233,13 +234,35 @@ def extract(
         extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
-    snapshots = tuple(
-        Snapshot(number, station.index, detected.pictures)
+    snapshots = [
+        Snapshot(
+            number,
+            station.index,
+            detected.pictures if len(detected.pictures) >= log.rig.cameras.fewest else {},
+            detected.thumbnail,
+        )
         for number, log in enumerate(extracted)
         for station, detected in zip(log.plan.stations, log.detections, strict=True)
-        if len(detected.pictures) >= log.rig.cameras.fewest
-    )
-    return extraction, snapshots
+    ]
+    return extraction, _bounded(snapshots, extraction)
+
+
+def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Snapshot, ...]:
+    """The snapshots with some of their thumbnails: up to half are of rejected stations, evenly spread over time."""
+    used = {(o.log, o.station) for o in extraction.observations}
+    places = [s for s, each in enumerate(snapshots) if each.thumbnail]
+    rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
+    others = [s for s in places if s not in set(rejected)]
+    few = min(len(rejected), max(THUMBNAILS // 2, THUMBNAILS - len(others)))
+    kept = {*_spread(rejected, few), *_spread(others, THUMBNAILS - few)}
+    bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
+    return tuple(each for each in bounded if each.jpegs or each.thumbnail)
+
+
+def _spread(items: Sequence[int], most: int) -> list[int]:
+    """At most so many of the items, evenly spread."""
+    chosen = np.linspace(0, len(items) - 1, most) if len(items) > most else np.arange(len(items))
+    return [items[k] for k in np.round(chosen).astype(int)]
 
 
 @contextmanager

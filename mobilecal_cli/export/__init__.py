@@ -1,7 +1,12 @@
 """Writers and readers of params.yaml, extraction.npz and other formats, and of output directories."""
 
 from mobilecal_cli.export.board_print import BoardPrint, board_pdf
-from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import (
+    THUMBNAILS,
+    extraction_from_npz,
+    extraction_to_npz,
+    snapshots_from_npz,
+)
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.outputs import (
     append_text,
@@ -14,6 +19,7 @@ from mobilecal_cli.export.outputs import (
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 
 __all__ = [
+    "THUMBNAILS",
     "BoardPrint",
     "append_text",
     "board_pdf",
@@ -26,6 +32,7 @@ __all__ = [
     "improved_chain",
     "parameters_from_yaml",
     "params_yaml",
+    "snapshots_from_npz",
     "write_file",
     "write_outputs",
 ]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import itertools
 import json
 import math
 import zipfile
@@ -32,11 +34,15 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    Snapshot,
     Track,
     WheelTrack,
 )
 
 SCHEMA_VERSION = 9
+#: Most stations with a small image.
+THUMBNAILS = 60
+_LARGEST_THUMBNAIL = 10_000  # bytes
 # 5: both wheels at the same times; 6: no priors of constants; 7: settled_by; 8: stereo pairs only
 _OLDEST_READ = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
@@ -95,8 +101,8 @@ class _Header(BaseModel):
         return plain
 
 
-def extraction_to_npz(extraction: Extraction) -> bytes:
-    """The extraction as a compressed .npz, with the same bytes for the same values.
+def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()) -> bytes:
+    """The extraction and the thumbnails of its stations as a compressed .npz: the same bytes for the same values.
 
     Arrays are stacked over the N observations, so that numpy alone can read them: ``observations.points_c`` is
     (N, M, 3). All else is JSON in the uint8 array ``header``.
@@ -116,8 +122,13 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
         wheels=len(extraction.wheels),
         joint_tracks=tuple(len(tracks) for tracks in extraction.joint_tracks),
     )
+    thumbnails = [
+        (s.log, s.station, base64.b64encode(s.thumbnail).decode("ascii")) for s in snapshots if s.thumbnail
+    ]
     # Not as JSON by pydantic, which has none for names that are not UTF-8.
-    text = json.dumps(header.model_dump(), allow_nan=False, separators=(",", ":"))
+    text = json.dumps(
+        header.model_dump() | {"thumbnails": thumbnails}, allow_nan=False, separators=(",", ":")
+    )
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
     if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
@@ -138,6 +149,17 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
             arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
             arrays[f"joints.{i}.{j}.value"] = joint.value
     return _zipped(arrays)
+
+
+def snapshots_from_npz(path: Path) -> tuple[Snapshot, ...]:
+    """The thumbnails beside a valid extraction; those that cannot be read are left out."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            listed = json.loads(arrays["header"].tobytes()).get("thumbnails", ())
+        read = (Snapshot(int(log), int(station), {}, base64.b64decode(jpeg)) for log, station, jpeg in listed)
+        return tuple(itertools.islice((s for s in read if len(s.thumbnail) < _LARGEST_THUMBNAIL), THUMBNAILS))
+    except (ValueError, TypeError):
+        return ()
 
 
 def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:

@@ -9,10 +9,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose
-from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
@@ -158,7 +159,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
     return wide, replace(there, constants=state.constants)
 
 
-def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
+def _leg(lin: Posterior, turn_rad: float, drive_m: float) -> FloatArray:
     """(P + 2 B, P + 2 B) information of a leg that turns and then drives, and of the processes along it.
 
     About the shared parameters and the base blocks of both ends.
@@ -170,8 +171,8 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     right, left = ([0.0, by / radius, (by + drive_m) / radius] for by, radius in sides)
     times = np.array([0, 1, 2], dtype=np.int64)
     end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
-    one = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
-    pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), one)
+    stop = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
+    pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), stop)
     track = WheelTrack.at_same_times(times, np.array(right), np.array(left))
     pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
     along = processes_of(pair, wheels, noise, Inliers.all_of(pair))
@@ -192,7 +193,7 @@ def _leg(lin: Linearization, turn_rad: float, drive_m: float) -> FloatArray:
     return H
 
 
-def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
+def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
     """(C, P + 6 + B, P + 6 + B) information of each stop about the shared parameters, the board and the last base."""
     data, state, noise = lin.data, lin.state, lin.noise
     wide, there = _with_stops(data, state, stops)
@@ -206,7 +207,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
         if way not in legs:
             legs[way] = _leg(lin, *way)
         H = np.zeros((P + 2 * B + own,) * 2)  # shared, board, last base, new base, the new stop's own errors
-        seen = [
+        of_view = [
             views.by_shared[c + 1],
             views.by_board[c + 1],
             np.zeros((6, B)),
@@ -214,7 +215,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
             views.by_own[c + 1],
         ]
         A = np.zeros((6 + len(views.direct), len(H)))
-        A[:6] = np.concatenate(seen, axis=1)
+        A[:6] = np.concatenate(of_view, axis=1)
         A[range(6, len(A)), views.direct] = 1.0
         H += A.T @ views.information[c + 1] @ A
         H[np.ix_(of_leg, of_leg)] += legs[way]
@@ -227,7 +228,7 @@ def _informations(lin: Linearization, stops: _Stops) -> FloatArray:
     return out
 
 
-def suggestions(lin: Linearization, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
+def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
     """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
 
     Args:
