@@ -44,7 +44,7 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.rig.config import WheelsNominal, checked_settings
+from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, checked_settings
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -179,9 +179,6 @@ class _Section(BaseModel):
 
 
 _Number = Annotated[FiniteFloat, Strict()]  # neither a text nor true
-_Length = Annotated[_Number, AfterValidator(ranges.POSITION.validated)]
-_Radius = Annotated[_Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
-_Separation = Annotated[_Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
 
 
 class _Euler(_Section):
@@ -190,20 +187,12 @@ class _Euler(_Section):
     z: _Number
 
 
-class _HeadEye(_Section):
+class _HeadEye(Pose):
+    model_config = _Section.model_config
+
     parent_frame: str = Field(min_length=1)
     child_frame: str = Field(min_length=1)
-    translation_m: tuple[_Length, _Length, _Length]
-    quaternion_xyzw: tuple[_Number, _Number, _Number, _Number]
     euler_zyx_deg: _Euler | None = None
-
-    @field_validator("quaternion_xyzw")
-    @classmethod
-    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        norm = math.hypot(*value)
-        if abs(norm - 1) > 1e-3:
-            raise ValueError(f"the norm is {norm:.6g}, expected 1")
-        return value
 
     @model_validator(mode="after")
     def _one_rotation(self) -> _HeadEye:
@@ -217,10 +206,8 @@ class _HeadEye(_Section):
         return self
 
 
-class _Wheels(_Section):
-    radius_left_m: _Radius
-    radius_right_m: _Radius
-    separation_m: _Separation
+class _Wheels(WheelsNominal):
+    model_config = _Section.model_config
 
 
 _Row = Annotated[tuple[_Number, ...], Field(min_length=9, max_length=9)]
@@ -269,8 +256,8 @@ class _Odometry(_Section):
     right_wheel_radius_multiplier: _Factor
     left_wheel_radius_multiplier: _Factor
     wheel_separation_multiplier: _Factor
-    assumed_radius_m: _Radius
-    assumed_separation_m: _Separation
+    assumed_radius_m: Radius
+    assumed_separation_m: Separation
     assumed_separation_share: Annotated[_Number, Field(ge=0, le=10)] = 0.0
 
     @property
@@ -279,7 +266,7 @@ class _Odometry(_Section):
         return AssumedOdometry(self.topic, wheels, self.assumed_separation_share)
 
     @property
-    def wheels(self) -> WheelGeometry:
+    def geometry(self) -> WheelGeometry:
         factors = [
             self.right_wheel_radius_multiplier,
             self.left_wheel_radius_multiplier,
@@ -372,23 +359,20 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
     several = {side: getattr(settings.wheels, side).joints for side in SIDES}
-    odometry, wheels = checked.odometry, checked.wheels
+    odometry, sizes = checked.odometry, checked.wheels or checked.odometry
+    assert sizes is not None  # checked above
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
-        wheels=odometry.wheels
-        if odometry is not None
-        else _geometry(wheels)
-        if wheels
-        else WheelGeometry(1, 1, 1),
+        wheels=sizes.geometry,
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
         wheel_joints={side: joint for side, joint in joints.items() if joint},
         side_joints={side: names for side, names in several.items() if names},
         odometry=None if odometry is None else odometry.assumed,
-        nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
+        nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(
             link.joint
             for link in settings.head.chain or ()
@@ -399,7 +383,3 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         verdict="" if verdict is None else verdict.level,
         reasons=() if verdict is None else verdict.reasons,
     )
-
-
-def _geometry(wheels: _Wheels | WheelsNominal) -> WheelGeometry:
-    return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)

@@ -25,7 +25,6 @@ from mobilecal_cli.model import (
     Rig,
     Side,
     Track,
-    WheelGeometry,
     WheelSource,
     WheelTrack,
 )
@@ -189,7 +188,7 @@ def nominal_of(config: RigConfig) -> Nominal:
     if head_eye is not None:
         rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
         T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
-    return Nominal(T_h_reference, None if wheels is None else WheelGeometry(**wheels.model_dump()))
+    return Nominal(T_h_reference, None if wheels is None else wheels.geometry)
 
 
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.
