@@ -16,8 +16,6 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
     """Check before the work whether a file can be written.
 
     Args:
-        path: the file.
-        force: replace an existing file.
         inputs: files and directories that the command reads.
 
     Raises:

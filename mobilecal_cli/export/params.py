@@ -327,7 +327,6 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     """Read the parameters, their uncertainty and provenance; other keys are ignored.
 
     Args:
-        text: the file's contents.
         name: its name in error messages.
 
     Raises:

@@ -396,7 +396,6 @@ def plan_route(
     """Plan a route that keeps the board in view.
 
     Args:
-        robot: robot to plan for.
         motion: "standard", a motion with unobservable parameters, or "moving", which never rests.
         stations: number of stops; a moving route takes three seconds per station.
         board: 9x6 corners with squares of 80 mm by default.
