@@ -48,7 +48,7 @@ from mobilecal_cli.vision import (
 )
 from mobilecal_cli.vision.averaging import StationCorners
 from tests.bench import tables
-from tests.bench.simulated import conditions
+from tests.bench.study import conditions
 from tests.pairs import board_pose, measure, triangulate, with_pair
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
