@@ -22,8 +22,9 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.simulate import imperfect
-from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
+    ActualRobot,
+    camera_in_world,
     constant_kinds,
     floor_poses,
     nanoseconds,

@@ -34,6 +34,7 @@ from mobilecal_cli.vision import (
     identify_size,
     measure,
     snapshot_jpeg,
+    thumbnail_jpeg,
 )
 
 SNAPSHOTS = 60  # images kept for the report, limited to save memory
@@ -51,15 +52,17 @@ class StationDetections:
     Attributes:
         found: camera → time → detection or miss.
         pictures: camera → JPEG of the first image, for the report.
+        thumbnails: camera → small JPEG of the first image.
         rejections: images that cannot be decoded.
     """
 
     found: dict[str, dict[int, Detection | Miss]] = field(default_factory=dict)
     pictures: dict[str, bytes] = field(default_factory=dict)
+    thumbnails: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
 
     def of_shots(self, shots: Sequence[Shot], rig: CameraRig) -> list[list[Detection | Miss | None]]:
-        """Results of each camera for the shots with enough decoded images; None for an image that is missing."""
+        """Results of each camera for the shots with decoded images; None for an image that is missing."""
         of_each = [
             [
                 None if time_ns is None else self.found.get(name, {}).get(time_ns)
@@ -67,7 +70,14 @@ class StationDetections:
             ]
             for shot in shots
         ]
-        return [shot for shot in of_each if sum(item is not None for item in shot) >= rig.fewest]
+        return [shot for shot in of_each if any(item is not None for item in shot)]
+
+    @property
+    def thumbnail(self) -> bytes:
+        """The small image of the first camera that missed the board, otherwise of the first one; empty for none."""
+        missed = {name for name, of_camera in self.found.items() if Miss in map(type, of_camera.values())}
+        images = {name: self.thumbnails[name] for name in self.found if name in self.thumbnails}
+        return next((images[name] for name in images if name in missed), next(iter(images.values()), b""))
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +204,8 @@ def detect_segment(
         check_picture(picture, name, rig.cameras)
         if station in segment.shown and name not in place.pictures:
             place.pictures[name] = snapshot_jpeg(picture)
+        if name not in place.thumbnails:
+            place.thumbnails[name] = thumbnail_jpeg(picture)
         place.found[name][stamp] = followers[name].find(picture, stamp)
         yield 1
     yield detections

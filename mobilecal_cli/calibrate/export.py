@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ def export(
     target: str,
     *,
     urdf: AnyPath | None = None,
+    camera: str | None = None,
     wheel_joints: Mapping[Side, str] | None = None,
     with_chain: bool = False,
     rate_hz: float | None = None,
@@ -42,6 +44,7 @@ def export(
             need extraction.npz next to params.yaml.
         target: the format, see `mobilecal export --help`.
         urdf: the file to patch, for the target urdf.
+        camera: for the target camera_info, the name of the camera; the reference camera by default.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target urdf, also write the estimated head chain.
         rate_hz: for the target odometry_covariance, messages per second; 50 by default.
@@ -63,73 +66,73 @@ def export(
                 f"wheel_joints: {side!r}: {joint!r} is not a side and the name of its joint",
                 "for example {'left': 'wheel_left_joint'}",
             )
-    if isinstance(params, Report):
-        with scratch_directory() as directory:
-            path = directory / "params.yaml"
-            for name, content in params.files().items():
-                path.with_name(name).write_bytes(content)
-            try:
-                return export(
-                    path,
-                    target,
-                    urdf=urdf,
-                    wheel_joints=wheel_joints,
-                    with_chain=with_chain,
-                    rate_hz=rate_hz,
-                    distance_m=distance_m,
-                    logs=logs,
-                    allow_failed=allow_failed,
-                )
-            except MobilecalError as error:
-                raise type(error)(error.message.replace(str(path), "the report"), error.hint) from error
-    path, recordings = path_of("params", params), paths_of("logs", logs)
+    recordings = paths_of("logs", logs)
     robot_urdf = None if urdf is None else path_of("urdf", urdf)
     require("with_chain", with_chain, bool, "True or False")
-    robot = read_params(path)
-    if robot.verdict not in ("PASS", "") and not allow_failed:
-        reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
-        raise QualityError(
-            f"{path}: the verdict is {robot.verdict}. {reason}",
-            "calibrate again as report.html says, or add --allow-failed (in Python allow_failed=True): the export then "
-            "states the verdict",
+    with _file_of(params) as path:
+        robot = read_params(path)
+        if robot.verdict not in ("PASS", "") and not allow_failed:
+            reason = robot.reasons[0] if robot.reasons else "report.html states the reasons."
+            raise QualityError(
+                f"{path}: the verdict is {robot.verdict}. {reason}",
+                "calibrate again as report.html says, or add --allow-failed (in Python allow_failed=True): the export "
+                "then states the verdict",
+            )
+        joints = {**robot.wheel_joints, **joint_names}
+        _check_wheels(robot, joint_names, joints)
+        given = {
+            "--urdf": urdf is not None,
+            "--camera": camera is not None,
+            "--left-joint": "left" in joint_names,
+            "--right-joint": "right" in joint_names,
+            "--with-chain": with_chain,
+            "--rate": rate_hz is not None,
+            "--distance": distance_m is not None,
+            "--log": bool(recordings),
+        }
+        to = format_of(target)
+        for option, is_given in given.items():
+            if is_given and option not in to.options:
+                formats = [name for name in Target if option in format_of(name).options]
+                raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
+
+        def scene() -> Scene:
+            from mobilecal_cli.calibrate.scene import scene_of
+
+            return scene_of(robot, _beside(path, robot), path, recordings)
+
+        asked = Request(
+            robot=robot,
+            params=path,
+            joints=joints,
+            measurements=lambda: _beside(path, robot),
+            scene=scene,
+            urdf=robot_urdf,
+            camera=camera,
+            with_chain=with_chain,
+            rate_hz=rate_hz,
+            distance_m=distance_m,
+            logs=tuple(recordings),
         )
-    joints = {**robot.wheel_joints, **joint_names}
-    _check_wheels(robot, joint_names, joints)
-    given = {
-        "--urdf": urdf is not None,
-        "--left-joint": "left" in joint_names,
-        "--right-joint": "right" in joint_names,
-        "--with-chain": with_chain,
-        "--rate": rate_hz is not None,
-        "--distance": distance_m is not None,
-        "--log": bool(recordings),
-    }
-    to = format_of(target)
-    for option, is_given in given.items():
-        if is_given and option not in to.options:
-            formats = [name for name in Target if option in format_of(name).options]
-            raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
+        made = to.export(asked)
+        content = made.content if to.states_verdict else with_verdict(made.content, robot)
+        return replace(made, content=content, notes=made.notes + verdict_note(robot))
 
-    def scene() -> Scene:
-        from mobilecal_cli.calibrate.scene import scene_of
 
-        return scene_of(robot, _beside(path, robot), path, recordings)
-
-    asked = Request(
-        robot=robot,
-        params=path,
-        joints=joints,
-        measurements=lambda: _beside(path, robot),
-        scene=scene,
-        urdf=robot_urdf,
-        with_chain=with_chain,
-        rate_hz=rate_hz,
-        distance_m=distance_m,
-        logs=tuple(recordings),
-    )
-    made = to.export(asked)
-    content = made.content if to.states_verdict else with_verdict(made.content, robot)
-    return replace(made, content=content, notes=made.notes + verdict_note(robot))
+@contextmanager
+def _file_of(params: AnyPath | Report) -> Iterator[Path]:
+    """params.yaml, beside its extraction.npz: that of a report is in a temporary directory."""
+    if not isinstance(params, Report):
+        yield path_of("params", params)
+        return
+    with scratch_directory() as directory:
+        path = directory / "params.yaml"
+        for name, content in params.files().items():
+            path.with_name(name).write_bytes(content)
+        try:
+            yield path
+        except MobilecalError as error:
+            raise type(error)(error.message.replace(str(path), "the report"), error.hint) from error
 
 
 def _check_wheels(robot: CalibratedRobot, given: Mapping[Side, str], joints: Mapping[Side, str]) -> None:

@@ -12,7 +12,6 @@ from typing import NoReturn
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.describe import describe
 from mobilecal_cli.calibrate.detect import (
     DetectionWorkers,
     StationDetections,
@@ -24,9 +23,16 @@ from mobilecal_cli.calibrate.detect import (
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.calibrate.plan import WORTH_BYTES, plan_recording
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
+from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
+    CAMERA_INFO,
     CAMERA_INFO_CHANGES,
+    IMAGES,
+    JOINT_STATE,
+    ODOMETRY,
+    STRING,
+    TRANSFORMS,
     Board,
     Extraction,
     LogSource,
@@ -34,13 +40,23 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    RobotDescription,
     Snapshot,
     Track,
     WheelTrack,
 )
-from mobilecal_cli.readers import Recording, join_splits, open_recording, sha256_of
+from mobilecal_cli.readers import (
+    Recording,
+    join_splits,
+    number_fields,
+    open_recording,
+    read_description,
+    sha256_of,
+)
 from mobilecal_cli.rig.config import RigConfig, read_urdf
-from mobilecal_cli.rig.resolve import complete_rig, resolve_rig
+from mobilecal_cli.rig.names import may_be_a_reading
+from mobilecal_cli.rig.resolve import Survey, complete_rig, resolve_rig, survey_rig
+from mobilecal_cli.rig.wheels import needs_numbers
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.vision import (
     Detection,
@@ -51,6 +67,36 @@ from mobilecal_cli.vision import (
     resolve_numbering,
     resolve_square,
 )
+
+#: Types that are read by their meaning, not by field paths.
+_KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
+
+
+def describe(
+    recording: Recording, config: RigConfig, urdf_text: str | None, joints_too: bool = False
+) -> tuple[RobotDescription, Survey]:
+    """The description, and what it and a configuration determine.
+
+    Numbers in other messages are read only if no wheel is known without them.
+
+    Args:
+        recording: the open recording.
+        config: the configuration.
+        urdf_text: text of the URDF to use in place of the one in the recording.
+        joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
+
+    Raises:
+        RecordingError: the recording is empty.
+    """
+    description = read_description(recording)
+    wanted = needs_numbers(config, description)
+    survey = None if wanted else survey_rig(config, description, urdf_text)
+    if survey is None or (joints_too and survey.lacks):
+        others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
+        description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
+        survey = survey_rig(config, description, urdf_text)
+    return description, survey
+
 
 #: Relative difference of camera infos that is rounding.
 _SAME_INFO = 1e-6
@@ -188,13 +234,35 @@ def extract(
         extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
-    snapshots = tuple(
-        Snapshot(number, station.index, detected.pictures)
+    snapshots = [
+        Snapshot(
+            number,
+            station.index,
+            detected.pictures,
+            detected.thumbnail,
+        )
         for number, log in enumerate(extracted)
         for station, detected in zip(log.plan.stations, log.detections, strict=True)
-        if len(detected.pictures) >= log.rig.cameras.fewest
-    )
-    return extraction, snapshots
+    ]
+    return extraction, _bounded(snapshots, extraction)
+
+
+def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Snapshot, ...]:
+    """The snapshots with some of their thumbnails: up to half are of rejected stations, evenly spread over time."""
+    used = {(o.log, o.station) for o in extraction.observations}
+    places = [s for s, each in enumerate(snapshots) if each.thumbnail]
+    rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
+    others = [s for s in places if s not in set(rejected)]
+    few = min(len(rejected), max(THUMBNAILS // 2, THUMBNAILS - len(others)))
+    kept = {*_spread(rejected, few), *_spread(others, THUMBNAILS - few)}
+    bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
+    return tuple(each for each in bounded if each.jpegs or each.thumbnail)
+
+
+def _spread(items: Sequence[int], most: int) -> list[int]:
+    """At most so many of the items, evenly spread."""
+    chosen = np.linspace(0, len(items) - 1, most) if len(items) > most else np.arange(len(items))
+    return [items[k] for k in np.round(chosen).astype(int)]
 
 
 @contextmanager
@@ -227,7 +295,8 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     square_m = board.square_m
     if square_m is None:
         # All stations share one board: use the median of their square sizes, which the stereo baseline determines.
-        sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
+        measured = (m for log in logs for m in log.measured if isinstance(m, Measured))
+        sides = [m.square_m for m in measured if m.points is not None]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.describe import describe
-from mobilecal_cli.calibrate.extract import board_of, refuse_equal_files
+from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import (

@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.arguments import AnyPath, path_of
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml
+from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml, snapshots_from_npz
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text, reason_of
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
@@ -26,7 +26,7 @@ def load(
     progress: Progress = silent,
     jobs: int = 1,
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """The extraction of recordings, or the one in an extraction.npz, with its snapshots.
+    """The extraction of recordings with its snapshots, or the one in an extraction.npz with its thumbnails.
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
@@ -41,7 +41,7 @@ def load(
             "give it without recordings and without --config, or give the recordings instead",
         )
     refuse_others(config.flags, str(logs[0]))
-    return with_settings(read_extraction(logs[0]), config), ()
+    return with_settings(read_extraction(logs[0]), config), snapshots_from_npz(logs[0])
 
 
 def read_extraction(path: Path) -> Extraction:

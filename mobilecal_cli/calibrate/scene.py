@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import from_plain, improved_cameras, improved_chain
-from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, Unused
+from mobilecal_cli.export import improved_cameras, improved_chain
+from mobilecal_cli.export.scene import Motion, Scene, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.model import (
     CalibratedRobot,
     Extraction,
     FloatArray,
     Outlier,
-    Parameters,
     Rejection,
     Residuals,
 )
@@ -32,8 +32,6 @@ from mobilecal_cli.stations import images_of
 from mobilecal_cli.vision import snapshot_jpeg
 
 _STEP_NS = 10**8  # between two poses of the base
-#: Observation → its images.
-Images = Mapping[int, Mapping[str, bytes]]
 
 
 def scene_of(
@@ -61,55 +59,26 @@ def scene_of(
     square_m = extraction.board.square_m
     if square_m is None:
         square_m = float(np.median([o.square_m for o in extraction.observations]))
-    views = _stations(extraction, residuals, pairs.T_v_h, parameters, images, used_legs)
-    logs_seen = sorted({o.log for o in extraction.observations})
     return Scene(
         robot=robot,
-        chain=rig.chain,
+        extraction=extraction,
         cameras=improved_cameras(rig, constants)[0],
         board=replace(extraction.board, square_m=square_m),
-        motions=tuple(
-            _motion(extraction, log, robot, constants, residuals, pairs.T_v_h) for log in logs_seen
-        ),
-        stations=tuple(
-            tuple(view for view, o in zip(views, extraction.observations, strict=True) if o.log == log)
-            for log in logs_seen
-        ),
+        motions={
+            log: _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
+            for log in sorted({o.log for o in extraction.observations})
+        },
+        station_names=station_names(extraction),
+        residuals=residuals,
+        T_w_c=residuals.T_w_v @ pairs.T_v_h @ parameters.T_h_c,
+        legs={
+            i: k
+            for k, (i, j) in enumerate(residuals.legs.tolist())
+            if used_legs is None or (i, j) in used_legs
+        },
+        images=images,
         unused=tuple(sorted(_unused(extraction, outliers), key=lambda item: item.start_ns)),
     )
-
-
-def _stations(
-    extraction: Extraction,
-    residuals: Residuals,
-    T_v_h: FloatArray,
-    parameters: Parameters,
-    images: Images,
-    used_legs: Collection[tuple[int, int]] | None,
-) -> list[StationView]:
-    names = station_names(extraction)
-    legs = {
-        i: k for k, (i, j) in enumerate(residuals.legs.tolist()) if used_legs is None or (i, j) in used_legs
-    }
-    T_w_c = residuals.T_w_v @ T_v_h @ parameters.T_h_c
-    views = []
-    for number, o in enumerate(extraction.observations):
-        leg = legs.get(number)
-        corners: dict[str, CornerView] = {}
-        for k, (name, detected) in enumerate(zip(extraction.rig.cameras.names, o.views, strict=True)):
-            jpeg = images.get(number, {}).get(name, b"")
-            expected_px = None if leg is None else residuals.predicted_px[k, leg]
-            corners[name] = CornerView(detected.pixels, detected.seen, expected_px, jpeg)
-        view = StationView(names[number], o.time_ns, residuals.T_w_k[number], T_w_c[number], corners)
-        if leg is not None:
-            view = replace(
-                view,
-                to_station=names[int(residuals.legs[leg, 1])],
-                point_m=float(residuals.leg_point_rms_m[leg]),
-                reprojection_px=float(residuals.leg_reprojection_px[leg]),
-            )
-        views.append(view)
-    return views
 
 
 def _motion(
@@ -156,7 +125,7 @@ def _judged(path: Path) -> tuple[list[Outlier], set[tuple[int, int]]]:
     """The outliers of a report.json, and the pairs of observations of the legs that were used."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
-        outliers = [from_plain(Outlier, outlier) for outlier in report["outliers"]]
+        outliers = TypeAdapter(list[Outlier]).validate_python(report["outliers"])
         legs = {(int(leg["from_observation"]), int(leg["to_observation"])) for leg in report["legs"]}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
@@ -175,7 +144,7 @@ def _unused(extraction: Extraction, outliers: Sequence[Outlier]) -> Iterator[Unu
         yield Unused(rejection.time_ns, rejection.time_ns, rejection.reason, rejection.detail)
 
 
-def _images(extraction: Extraction, logs: Sequence[Path]) -> Images:
+def _images(extraction: Extraction, logs: Sequence[Path]) -> dict[int, dict[str, bytes]]:
     """The first images of each station, from the recordings of the extraction."""
     known = {log.sha256 for log in extraction.logs}
     wanted = {(o.log, o.time_ns): number for number, o in enumerate(extraction.observations)}

@@ -64,7 +64,7 @@ class Data:
 
     Attributes:
         extraction: the measurements.
-        snapshots: images of the stations; none from an extraction.npz.
+        snapshots: images of the stations; thumbnails alone from an extraction.npz.
         gates: limits of the configuration, by name.
     """
 
@@ -364,7 +364,7 @@ class Report:
         return {
             "params.yaml": self.params.encode(),
             "report.json": self.json.encode(),
-            "extraction.npz": extraction_to_npz(self.data.extraction),
+            "extraction.npz": extraction_to_npz(self.data.extraction, self.data.snapshots),
         }
 
 

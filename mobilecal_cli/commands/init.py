@@ -72,7 +72,7 @@ def draft(
         RecordingError: the recording cannot be read.
         ConfigError: the URDF cannot be read.
     """
-    from mobilecal_cli.calibrate.describe import describe
+    from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
     from mobilecal_cli.rig.config import RigConfig, read_urdf

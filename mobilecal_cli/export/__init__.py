@@ -1,7 +1,12 @@
 """Writers and readers of params.yaml, extraction.npz and other formats, and of output directories."""
 
 from mobilecal_cli.export.board_print import BoardPrint, board_pdf
-from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import (
+    THUMBNAILS,
+    extraction_from_npz,
+    extraction_to_npz,
+    snapshots_from_npz,
+)
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.outputs import (
     append_text,
@@ -12,9 +17,9 @@ from mobilecal_cli.export.outputs import (
     write_outputs,
 )
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
-from mobilecal_cli.export.plain import from_plain, to_plain
 
 __all__ = [
+    "THUMBNAILS",
     "BoardPrint",
     "append_text",
     "board_pdf",
@@ -23,12 +28,11 @@ __all__ = [
     "check_output",
     "extraction_from_npz",
     "extraction_to_npz",
-    "from_plain",
     "improved_cameras",
     "improved_chain",
     "parameters_from_yaml",
     "params_yaml",
-    "to_plain",
+    "snapshots_from_npz",
     "write_file",
     "write_outputs",
 ]

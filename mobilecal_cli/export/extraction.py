@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import itertools
 import json
 import math
 import zipfile
@@ -12,10 +14,17 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    field_serializer,
+)
 
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.export.plain import from_plain, to_plain
+from mobilecal_cli.files.reading import problems_of
 from mobilecal_cli.model import (
     SIDES,
     Board,
@@ -25,11 +34,15 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    Snapshot,
     Track,
     WheelTrack,
 )
 
 SCHEMA_VERSION = 9
+#: Most stations with a small image.
+THUMBNAILS = 60
+_LARGEST_THUMBNAIL = 10_000  # bytes
 # 5: both wheels at the same times; 6: no priors of constants; 7: settled_by; 8: stereo pairs only
 _OLDEST_READ = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
@@ -42,8 +55,6 @@ _OBSERVATION_ARRAYS: dict[str, type] = {
     "at_rest": np.bool_,
     **dict.fromkeys(("joints", "joints_std", *_MEASURED), np.float64),
 }
-#: What the header holds as JSON.
-_HEADER = ("rig", "board", "rejections", "notes", "logs", "counts")
 _CORNER_ARRAYS: dict[str, type] = {
     "pixels": np.float64,
     "sigma_px": np.float64,
@@ -63,8 +74,35 @@ _EPOCH = (1980, 1, 1, 0, 0, 0)
 _HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
-def extraction_to_npz(extraction: Extraction) -> bytes:
-    """The extraction as a compressed .npz, with the same bytes for the same values.
+class _Header(BaseModel):
+    """What the file holds beside arrays, and how many of these."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    format: str = _FORMAT
+    schema_version: int = SCHEMA_VERSION
+    made_by: str = __version__
+    rig: Rig
+    board: Board
+    rejections: tuple[Rejection, ...]
+    notes: tuple[str, ...]
+    logs: tuple[LogSource, ...]
+    counts: dict[str, int]
+    observations: int
+    wheels: int
+    joint_tracks: tuple[int, ...]
+
+    @field_serializer("rig", mode="wrap")
+    def _finite(self, rig: Rig, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """JSON has no infinite numbers, which the sigmas of free constants are."""
+        plain: dict[str, Any] = serialize(rig)
+        sigmas = plain["prior_sigmas"].items()
+        plain["prior_sigmas"] = {name: "inf" if math.isinf(sigma) else sigma for name, sigma in sigmas}
+        return plain
+
+
+def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()) -> bytes:
+    """The extraction and the thumbnails of its stations as a compressed .npz: the same bytes for the same values.
 
     Arrays are stacked over the N observations, so that numpy alone can read them: ``observations.points_c`` is
     (N, M, 3). All else is JSON in the uint8 array ``header``.
@@ -73,16 +111,24 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
         ValueError: the observations have different numbers of corners or joints.
     """
     observations = extraction.observations
-    header = {
-        "format": _FORMAT,
-        "schema_version": SCHEMA_VERSION,
-        "made_by": __version__,
-        **{name: to_plain(getattr(extraction, name)) for name in _HEADER},
-        "observations": len(observations),
-        "wheels": len(extraction.wheels),
-        "joint_tracks": [len(tracks) for tracks in extraction.joint_tracks],
-    }
-    text = json.dumps(header, allow_nan=False, separators=(",", ":"))
+    header = _Header(
+        rig=extraction.rig,
+        board=extraction.board,
+        rejections=extraction.rejections,
+        notes=extraction.notes,
+        logs=extraction.logs,
+        counts=dict(extraction.counts),
+        observations=len(observations),
+        wheels=len(extraction.wheels),
+        joint_tracks=tuple(len(tracks) for tracks in extraction.joint_tracks),
+    )
+    thumbnails = [
+        (s.log, s.station, base64.b64encode(s.thumbnail).decode("ascii")) for s in snapshots if s.thumbnail
+    ]
+    # Not as JSON by pydantic, which has none for names that are not UTF-8.
+    text = json.dumps(
+        header.model_dump() | {"thumbnails": thumbnails}, allow_nan=False, separators=(",", ":")
+    )
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
     if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
@@ -103,6 +149,17 @@ def extraction_to_npz(extraction: Extraction) -> bytes:
             arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
             arrays[f"joints.{i}.{j}.value"] = joint.value
     return _zipped(arrays)
+
+
+def snapshots_from_npz(path: Path) -> tuple[Snapshot, ...]:
+    """The thumbnails beside a valid extraction; those that cannot be read are left out."""
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            listed = json.loads(arrays["header"].tobytes()).get("thumbnails", ())
+        read = (Snapshot(int(log), int(station), {}, base64.b64decode(jpeg)) for log, station, jpeg in listed)
+        return tuple(itertools.islice((s for s in read if len(s.thumbnail) < _LARGEST_THUMBNAIL), THUMBNAILS))
+    except (ValueError, TypeError):
+        return ()
 
 
 def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
@@ -155,6 +212,8 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
 
 
 def _said(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        return problems_of(error)
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
@@ -192,22 +251,23 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
         rig["setting_sources"] = rig.pop("settled_by")
     if "left" in rig["cameras"]:  # schema versions 5 to 8
         rig["cameras"] = _pair(rig["cameras"])
-    names = [str(name) for name in rig["cameras"]["names"]]
+    stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
+    names = stated.rig.cameras.names
     return Extraction(
-        rig=from_plain(Rig, rig),
-        board=from_plain(Board, header["board"]),
-        observations=tuple(_observation(arrays, names, i) for i in range(header["observations"])),
-        wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(header["wheels"])),
-        rejections=tuple(from_plain(Rejection, item) for item in header["rejections"]),
-        notes=tuple(str(note) for note in header["notes"]),
-        logs=tuple(from_plain(LogSource, item) for item in header["logs"]),
-        counts={str(key): int(value) for key, value in header["counts"].items()},
+        rig=stated.rig,
+        board=stated.board,
+        observations=tuple(_observation(arrays, names, i) for i in range(stated.observations)),
+        wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(stated.wheels)),
+        rejections=stated.rejections,
+        notes=stated.notes,
+        logs=stated.logs,
+        counts=stated.counts,
         joint_tracks=tuple(
             tuple(
                 Track(arrays[f"joints.{i}.{j}.time_ns"], arrays[f"joints.{i}.{j}.value"])
                 for j in range(count)
             )
-            for i, count in enumerate(header["joint_tracks"])
+            for i, count in enumerate(stated.joint_tracks)
         ),
     )
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import reprlib
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
@@ -24,7 +23,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
-from mobilecal_cli.files.reading import load_yaml
+from mobilecal_cli.files.reading import load_yaml, problems_of
 from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
     FACTORS,
@@ -461,7 +460,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     try:
         checked = _File.model_validate(data)
     except ValidationError as error:
-        raise ConfigError(f"{name}: {_problems(error)}", _HINT) from error
+        raise ConfigError(f"{name}: {problems_of(error)}", _HINT) from error
     head_eye, verdict, constants = checked.head_eye, checked.verdict, None
     if checked.constants is not None:
         constants = {name: entry.value for name, entry in checked.constants.items()}
@@ -509,14 +508,3 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
 
 def _geometry(wheels: _Wheels | WheelsNominal) -> WheelGeometry:
     return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)
-
-
-def _problems(error: ValidationError) -> str:
-    parts = []
-    for item in error.errors():
-        key = ".".join(str(part) for part in item["loc"])
-        message = item["msg"].removeprefix("Value error, ")
-        given = item["input"]
-        got = f" (got {reprlib.repr(given)})" if isinstance(given, str | int | float) else ""
-        parts.append(f"{key}: {message}{got}")
-    return "; ".join(parts)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,12 +12,13 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import (
     Board,
-    BoolArray,
     CalibratedRobot,
     CameraRig,
+    Extraction,
     FloatArray,
     HeadChain,
     IntArray,
+    Residuals,
 )
 
 
@@ -35,49 +37,7 @@ class Motion:
     T_v_h: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerView:
-    """The board in one image.
-
-    Attributes:
-        detected: (M, 2) px, (0, 0) the center of the first pixel.
-        seen: (M,) corners that were detected.
-        predicted: (M, 2) px, from the next station; None at the end of a recording and beside outliers.
-        jpeg: the image; b"" without one.
-    """
-
-    detected: FloatArray
-    seen: BoolArray
-    predicted: FloatArray | None
-    jpeg: bytes = b""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StationView:
-    """One station.
-
-    Attributes:
-        name: for people.
-        time_ns: its time.
-        T_w_k: (4, 4) board in the world, as measured here.
-        T_w_c: (4, 4) first camera in the world.
-        corners: of each image.
-        to_station: name of the station whose corners are predicted here; "" for none.
-        point_m, reprojection_px: rms error of the prediction; 0 without one.
-    """
-
-    name: str
-    time_ns: int
-    T_w_k: FloatArray
-    T_w_c: FloatArray
-    corners: Mapping[str, CornerView]
-    to_station: str = ""
-    point_m: float = 0.0
-    reprojection_px: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Unused:
+class Unused(NamedTuple):
     """Something that was not used, with the interval that it concerns.
 
     Attributes:
@@ -98,25 +58,33 @@ class Scene:
 
     Attributes:
         robot: the calibration.
-        chain: for the names of base and head.
+        extraction: its measurements.
         cameras: as estimated, lens corrections as part of the distortion models.
         board: with its square size.
-        motions: of each recording.
-        stations: of each recording, in order of time.
+        motions: recording → motion in it.
+        station_names: of the observations, for people.
+        residuals: of the calibration.
+        T_w_c: (N, 4, 4) first camera in the world at each observation.
+        legs: observation → the leg that predicts its corners, of those that the estimate uses.
+        images: observation → camera → JPEG.
         unused: in order of time.
     """
 
     robot: CalibratedRobot
-    chain: HeadChain
+    extraction: Extraction
     cameras: CameraRig
     board: Board
-    motions: tuple[Motion, ...]
-    stations: tuple[tuple[StationView, ...], ...]
-    unused: tuple[Unused, ...] = ()
+    motions: Mapping[int, Motion]
+    station_names: Sequence[str]
+    residuals: Residuals
+    T_w_c: FloatArray
+    legs: Mapping[int, int]
+    images: Mapping[int, Mapping[str, bytes]]
+    unused: tuple[Unused, ...]
     names: Frames = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "names", Frames.of(self.chain, self.cameras))
+        object.__setattr__(self, "names", Frames.of(self.extraction.rig.chain, self.cameras))
 
     def fixed_frames(self) -> list[tuple[str, str, FloatArray]]:
         """Parent, child and child coordinates to parent coordinates (4, 4) of the frames on the head.

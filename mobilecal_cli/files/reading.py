@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import errno
 import re
+import reprlib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
+    from pydantic_core import ErrorDetails
 
 #: More than any configuration or metadata.yaml needs; the parser takes seconds for it.
 LARGEST_BYTES = 2**17
@@ -76,6 +82,18 @@ def read_text(path: Path, largest_bytes: int) -> str:
 def reason_of(error: OSError | ValueError) -> str:
     """Why a file cannot be read, without its path and the number of the error."""
     return str((isinstance(error, OSError) and error.strerror) or error)
+
+
+def problem_of(item: ErrorDetails) -> str:
+    """One error of a schema: the dotted key, what is wrong, and the value."""
+    key = ".".join(str(part) for part in item["loc"]) or "the file"
+    got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
+    return f"{key}: {item['msg'].removeprefix('Value error, ')}{got}"
+
+
+def problems_of(error: ValidationError) -> str:
+    """All errors of a schema."""
+    return "; ".join(problem_of(item) for item in error.errors())
 
 
 def _open_brackets(text: str) -> int:

@@ -1,6 +1,6 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, unseen_height
+from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, joint_frames, unseen_height
 from mobilecal_cli.kinematics.motion import (
     DRIVEN_RAD,
     FEWEST_LEGS,
@@ -12,13 +12,11 @@ from mobilecal_cli.kinematics.motion import (
 from mobilecal_cli.kinematics.wheels import (
     Arcs,
     Increments,
-    LegMotion,
     between_steps,
     cut_at,
     encoder_step_rad,
     encoder_steps_rad,
     integrate,
-    integrate_with_jacobian,
     join,
 )
 
@@ -30,7 +28,6 @@ __all__ = [
     "Arcs",
     "Increments",
     "JointFrames",
-    "LegMotion",
     "MotionSeen",
     "between_steps",
     "cut_at",
@@ -39,8 +36,8 @@ __all__ = [
     "head_jacobian",
     "head_pose",
     "integrate",
-    "integrate_with_jacobian",
     "join",
+    "joint_frames",
     "motion_seen",
     "unseen_height",
 ]

@@ -8,13 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from mobilecal_cli.model import FloatArray, IntArray, Track, WheelGeometry, WheelTrack
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track, WheelGeometry, WheelTrack
 
 _ROUNDING_RAD = 1e-9
 _WHOLE_STEPS = 0.01  # a sound change is so near to a whole number of steps
 _ROUNDING_STEPS = 1e-6  # agreement in steps that says no more
 _FEW_READINGS = 10  # of one wheel in one recording
-_SIDES = ("right", "left")
 _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500
@@ -97,15 +96,21 @@ def encoder_step_rad(readings_rad: FloatArray) -> float:
     candidates = np.unique(np.append(smallest[:, None] / np.arange(1, _MOST_PARTS + 1), changes.min()))
     for step in candidates[::-1]:
         if _divides(step, some, len(candidates)) and _divides(step, changes, len(candidates)):
-            return _adjusted(step, changes)
+            multiples, _, sound = _whole_steps(step, changes)
+            return float(np.median(changes[sound] / multiples[sound]))  # readings may be rounded
     return 0.0
+
+
+def _whole_steps(step: float, changes: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Changes as numbers of steps, their distance from whole ones, and whether each is a whole one, not 0."""
+    multiples = np.round(changes / step)
+    off = np.abs(changes / step - multiples)
+    return multiples, off, (off < _WHOLE_STEPS) & (multiples > 0)
 
 
 def _divides(step: float, changes: FloatArray, tried: int) -> bool:
     """Whether the changes are multiples of a step, and not by chance, given the number of steps that were tried."""
-    multiples = np.round(changes / step)
-    off = np.abs(changes / step - multiples)
-    sound = (off < _WHOLE_STEPS) & (multiples > 0)
+    multiples, off, sound = _whole_steps(step, changes)
     if sound.sum() < (1 - _CORRUPTED) * len(changes):
         return False
     different = len(np.unique(multiples[sound]))
@@ -115,27 +120,18 @@ def _divides(step: float, changes: FloatArray, tried: int) -> bool:
     return bool(tried * by_chance ** (different - 1) < _BY_CHANCE)
 
 
-def _adjusted(step: float, changes: FloatArray) -> float:
-    """The step that fits all sound changes: readings may be rounded."""
-    multiples = np.round(changes / step)
-    sound = (np.abs(changes / step - multiples) < _WHOLE_STEPS) & (multiples > 0)
-    return float(np.median(changes[sound] / multiples[sound]))
-
-
 def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
     """Resolution of the right and left wheel's encoder, the largest over the recordings, (2,).
 
     Recordings with few readings say nothing alone: they count as one.
     """
-    return np.array([_largest_step([getattr(track, side).value for track in tracks]) for side in _SIDES])
-
-
-def _largest_step(readings: Sequence[FloatArray]) -> float:
-    long = [values for values in readings if len(values) >= _FEW_READINGS]
-    short = [np.diff(values) for values in readings if len(values) < _FEW_READINGS]
-    if short:
-        long.append(np.cumsum(np.concatenate([[0.0], *short])))
-    return max((encoder_step_rad(values) for values in long), default=0.0)
+    steps_rad = []
+    for readings in ([track.right.value for track in tracks], [track.left.value for track in tracks]):
+        short = [np.diff(values) for values in readings if len(values) < _FEW_READINGS]
+        joined = [np.cumsum(np.concatenate([[0.0], *short]))] if short else []
+        long = [values for values in readings if len(values) >= _FEW_READINGS]
+        steps_rad.append(max((encoder_step_rad(values) for values in long + joined), default=0.0))
+    return np.array(steps_rad)
 
 
 def between_steps(track: Track) -> Track:
@@ -198,19 +194,6 @@ def join(parts: list[Increments]) -> Increments:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LegMotion:
-    """Motion of the base over each leg, T_vi_vj = (Rz(psi), t).
-
-    Attributes:
-        psi_rad: (L,) heading change, not wrapped.
-        t_m: (L, 2) x and y of the new base origin in the old base frame.
-    """
-
-    psi_rad: FloatArray
-    t_m: FloatArray
-
-
 def _up_to(steps: Increments, amount: FloatArray) -> FloatArray:
     """Sum of a quantity within the leg up to and including each step, (n,) → (n,)."""
     total = np.cumsum(amount)
@@ -240,7 +223,7 @@ def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Arcs:
-    """Steps of all legs as circular arcs, and the resulting motion (eqs. 10 and 14).
+    """Steps of all legs as circular arcs, and the resulting motion T_vi_vj = (Rz(psi), t) (eqs. 10 and 14).
 
     A step turns by ``psi = (rR phiR - rL phiL) / b`` and moves the base by the chord ``ds sin(h)/h``,
     ``ds = (rR phiR + rL phiL) / 2``, in the direction ``theta + h``, with ``h = psi/2``: exact for constant rates
@@ -248,38 +231,31 @@ class Arcs:
 
     Attributes:
         steps, wheels: rotations and sizes of the wheels.
+        wider: (n,) effective over stated separation in each step, or 1.
         ds, turn: (n,) length and turn of each step, m and rad.
         direction: (2, n) of each chord, in the frame of its leg's start.
         chord, slope: (n,) chord length / arc length, and its derivative by h.
-        psi_rad: (L,) heading change of each leg, not wrapped.
-        wider: (n,) effective over stated separation in each step, or 1.
     """
 
     steps: Increments
     wheels: WheelGeometry
+    wider: FloatArray | float
     ds: FloatArray
     turn: FloatArray
     direction: FloatArray
     chord: FloatArray
     slope: FloatArray
-    psi_rad: FloatArray
-    wider: FloatArray | float = 1.0
 
-    @classmethod
-    def along(cls, steps: Increments, wheels: WheelGeometry, wider: FloatArray | float = 1.0) -> Arcs:
-        """Arcs for given wheels."""
-        right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
-        turn = (right - left) / (wheels.separation_m * wider)
-        heading = _up_to(steps, turn) - turn / 2
-        direction = np.stack([np.cos(heading), np.sin(heading)])
-        return cls(
-            steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2), steps.total(turn), wider
-        )
+    @cached_property
+    def psi_rad(self) -> FloatArray:
+        """(L,) heading change over each leg, not wrapped."""
+        return self.steps.total(self.turn)
 
-    def motion(self) -> LegMotion:
-        """Motion of the base over each leg."""
+    @cached_property
+    def t_m(self) -> FloatArray:
+        """(L, 2) x and y of the new base origin in the old base frame."""
         x, y = self.ds * self.chord * self.direction
-        return LegMotion(self.psi_rad, np.stack([self.steps.total(x), self.steps.total(y)], axis=1))
+        return np.stack([self.steps.total(x), self.steps.total(y)], axis=1)
 
     @cached_property
     def _by_step(self) -> tuple[FloatArray, FloatArray]:
@@ -333,18 +309,10 @@ class Arcs:
         return np.moveaxis(out, -1, 0)
 
 
-def integrate(steps: Increments, wheels: WheelGeometry) -> LegMotion:
-    """Motion over each leg by dead reckoning along circular arcs."""
-    return Arcs.along(steps, wheels).motion()
-
-
-def integrate_with_jacobian(
-    steps: Increments, wheels: WheelGeometry
-) -> tuple[LegMotion, FloatArray, FloatArray]:
-    """`integrate`, with its derivatives by (rR, rL, b).
-
-    Returns:
-        The motion, d psi (L, 3) in rad/m and d t (L, 2, 3) in m/m.
-    """
-    arcs = Arcs.along(steps, wheels)
-    return arcs.motion(), *arcs.by_wheels()
+def integrate(steps: Increments, wheels: WheelGeometry, wider: FloatArray | float = 1.0) -> Arcs:
+    """Motion over each leg by dead reckoning along circular arcs, with its derivatives; see `Arcs`."""
+    right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+    turn = (right - left) / (wheels.separation_m * wider)
+    heading = _up_to(steps, turn) - turn / 2
+    direction = np.stack([np.cos(heading), np.sin(heading)])
+    return Arcs(steps, wheels, wider, (right + left) / 2, turn, direction, *_arc(turn / 2))

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 _SHOWN = 1.0  # a recording shows a direction that it knows better than its scale
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
@@ -61,15 +58,15 @@ def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
         basis: (9, F) these directions.
     """
     values, vectors = np.linalg.eigh(A)
-    seen = values > _SHOWN**2
-    inverse = np.where(seen, 1 / np.where(seen, values, 1.0), 0.0)
+    known = values > _SHOWN**2
+    inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
     shown = (
-        np.sum((basis @ vectors[:, seen]) ** 2, axis=1) > 1 - _SHARE**2
+        np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     )  # fixed and unobservable: no share
     distance = float(a @ covariance @ a)
-    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(seen.sum()))
+    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum()))
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
@@ -102,7 +99,7 @@ def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> flo
     return math.sqrt(max(1.0, q)) * float(stdtrit(spare, _TWO_SIGMA)) / 2
 
 
-def weigh_logs(lin: Linearization) -> Pooled:
+def weigh_logs(lin: Posterior) -> Pooled:
     """Weigh the recordings with the spread between them.
 
     Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import COUNT, LEVELS
 from mobilecal_cli.model import FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 _NO_REDUNDANCY = 1e-6
 # Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
@@ -69,23 +66,23 @@ def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
 
 
-def influences(lin: Linearization) -> Iterator[Influence]:
+def influences(lin: Posterior) -> Iterator[Influence]:
     """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
     yield _of_images(lin)
     data, marginal = lin.data, lin.marginals
     errors, sigma = lin.own_errors, lin.own_sigmas
     joints = data.joints.shape[1]
-    one = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
-    one[:, :joints] *= lin.inliers.readings
-    one[:, joints:] *= data.drives[:, None]
+    per_sigma = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
+    per_sigma[:, :joints] *= lin.inliers.readings
+    per_sigma[:, joints:] *= data.drives[:, None]
     for columns, parts in (
         (slice(0, joints), {"joint_rad": np.eye(joints)}),
         (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
     ):
         at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
-        at[:, columns] = one[:, columns, None] * np.eye(at.shape[2])
+        at[:, columns] = per_sigma[:, columns, None] * np.eye(at.shape[2])
         leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
-        yield Influence(_onto(lin, own=at), (errors * one)[:, columns], leverage, parts)
+        yield Influence(_onto(lin, own=at), (errors * per_sigma)[:, columns], leverage, parts)
     yield _of_processes(lin)
     if len(data.legs):
         yield _of_legs(lin)
@@ -103,14 +100,14 @@ def influences(lin: Linearization) -> Iterator[Influence]:
         yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": np.eye(1)})
 
 
-def _onto(lin: Linearization, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
+def _onto(lin: Posterior, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
     """(N, P, m) influence of m measurements of each station's base block (N, B, m), or of its own errors (N, E, m)."""
     stations = np.arange(lin.data.stations)
     influence: FloatArray = lin.conditional_covariance @ lin.normal.onto_shared(stations, base, own)
     return influence
 
 
-def _of_images(lin: Linearization) -> Influence:
+def _of_images(lin: Posterior) -> Influence:
     views = lin.views
     root, inverse = _roots(views.information)
     of_poses = views.by_base, views.by_own, views.by_board
@@ -128,7 +125,7 @@ def _of_images(lin: Linearization) -> Influence:
     )
 
 
-def _of_processes(lin: Linearization) -> Influence:
+def _of_processes(lin: Posterior) -> Influence:
     data, processes, on = lin.data, lin.processes, np.arange(COUNT)
     root = 1 / np.sqrt(processes.variance)
     here = np.zeros((data.stations, data.base_width, COUNT))
@@ -143,7 +140,7 @@ def _of_processes(lin: Linearization) -> Influence:
     return Influence(by_unit, processes.innovations(lin.state.processes) * root, leverage, parts)
 
 
-def _of_legs(lin: Linearization) -> Influence:
+def _of_legs(lin: Posterior) -> Influence:
     data, legs = lin.data, lin.legs
     i, j = data.legs.T
     root, _ = _roots(lin.leg_weight)
@@ -159,11 +156,15 @@ def _of_legs(lin: Linearization) -> Influence:
     )
 
 
-def shares(lin: Linearization) -> Mapping[str, FloatArray]:
+def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatArray]:
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
     that are outliers and bases that no measurement holds count as a source of their own ("free").
+
+    Args:
+        lin: an optimum.
+        moved_by: see `influences`.
 
     Returns:
         Noise levels by name, "prior <name>" for the nine parameters and each constant with a prior, "unobservable" for
@@ -171,7 +172,7 @@ def shares(lin: Linearization) -> Mapping[str, FloatArray]:
     """
     C, layout = lin.conditional_covariance, lin.data.layout
     result: dict[str, FloatArray] = {}
-    for influence in lin.influences:
+    for influence in moved_by:
         for level in influence.parts:
             result[level] = result.get(level, 0.0) + influence.covariance(level)
     for k, name in enumerate(layout.names):

@@ -8,16 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
+from mobilecal_cli.likelihood.measurements import Measurements
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.dataset import Dataset
 
 
 class Effect:
@@ -25,7 +22,7 @@ class Effect:
 
     __slots__ = ()
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Whether this recording can show the constant at all."""
         return True
 
@@ -36,10 +33,10 @@ class JointEffect(Effect, ABC):
     __slots__ = ()
 
     @abstractmethod
-    def rate(self, data: Dataset, value: float) -> FloatArray:
+    def rate(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) derivative of the joint positions by the value."""
 
-    def shift(self, data: Dataset, value: float) -> FloatArray:
+    def shift(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) to be added to the joint readings, rad or m."""
         shift: FloatArray = value * self.rate(data, value)
         return shift
@@ -49,15 +46,15 @@ class JointEffect(Effect, ABC):
 class JointClock(JointEffect):
     """Offset of the joints' stamps, s: joints in motion are read at another moment."""
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
         return bool(data.moving.any()) and bool(data.joint_tracks)
 
-    def shift(self, data: Dataset, value: float) -> FloatArray:
+    def shift(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) motion of the joints within the offset."""
         return data.joint_shift(value)
 
-    def rate(self, data: Dataset, value: float) -> FloatArray:
+    def rate(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) joint rates."""
         return data.joint_rates(value)
 
@@ -69,10 +66,10 @@ class OneJointEffect(JointEffect):
     joint: int
 
     @abstractmethod
-    def own_rate(self, data: Dataset) -> FloatArray | float:
+    def own_rate(self, data: Measurements) -> FloatArray | float:
         """(N,) derivative of this joint's positions by the value."""
 
-    def rate(self, data: Dataset, value: float) -> FloatArray:
+    def rate(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) derivative of the joint positions by the value."""
         rate = np.zeros_like(data.joints)
         rate[:, self.joint] = self.own_rate(data)
@@ -83,7 +80,7 @@ class OneJointEffect(JointEffect):
 class JointZero(OneJointEffect):
     """Zero offset of a joint, rad or m."""
 
-    def own_rate(self, data: Dataset) -> FloatArray | float:
+    def own_rate(self, data: Measurements) -> FloatArray | float:
         """The same at all stations."""
         return 1.0
 
@@ -92,7 +89,7 @@ class JointZero(OneJointEffect):
 class JointScale(OneJointEffect):
     """Relative error of a joint's reading."""
 
-    def own_rate(self, data: Dataset) -> FloatArray | float:
+    def own_rate(self, data: Measurements) -> FloatArray | float:
         """The reading."""
         return data.joints[:, self.joint]
 
@@ -101,11 +98,11 @@ class JointScale(OneJointEffect):
 class JointPlay(OneJointEffect):
     """Backlash of a joint, rad or m: the whole play between its two approach directions."""
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only a joint that was approached from both directions shows its play."""
         return bool(np.ptp(data.approach_direction[:, self.joint]))
 
-    def own_rate(self, data: Dataset) -> FloatArray | float:
+    def own_rate(self, data: Measurements) -> FloatArray | float:
         """Half of the approach direction, negative."""
         return -data.approach_direction[:, self.joint] / 2
 
@@ -281,7 +278,7 @@ class CameraEffect(Effect, ABC):
 
     __slots__ = ()
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
         return not data.posed.all()
 
@@ -300,7 +297,7 @@ class OneCameraEffect(CameraEffect):
 
     camera: int
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only corners in this camera show it."""
         return bool(data.seen[:, self.camera].any())
 
@@ -434,10 +431,10 @@ class LensTerm(OneCameraEffect):
 class ImageDelay(OneCameraEffect):
     """Time of a camera's images against their stamps, s: the points move in the camera meanwhile."""
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only corners in motion show a delay."""
-        seen = bool(data.seen[:, self.camera].any())
-        return seen and bool(data.moving.any()) and bool(data.joint_tracks)
+        has_corners = bool(data.seen[:, self.camera].any())
+        return has_corners and bool(data.moving.any()) and bool(data.joint_tracks)
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add to the delay."""
@@ -455,7 +452,7 @@ class ReadOut(CameraEffect):
     Rows are exposed around the stamp, the first before and the last after it.
     """
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only corners in motion show it."""
         return not data.posed.all() and bool(data.moving.any()) and bool(data.joint_tracks)
 
@@ -473,7 +470,7 @@ class BoardEffect(Effect, ABC):
 
     __slots__ = ()
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
         return not data.posed.all()
 
@@ -542,7 +539,7 @@ class BaseLean(Effect):
 class TurnSlip(Effect):
     """Relative change of the effective separation per turning rate over its mean: wheels that slip in turns."""
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only several wheels a side slip in every turn."""
         return data.several_wheels
 
@@ -551,6 +548,6 @@ class TurnSlip(Effect):
 class WheelClock(Effect):
     """Offset of the wheels' stamps, s: legs are cut at another moment."""
 
-    def offered(self, data: Dataset) -> bool:
+    def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
         return bool(data.moving.any()) and bool(data.joint_tracks)

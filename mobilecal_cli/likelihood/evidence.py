@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
+from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.nuisance import FAMILIES, Constant, family
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Evidence, FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 _LEAST_CHANCE = 1e-300
 _SHOWN = 0.997  # posterior variance over the prior's, below which the data show a direction
@@ -30,7 +27,8 @@ def from_chance(chance: float) -> float:
     return float(-ndtri(max(chance, _LEAST_CHANCE) / 2))
 
 
-def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
+@solvable()
+def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
     """Evidence against the stated values of every group of constants at an optimum, one group at a time.
 
     A group is what one part of the robot has of a kind, or all of a kind together.
@@ -38,6 +36,9 @@ def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
     With the prior covariance P and the posterior mean m and covariance C of a group, ignoring its stated values
     decreases the cost by m^T (P - C)^-1 m. In units of its prior, P - C has eigenvalues between 0 (the data show
     nothing) and 1. A group whose prior was made wider is tested against the stated one; the others stay as wide.
+
+    Raises:
+        SolveError: a singular matrix.
     """
     layout, C = lin.data.layout, lin.covariance
     values = lin.priors.displacement(lin.state)
@@ -46,6 +47,7 @@ def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
         if lin.priors.weight[column] and row.kind != CORNERS:  # patterns stand for others, too
             kind = family(row.kind)
             groups.setdefault((kind, row.part if parts and kind not in FAMILIES else ""), {})[column] = row
+    tested = []
     for (kind, _), members in groups.items():
         columns, rows = list(members), list(members.values())
         first = next((row for row in rows if row.kind == kind), rows[0])
@@ -61,7 +63,7 @@ def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
             own, m = stated, stated @ precision @ m
         chi2, dof, value, wide = _without_prior(m, own)
         names = [layout.names[k] for k in columns]
-        found = {
+        estimates = {
             name: (float(v * s), float(d * s))
             for name, v, d, s in zip(names, value, wide, prior, strict=True)
         }
@@ -74,7 +76,8 @@ def evidence(lin: Linearization, parts: bool = True) -> Iterator[Evidence]:
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
         sigma_of = dict(zip(names, prior.tolist(), strict=True))
-        yield Evidence(first.kind, first.part, found, sigma_of, chi2, dof, sigmas, max(shifts))
+        tested.append(Evidence(first.kind, first.part, estimates, sigma_of, chi2, dof, sigmas, max(shifts)))
+    return tuple(tested)
 
 
 def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray, FloatArray]:

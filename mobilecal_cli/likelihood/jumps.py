@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -21,11 +20,9 @@ from mobilecal_cli.likelihood.chain import banded
 from mobilecal_cli.likelihood.effects import BaselineScale, PoseEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.normal import station_information
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 _FEWEST_EACH_SIDE = 3  # stations before and after a change
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
@@ -68,7 +65,7 @@ class _Part:
     legs: FloatArray | None = None
 
 
-def _parts(lin: Linearization) -> Iterator[tuple[str, _Part]]:
+def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
     data, views = lin.data, lin.views
     count, Q = len(views.information), views.information.shape[1]
 
@@ -101,7 +98,7 @@ def _parts(lin: Linearization) -> Iterator[tuple[str, _Part]]:
 class _Test:
     """Score tests at an optimum."""
 
-    def __init__(self, lin: Linearization) -> None:
+    def __init__(self, lin: Posterior) -> None:
         self._lin = lin
         self._G = station_information(lin)
         self._normal = lin.normal
@@ -181,7 +178,7 @@ def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[f
     return float(along @ over), int(shown.sum()), -unit * (vectors @ over)
 
 
-def without(lin: Linearization, jump: Jump) -> Linearization:
+def without(lin: Posterior, jump: Jump) -> Posterior:
     """The same point with the residuals that remain after a step, to first order."""
     data, part = lin.data, dict(_parts(lin))[jump.part]
     after = _after(lin, jump.station)
@@ -196,7 +193,7 @@ def without(lin: Linearization, jump: Jump) -> Linearization:
     return lin.changed(known={"views": views}, leg_offset=offset)
 
 
-def again(lin: Linearization, jump: Jump) -> Jump:
+def again(lin: Posterior, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels."""
     value = jump.value
     ((_, information, across, _),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
@@ -215,7 +212,7 @@ def again(lin: Linearization, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=significance, shift_sigmas=float(moved.max()))
 
 
-def cause(lin: Linearization, first: int) -> str:
+def cause(lin: Posterior, first: int) -> str:
     """The part whose jump at a station explains most of the misfit from there on; "" if none explains nearly all.
 
     Args:
@@ -240,13 +237,13 @@ def _significance(chi2: float, dof: int, tried: int) -> float:
     return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
 
 
-def _after(lin: Linearization, first: int) -> BoolArray:
+def _after(lin: Posterior, first: int) -> BoolArray:
     """(N,) stations of the same recording from a station on."""
     log = lin.data.log
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Linearization) -> Jump | None:
+def likeliest(lin: Posterior) -> Jump | None:
     """The most probable jump inside a recording, whether or not it is significant; None if nothing can be compared.
 
     Args:
@@ -272,7 +269,7 @@ def likeliest(lin: Linearization) -> Jump | None:
     return replace(best, tried=tried, sigmas=_significance(best.chi2, best.dof, tried))
 
 
-def lasts(lin: Linearization, jump: Jump) -> bool:
+def lasts(lin: Posterior, jump: Jump) -> bool:
     """Whether a jump is more than a misfit of the one station behind it: a step a station later explains much of it.
 
     Args:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import Arcs, Increments
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, SCALES, STAMP, Dataset, SensorMotions
+from mobilecal_cli.kinematics import Increments, integrate
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import TurnSlip, WheelClock
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
@@ -88,7 +89,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
     i, j = data.legs.T
     steps = _steps(data, state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
-    arcs = Arcs.along(steps, state.parameters.wheels, 1.0 if above is None else _wider(data, state, above))
+    arcs = integrate(steps, state.parameters.wheels, 1.0 if above is None else _wider(data, state, above))
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)
     count = len(between)
@@ -119,8 +120,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
     if not encoders:
         by_start[:, :, ENCODERS] = by_end[:, :, ENCODERS] = 0.0
-    motion = arcs.motion()
-    residual = np.concatenate([motion.t_m, motion.psi_rad[:, None]], axis=1) - between
+    residual = np.concatenate([arcs.t_m, arcs.psi_rad[:, None]], axis=1) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
@@ -189,7 +189,7 @@ def leg_covariances(
     Returns:
         Noise level → its share; "slip" for what is supposed of every leg.
     """
-    arcs = Arcs.along(steps, wheels)
+    arcs = integrate(steps, wheels)
     sensitivity = arcs.sensitivity()
     right, left = noise.wheel_rad_per_sqrt_rad**2 * np.abs([steps.right_rad, steps.left_rad])
     root = np.empty((steps.legs, 3, 3))

@@ -1,4 +1,4 @@
-"""The likelihood at one point: residuals, normal equations, and everything that follows from them."""
+"""The likelihood at one point: the residuals of all measurements, their weights, and the sum of their squares."""
 
 from __future__ import annotations
 
@@ -6,33 +6,27 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
-from mobilecal_cli.likelihood.marginals import Marginals, marginals
 from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
-from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
-from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
-from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, linearize_views, view_rates, with_stations
-from mobilecal_cli.model import Evidence, FloatArray, Noise
+from mobilecal_cli.model import FloatArray, Noise
 
 
 @contextmanager
-def _solvable() -> Iterator[None]:
-    """Turn a singular matrix into an error that a user understands: the only place that meets one."""
+def solvable() -> Iterator[None]:
+    """Turn a singular matrix into an error that a user understands."""
     try:
         yield
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:  # scipy refuses what is not finite by a ValueError
         raise SolveError(
             "the inlier measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
@@ -70,7 +64,7 @@ class Linearization:
     leg_offset: FloatArray | float = 0.0
 
     @classmethod
-    def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Linearization:
+    def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Self:
         """The likelihood at a state, with the legs' covariance and the distances for the wheels of this state."""
         wheels = state.parameters.wheels
         covariances = all_covariances(data, wheels, noise)
@@ -83,7 +77,7 @@ class Linearization:
         keep: Collection[str] = (),
         known: Mapping[str, object] | None = None,
         **fields: Any,  # noqa: ANN401
-    ) -> Linearization:
+    ) -> Self:
         """Another point, with some of what was derived here: the only place that moves it.
 
         Args:
@@ -96,26 +90,16 @@ class Linearization:
         other.__dict__.update(known or {})
         return other
 
-    def after(self, step: Step) -> Linearization:
+    def after(self, step: Step) -> Self:
         """The likelihood after a step of all unknowns."""
         return self.changed(state=self.state.plus(self.data, step))
 
-    def predicted(self, step: Step) -> Linearization:
-        """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
-        known = {
-            "views": self.views.moved(step),
-            "legs": self.legs.moved(self.data, step),
-            "normal": self.normal.after(step.shared),
-            "conditional_covariance": self.conditional_covariance,
-        }
-        return self.changed(known=known, state=self.state.plus(self.data, step))
-
-    def under(self, priors: Priors) -> Linearization:
+    def under(self, priors: Priors) -> Self:
         """The same point with other priors."""
         same = ("views", "legs", "leg_covariance", "leg_weight", "own_sigmas", "normal")
         return self.changed(same, priors=priors.widened(self.noise.wider))
 
-    def with_noise(self, noise: Noise) -> Linearization:
+    def with_noise(self, noise: Noise) -> Self:
         """The same point with other noise levels, and the legs' covariance for the wheels of this state.
 
         The views' rates stay, as the views do; see `renewed`.
@@ -136,13 +120,13 @@ class Linearization:
             processes=processes_of(self.data, wheels, noise, self.inliers),
         )
 
-    def renewed(self) -> Linearization:
+    def renewed(self) -> Self:
         """The same point with the views' rates of its state: the same itself where nothing moves."""
         if not self.data.moving.any():
             return self
-        return Linearization.at(self.data, self.state, self.inliers, self.noise, self.priors)
+        return self.at(self.data, self.state, self.inliers, self.noise, self.priors)
 
-    def with_inliers(self, inliers: Inliers) -> Linearization:
+    def with_inliers(self, inliers: Inliers) -> Self:
         """The same point with other inliers."""
         along, known = processes_of(self.data, self.state.parameters.wheels, self.noise, inliers), {}
         if "views" in self.__dict__:
@@ -153,7 +137,7 @@ class Linearization:
             )
         return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
-    def of_log(self, log: int) -> Linearization:
+    def of_log(self, log: int) -> Self:
         """The part that belongs to one recording."""
         data = self.data
         legs = np.flatnonzero(data.log[data.legs[:, 0]] == log)
@@ -188,7 +172,7 @@ class Linearization:
     @cached_property
     def leg_weight(self) -> FloatArray:
         """(L, K, K) inverse covariance of each leg, 0 for outliers."""
-        with _solvable():
+        with solvable():
             inverse = np.linalg.inv(self.leg_covariance)
         return np.asarray(inverse * self.inliers.legs[:, None, None], dtype=np.float64)
 
@@ -218,92 +202,3 @@ class Linearization:
         if self.noise.encoder_rad:
             cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
         return cost + self.priors.cost(state)
-
-    # -- normal equations -------------------------------------------------------------------------
-
-    def eliminated(self, damping: float = 0.0) -> NormalEquations:
-        """Normal equations of the measurements, stations and boards eliminated; see `normal.eliminated`.
-
-        Raises:
-            SolveError: a singular matrix.
-        """
-        with _solvable():
-            return eliminated(self, damping)
-
-    @cached_property
-    def normal(self) -> NormalEquations:
-        """The normal equations without damping."""
-        return self.eliminated()
-
-    @cached_property
-    def information(self) -> FloatArray:
-        """(P, P) information of the shared parameters, priors included."""
-        return np.asarray(self.normal.S + np.diag(self.priors.weight))
-
-    @cached_property
-    def conditional_covariance(self) -> FloatArray:
-        """(P, P) covariance of the shared parameters for correct values along all directions that keep their mean."""
-        basis = self.priors.basis
-        reduced = basis.T @ self.information @ basis
-        with _solvable():
-            scale = 1 / np.sqrt(_positive(np.diag(reduced)))
-            inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
-        C: FloatArray = basis @ inverse @ basis.T
-        return C
-
-    @cached_property
-    def considered(self) -> FloatArray:
-        """(P, K) errors of the shared parameters by one prior sigma along each unobservable direction."""
-        return self.priors.considered(self.information, self.conditional_covariance)
-
-    @cached_property
-    def covariance(self) -> FloatArray:
-        """(P, P) of the shared parameters. Unobservable directions keep their prior variance."""
-        return self.conditional_covariance + self.considered @ self.considered.T
-
-    def observable_directions(self, user_weight: FloatArray) -> Directions:
-        """Directions of the shared parameters that the measurements show.
-
-        Args:
-            user_weight: (P,) inverse variances of priors that count as measurements.
-        """
-        with _solvable():
-            return directions(self, user_weight)
-
-    # -- what follows -----------------------------------------------------------------------------
-
-    @cached_property
-    def marginals(self) -> Marginals:
-        """Covariances of the predicted measurements."""
-        with _solvable():
-            return marginals(self)
-
-    @cached_property
-    def influences(self) -> tuple[Influence, ...]:
-        """How each kind of measurement moves the shared parameters."""
-        return tuple(influences(self))
-
-    @cached_property
-    def tests(self) -> ResidualTests:
-        """Test statistics of all measurements."""
-        return ResidualTests(self)
-
-    def evidence(self, parts: bool = True) -> tuple[Evidence, ...]:
-        """How far the data contradict the stated values of each kind of constants, of each part or of all."""
-        with _solvable():
-            return tuple(evidence(self, parts))
-
-    def budget(self) -> Mapping[str, FloatArray]:
-        """Source → its share (P, P) of `covariance`: kinds of measurements, and groups of priors. They add up to it."""
-        return shares(self)
-
-
-def _positive(values: FloatArray) -> FloatArray:
-    """The values.
-
-    Raises:
-        LinAlgError: one is not positive.
-    """
-    if not np.all(values > 0):
-        raise np.linalg.LinAlgError("not positive definite")
-    return values

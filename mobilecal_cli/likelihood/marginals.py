@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.normal import NormalEquations
 from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.model import FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,16 +70,16 @@ def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     return out
 
 
-def marginals(lin: Linearization) -> Marginals:
+def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
     Args:
-        lin: an optimum.
+        lin, normal: an optimum.
+        C: (P, P) covariance of the shared parameters there.
 
     Raises:
         LinAlgError: a singular matrix.
     """
-    C, normal = lin.conditional_covariance, lin.normal
     follow, with_board = normal.base_by_shared, normal.base_by_board
     E_inverse, by_base, by_board, by_shared = normal.own_conditional()
     views, legs, log = lin.views, lin.legs, lin.data.log
@@ -95,8 +93,8 @@ def marginals(lin: Linearization) -> Marginals:
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
     FC = F @ C
-    seen = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
-    seen += _sandwich(views.by_own, E_inverse)
+    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     bases = own + _sandwich(follow, C)
@@ -108,7 +106,7 @@ def marginals(lin: Linearization) -> Marginals:
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
-        views=seen,
+        views=of_views,
         mixed=FC[:, :, views.direct],
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,

@@ -22,7 +22,7 @@ class Inliers:
     """The measurements that are used.
 
     Attributes:
-        corners: (N, 2, M) corners of each image, among those that were detected.
+        corners: (N, C, M) corners of each image, among those that were detected.
         views: (N,) stations whose images are used.
         legs: (L,) legs whose wheels are used.
         readings: (N, J) joint readings that are used.
@@ -58,7 +58,7 @@ class Inliers:
 
     @property
     def used_corners(self) -> BoolArray:
-        """(N, 2, M) corners of the stations whose images are used."""
+        """(N, C, M) corners of the stations whose images are used."""
         return self.corners & self.views[:, None, None]
 
     @property

@@ -8,19 +8,17 @@ recording by recording. A small dense system for the shared parameters is left, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
-from mobilecal_cli.likelihood.dataset import BASE, ENCODERS, PROCESSES, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 
 @dataclass(frozen=True, slots=True, eq=False)

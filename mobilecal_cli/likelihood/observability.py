@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +38,8 @@ class Directions:
         return self.directions[self.singular_values < self.least]
 
 
-def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
+@solvable()
+def directions(lin: Posterior, user_weight: FloatArray) -> Directions:
     """Singular directions of the information about the nine, the constants (with their priors) eliminated.
 
     Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
@@ -53,7 +52,7 @@ def directions(lin: Linearization, user_weight: FloatArray) -> Directions:
         user_weight: (P,) inverse variances of priors that count as measurements: the user's, and the constants'.
 
     Raises:
-        LinAlgError: the constants are not determined.
+        SolveError: the constants are not determined.
     """
     nine = len(NINE)
     scales, fixed = lin.priors.scales[:nine], lin.priors.fixed

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.effects import FocalLength, LensTerm, PrincipalPoint
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, FloatArray, Parameters
 
 #: Distance of the point ahead of the camera whose position error is predicted, m.
@@ -25,7 +26,7 @@ def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
     return _expected(gradients(parameters, camera), covariance)
 
 
-def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
+def predicted_at(lin: Posterior, covariance: FloatArray) -> AtWork:
     """Expected errors at an optimum, with the constants of the head's chain and joints applied.
 
     Args:
@@ -35,7 +36,24 @@ def predicted_at(lin: Linearization, covariance: FloatArray) -> AtWork:
     return _expected(gradients_at(lin), covariance)
 
 
-def gradients_at(lin: Linearization) -> Mapping[str, FloatArray]:
+def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
+    """Covariance of the first camera's pose in the base and of its own constants, (6 + K, 6 + K), and their K names.
+
+    The pose's part is a right twist, mean over the head's poses in the recording; covariance as for `predicted_at`.
+    """
+    rows = enumerate(lin.data.layout.constants, 9)
+    own = {
+        row.name: column
+        for column, row in rows
+        if isinstance(row.effect, FocalLength | PrincipalPoint | LensTerm) and row.effect.camera == 0
+    }
+    constants = np.eye(len(covariance))[list(own.values())]
+    poses = -lin.views.by_shared
+    by_shared = np.concatenate([poses, np.broadcast_to(constants, (len(poses), *constants.shape))], axis=1)
+    return np.mean(by_shared @ covariance @ np.swapaxes(by_shared, 1, 2), axis=0), tuple(own)
+
+
+def gradients_at(lin: Posterior) -> Mapping[str, FloatArray]:
     """Field of `AtWork` → (k, P) derivatives by the shared parameters; their variances add up to the figure's."""
     camera = -lin.views.by_shared  # the board moves the other way
     return gradients(lin.state.parameters, camera)

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.noise import FREE_JOINT
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
-
-if TYPE_CHECKING:
-    from mobilecal_cli.likelihood.linearization import Linearization
 
 #: Smaller discrepancies never make an outlier, however small the noise is: they do not matter at work.
 SMALL_M, SMALL_RAD = 3e-4, float(np.radians(0.005))
@@ -37,7 +34,7 @@ class ResidualTests:
     the measurement with what all others predict.
     """
 
-    def __init__(self, lin: Linearization) -> None:
+    def __init__(self, lin: Posterior) -> None:
         self._lin = lin
 
     # -- inliers ----------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import ENCODERS, PROCESSES, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BoardEffect,
     ChainChange,
@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood.effects import (
     JointEffect,
     WheelClock,
 )
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.nuisance import LEAN, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
 

@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
-from mobilecal_cli.likelihood.dataset import FLOOR, STAMP, Dataset
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BaseLean,
     BoardEffect,
@@ -25,6 +25,7 @@ from mobilecal_cli.likelihood.effects import (
     JointEffect,
     Sight,
 )
+from mobilecal_cli.likelihood.measurements import FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (

@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+
+class _Nested:
+    """Array fields are nested lists in files, for pydantic; numerical modules do not load it."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:  # noqa: ANN401
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(
+            lambda data: np.array(data, dtype=np.float64),
+            serialization=core_schema.plain_serializer_function_ser_schema(lambda array: array.tolist()),
+        )
+
+
+FloatArray = Annotated[NDArray[np.float64], _Nested()]
 IntArray = NDArray[np.int64]
 Shape = tuple[int | str, ...]
 BoolArray = NDArray[np.bool_]

@@ -98,6 +98,11 @@ class Observation:
         )
 
     @property
+    def several(self) -> bool:
+        """Whether several cameras show the board: the distances between them measure its squares."""
+        return sum(bool(view.seen.any()) for view in self.views) > 1
+
+    @property
     def shown(self) -> bool:
         """Whether any corner was detected; otherwise the pose was measured."""
         return any(bool(view.seen.any()) for view in self.views)
@@ -235,13 +240,15 @@ class Extraction:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The images of a station for the report's overlays.
+    """The images of a station for the report.
 
     Attributes:
-        log, station: the observation.
+        log, station: of an observation, or of a rejected station.
         jpegs: name of each camera with an image → encoded gray image at full size.
+        thumbnail: a small encoded gray image, of the camera that missed the board if one did; empty for none.
     """
 
     log: int
     station: int
     jpegs: Mapping[str, bytes]
+    thumbnail: bytes = b""

@@ -197,6 +197,8 @@ class Uncertainty:
             tilts. They are as described; expected errors at work and the budget are about all else.
         widened: (9,) factor on each standard deviation: above 1 where the jackknife is clearly larger.
         at_work: expected errors at work.
+        camera: (6 + K, 6 + K) covariance of the first camera's pose in the base, right twist (rotation, then
+            translation; mean over the head's poses), and of the `camera_constants`, K names.
         budget: what limits the accuracy.
     """
 
@@ -213,6 +215,8 @@ class Uncertainty:
     described: BoolArray
     widened: FloatArray
     at_work: AtWork
+    camera: FloatArray
+    camera_constants: tuple[str, ...]
     budget: Budget
 
     def __post_init__(self) -> None:
@@ -226,6 +230,7 @@ class Uncertainty:
             jackknife_std=(9,),
             noise_std=(9,),
             widened=(9,),
+            camera=(6 + len(self.camera_constants),) * 2,
         )
         freeze(self, np.bool_, observable=(9,), fixed=(9,), described=(9,))
 

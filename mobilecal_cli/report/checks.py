@@ -460,10 +460,11 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
 def square_size(made: Calibration) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
     stated, bad = made.extraction.board.square_m, 3.0
-    pair = made.extraction.rig.cameras.calibrated
+    sizes = [o.square_m for o in made.extraction.observations if o.several]
+    pair = made.extraction.rig.cameras.calibrated and sizes
     if made.solution.uncertainty is not None or stated is None or not pair:
         return
-    measured = float(np.median([o.square_m for o in made.extraction.observations]))
+    measured = float(np.median(sizes))
     off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3
     yield Check(
         "square_size", off, bad, graded(abs(off), bad),

@@ -22,7 +22,7 @@ ByName: TypeAlias = Mapping[str, float]
 
 
 def _as(kind: Any) -> GetPydanticSchema:  # noqa: ANN401
-    return GetPydanticSchema(lambda _, handler: handler(kind))
+    return GetPydanticSchema(lambda _, handler: handler.generate_schema(kind))
 
 
 #: Arrays, with what they are in JSON.

@@ -80,6 +80,7 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
             report=report,
             figures=figures,
             views=drawings.views,
+            thumbnails=drawings.thumbnails,
             path=Markup(drawings.path),
             limits=drawings.limits,
             bar=Markup("" if drawings.limits is None else drawings.limits.svg),

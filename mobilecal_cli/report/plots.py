@@ -13,8 +13,9 @@ from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project
+from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import cut_at, integrate
+from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import (
     NINE,
     Corners,
@@ -27,7 +28,14 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import image_coverage, predicted_point_rms_m, station_names, std_text
+from mobilecal_cli.report.numbers import (
+    ahead_std_m,
+    image_coverage,
+    predicted_point_rms_m,
+    projection_std_px,
+    station_names,
+    std_text,
+)
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Use, families, uses
 
@@ -85,18 +93,29 @@ class LegView:
     pictures: tuple[Overlay, ...]
 
 
+class Thumbnail(NamedTuple):
+    """A small image of a station, as base64; the observation is -1 and the reason is given where it is not used."""
+
+    observation: int
+    station: str
+    jpeg: str
+    reason: str
+
+
 class Drawings(NamedTuple):
     """What the page shows beside values.
 
     Attributes:
         figures: plots in the order of their definition.
         views: images of legs, the worst first.
+        thumbnails: stations with a small image, in order of time.
         path: small picture of the path, for the first screen.
         limits: what limits the result, for the first screen; None if unknown.
     """
 
     figures: tuple[Figure, ...]
     views: list[LegView]
+    thumbnails: list[Thumbnail]
     path: str
     limits: Bar | None
 
@@ -171,12 +190,15 @@ def draw_all(
         bar = budget_bar(solution, worst, f"What limits the {worst.figure.short} ({value})")
     views = leg_views(solution, extraction, snapshots)
     figures = tuple(figure for figure in drawn if figure.parts)
-    return Drawings(figures, views, path_picture(solution, extraction), bar)
+    small = thumbnails(solution, extraction, snapshots)
+    return Drawings(figures, views, small, path_picture(solution, extraction), bar)
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
+_CELLS = (8, 6)  # of the map of projection errors
+_FARTHEST_M = 5.0
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
 _TRAIL_POINTS = 400
@@ -427,10 +449,10 @@ def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
 def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
     seen, names = extraction.observations, station_names(extraction)
-    square_mm = [o.square_m * 1e3 for o in seen]
+    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(seen) if o.several}
     stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
     x = Scale(-0.6, len(seen) - 0.4)
-    pair = extraction.rig.cameras.calibrated
+    pair = extraction.rig.cameras.calibrated and bool(square_mm)
     what = "residual and square size" if pair else "residual"
     canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
     residual = Scale.of([o.reprojection_px for o in seen], zero=True)
@@ -441,17 +463,18 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     axes.names(names, "" if pair else "station")
     if not pair:
         return canvas.svg
-    size = Scale.of([*square_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * square_mm[0])
+    sizes_mm = list(square_mm.values())
+    size = Scale.of([*sizes_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * sizes_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
     axes.grid(x=False)
     for value in stated:
         axes.level(value, "ink thin")
         canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
-    for i, value in enumerate(square_mm):
+    for i, value in square_mm.items():
         axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
     axes.names(names, "station")
     median = float(np.median([o.reprojection_px for o in seen]))
-    sizes = f"the squares measure {min(square_mm):.2f} to {max(square_mm):.2f} mm"
+    sizes = f"the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
     return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
 
 
@@ -485,6 +508,53 @@ def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray
     points = se3.act(T @ o.T_c_k, extraction.board.grid()[corners.seen] * o.square_m)
     measured = corners.pixels[corners.seen]
     return measured, measured - project(cameras.each[k], points)
+
+
+@plot("limits", half=True, corners=True)
+def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
+    """1 sigma of the pixel of a point that is known in the base, over the image of the first camera."""
+    if solution.uncertainty is None:
+        return ""
+    camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
+    u, v = (
+        (np.arange(n) + 0.5) * size / n - 0.5
+        for n, size in zip(_CELLS, (camera.width, camera.height), strict=True)
+    )
+    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    flat, reached = undistorted(camera, pixels)
+    points = AHEAD_M * np.column_stack([flat, np.ones(len(flat))])
+    std = projection_std_px(solution, extraction.rig.cameras, points)
+    canvas, axes = image_axes(
+        extraction, 0, f"1 sigma in pixels of a projected point over the image of the {name}"
+    )
+    wide, high = abs(axes.x(u[1]) - axes.x(u[0])), abs(axes.y(v[1]) - axes.y(v[0]))
+    for (x, y), sigma in zip(axes.at(pixels[reached]).tolist(), std[reached].tolist(), strict=True):
+        shade = 0.6 * sigma / max(std[reached])
+        canvas.shape(
+            "rect", "fill blue", x=x - wide / 2, y=y - high / 2, width=wide, height=high, fill_opacity=shade
+        )
+        canvas.text(x, y + 4, std_text(sigma), anchor="middle")
+    return (
+        canvas.svg,
+        f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {std_text(min(std))} to {std_text(max(std))}.",
+    )
+
+
+@plot("limits", half=True)
+def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
+    """1 sigma of the position in the base of points ahead of the first camera, over their distance."""
+    if solution.uncertainty is None:
+        return ""
+    distances = np.linspace(0.0, _FARTHEST_M, 41)
+    std_mm = ahead_std_m(solution, distances) * 1e3
+    canvas = Canvas(HALF, 0.85 * HALF, "1 sigma of the position of a point in the base over its distance")
+    axes = Axes.of(canvas, Scale(0.0, _FARTHEST_M), Scale.of(std_mm, zero=True), "position in the base [mm]")
+    axes.grid("distance from the camera [m]")
+    axes.line(np.column_stack([distances, std_mm]), "blue")
+    at_mm = float(ahead_std_m(solution, np.array([AHEAD_M]))[0]) * 1e3
+    axes.dot(AHEAD_M, at_mm, "blue", tip=f"{AHEAD_M:g} m: {at_mm:.2g} mm")
+    ends = f"{std_text(at_mm)} mm at {AHEAD_M:g} m, {std_text(std_mm[-1])} mm at {_FARTHEST_M:g} m"
+    return canvas.svg, f"Position of a point ahead, 1 sigma: {ends}."
 
 
 @plot("limits")
@@ -568,7 +638,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
     residuals, seen = solution.residuals, extraction.observations
     cameras = extraction.rig.cameras
-    pictures = {(s.log, s.station): s for s in snapshots}
+    pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
     if not order:
@@ -600,11 +670,29 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                         residuals.predicted_px[k, leg],
                     )
                     for k, (name, view) in enumerate(zip(cameras.names, seen[i].views, strict=True))
-                    if view.pictures or cameras.calibrated
+                    if view.pictures
                 ),
             )
         )
     return views
+
+
+def thumbnails(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[Thumbnail]:
+    """The small images of the stations, with the reasons of those that are not used."""
+    used = {(o.log, o.station): i for i, o in enumerate(extraction.observations)}
+    outliers = {
+        i for each in solution.outliers if each.kind in ("station", "corners") for i in each.observations
+    }
+    rejected = {(r.log, r.station): r.reason for r in extraction.rejections}
+    several, shown = len(extraction.wheels) > 1, []
+    for each in snapshots:
+        place = (each.log, each.station)
+        i, reason = used.get(place, -1), rejected.get(place, "")
+        if each.thumbnail and (i >= 0 or reason):
+            name = f"{each.log}:{each.station}" if several else str(each.station)
+            jpeg = base64.b64encode(each.thumbnail).decode("ascii")
+            shown.append(Thumbnail(i, name, jpeg, reason if i < 0 else "outlier" if i in outliers else ""))
+    return shown
 
 
 def _overlay(camera: str, jpeg: bytes, corners: Corners, predicted: FloatArray) -> Overlay:

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.kinematics import joint_frames
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     NINE,
@@ -25,6 +26,7 @@ from mobilecal_cli.model import (
     Outlier,
     Parameters,
     Rejection,
+    Rig,
     Solution,
 )
 from mobilecal_cli.report.comparison import Change
@@ -280,6 +282,7 @@ class SuggestionData:
 
     turn_deg: float
     drive_m: float
+    face_deg: float
     joints: ByName
     parameter: str
     std_now: float
@@ -308,6 +311,26 @@ class StationData:
     T_world_base: Matrix
     T_world_camera: Matrix
     T_world_board: Matrix
+
+
+@json_value
+class FrameData:
+    """A frame of the head in the one before, three rows; it turns (or moves) by the reading times `axis`."""
+
+    name: str
+    T_parent_frame: Matrix
+    axis: Three
+    prismatic: bool
+
+
+@json_value
+class RobotData:
+    """Frames from the base to the head, and the poses of the reference camera in the head, three rows each."""
+
+    base_frame: str
+    frames: tuple[FrameData, ...]
+    camera: Matrix
+    nominal_camera: Matrix | None
 
 
 @json_value
@@ -383,6 +406,7 @@ class ReportData:
     hold_out: EvaluationData | None
     change: Change | None
     stations: tuple[StationData, ...]
+    robot: RobotData
     paths: tuple[PathData, ...]
     motion: ByName
     image_coverage: ByName
@@ -504,6 +528,7 @@ def build_report(case: Case) -> ReportData:
         hold_out=None if case.trial is None else evaluation_data(case.trial),
         change=case.change,
         stations=_stations(solution, extraction),
+        robot=_robot(solution, extraction.rig),
         paths=_paths(solution, extraction),
         motion=solution.motion,
         image_coverage=_coverage(extraction),
@@ -646,6 +671,7 @@ def _suggestions(solution: Solution, extraction: Extraction) -> tuple[Suggestion
             SuggestionData,
             s,
             turn_deg=math.degrees(s.turn_rad),
+            face_deg=math.degrees(s.face_rad),
             joints=dict(zip(joints, s.joints.tolist(), strict=True)),
             parameter=s.worst,
             text=text,
@@ -677,6 +703,27 @@ def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, 
             T_world_board=np.round(T_w_k[:3], 6),
         )
         for o, T_w_v, T_w_k in zip(extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
+    )
+
+
+def _robot(solution: Solution, rig: Rig) -> RobotData:
+    joints, T_head = joint_frames(rig.chain)
+    nominal = rig.nominal.T_h_reference
+    frames = [
+        FrameData(
+            name=link.joint,
+            T_parent_frame=T[:3],
+            axis=link.multiplier * link.axis,
+            prismatic=link.kind == "prismatic",
+        )
+        for link, T in joints
+    ]
+    head = FrameData(name=rig.chain.head_frame, T_parent_frame=T_head[:3], axis=np.zeros(3), prismatic=False)
+    return RobotData(
+        base_frame=rig.chain.base_frame,
+        frames=(*frames, head),
+        camera=reference_pose(solution.parameters, solution.cameras)[:3],
+        nominal_camera=None if nominal is None else nominal[:3],
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
@@ -25,7 +24,7 @@ from pydantic import (
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text, reason_of
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -599,15 +598,13 @@ def _explained(error: ValidationError, where: str) -> ConfigError:
     problems, hints = [], []
     for item in error.errors():
         location = item["loc"]
-        key = ".".join(str(part) for part in location) or "the file"
         if item["type"] == "extra_forbidden":
             known = _known_keys(location[:-1])
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-            problems.append(f"{key}: unknown key")
+            problems.append(f"{'.'.join(str(part) for part in location)}: unknown key")
             hints.append(f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}")
         else:
-            got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
-            problems.append(f"{key}: {item['msg'].removeprefix('Value error, ')}{got}")
+            problems.append(problem_of(item))
     return ConfigError(
         where + "; ".join(problems), "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
     )

@@ -19,10 +19,11 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.model import CameraInfo, FloatArray, WheelGeometry
-from mobilecal_cli.simulate.actual import ActualRobot, camera_in_world
 from mobilecal_cli.simulate.imperfect import (
     START_NS,
+    ActualRobot,
     Noise,
+    camera_in_world,
     floor_in_base,
     nanoseconds,
     rolled_as_read,

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, Camera, FloatArray, GrayImage, Markers
-from mobilecal_cli.simulate.actual import BoardShape
+from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.robot import pixels, rays
 
 _CELL_PX = 100  # pixels of the print per square (or tag)

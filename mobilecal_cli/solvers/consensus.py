@@ -11,8 +11,9 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_jacobian, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise, Parameters
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
@@ -80,8 +81,8 @@ def leg_spread(data: Dataset, parameters: Parameters, noise: Noise) -> FloatArra
 def disagreement(pairs: MotionPairs, parameters: Parameters, weight: FloatArray) -> FloatArray:
     """(L,) squared distance between wheels and cameras over each leg, in units of the spread."""
     i, j = pairs.legs.T
-    seen = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
-    delta = se3.log(camera_motion(pairs, parameters) @ se3.inverse(seen))
+    T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
+    delta = se3.log(camera_motion(pairs, parameters) @ se3.inverse(T_ci_cj))
     return np.asarray(np.einsum("la,lab,lb->l", delta, weight, delta))
 
 
@@ -124,9 +125,9 @@ def consensus(
         return float(np.partition(disagreement(pairs, parameters, weight), rank)[rank]), parameters
 
     for number, legs in enumerate(_draws(len(pairs.legs), np.random.default_rng(0))):
-        found = tried(legs)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
+        candidate = tried(legs)
+        if candidate is not None and (best is None or candidate[0] < best[0]):
+            best = candidate
         if number >= _FEW_DRAWS and best is not None and best[0] < _GOOD_ENOUGH * _USUAL:
             break
     if best is None:
@@ -139,10 +140,10 @@ def consensus(
         distance = disagreement(pairs, best[1], weight)
         factor = max(best[0] / _USUAL, 1e-6)
         inside = np.flatnonzero(distance < _BAD_LEG * factor)
-        found = tried(inside) if len(inside) >= _DRAWN_LEGS else None
-        if found is None or found[0] > best[0]:
+        candidate = tried(inside) if len(inside) >= _DRAWN_LEGS else None
+        if candidate is None or candidate[0] > best[0]:
             break
-        best = found
+        best = candidate
     factor = max(best[0] / _USUAL, 1e-6)
     bad = disagreement(pairs, best[1], weight) > _BAD_LEG * factor
     return Consensus(best[1], bad, float(np.sqrt(factor)))

@@ -118,10 +118,10 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     message = f"{flag} {name}: no such parameter or constant"
     if name in _KINDS and flag != "--estimate":
         rows = [row.name for row in nuisance.CONSTANTS if row.kind == name]
-        one = f", or one constant, such as {rows[0]}" if rows else ""
+        example = f", or one constant, such as {rows[0]}" if rows else ""
         return ConfigError(
             f"{flag} {name}: a kind of constants, not one parameter",
-            f"set all of them with --set priors.{name}={'fixed' if flag == '--fix' else 'NUMBER'}{one}",
+            f"set all of them with --set priors.{name}={'fixed' if flag == '--fix' else 'NUMBER'}{example}",
         )
     if name in NINE and flag == "--estimate":
         return ConfigError(

@@ -9,7 +9,8 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import (
     Drift,
     Evaluation,
@@ -57,8 +58,8 @@ def evaluate(
     pairs = _at_offsets(extraction, offsets)
     i, j = pairs.legs.T
     o = extraction.observations
-    seen = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
-    apart = se3.inverse(seen) @ camera_motion(pairs, parameters)
+    T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
+    apart = se3.inverse(T_ci_cj) @ camera_motion(pairs, parameters)
     covered = _seen(pairs, parameters) if reference is None else _covered(pairs, reference)
     return Evaluation(
         stations=len(o),

@@ -15,6 +15,7 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
+from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.predict import gradients_at, variance
 from mobilecal_cli.likelihood.state import board_in_camera, cameras_at
@@ -45,17 +46,17 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
 
     Where the data contradict a kind as a whole, but leave open which part is wrong, it is the likeliest part.
     """
-    found = {(e.kind, e.part): e for e in fit.lin.evidence()}
-    for whole in fit.lin.evidence(parts=False):
-        mine = [e for e in found.values() if e.kind == whole.kind]
+    strongest = {(e.kind, e.part): e for e in evidence(fit.lin)}
+    for whole in evidence(fit.lin, parts=False):
+        mine = [e for e in strongest.values() if e.kind == whole.kind]
         worst = max(mine, key=lambda e: e.sigmas)
         if worst.sigmas < whole.sigmas:
-            found[worst.kind, worst.part] = replace(
+            strongest[worst.kind, worst.part] = replace(
                 worst, chi2=whole.chi2, dof=whole.dof, sigmas=whole.sigmas
             )
     priors = fit.lin.priors
     by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
-    ranked = sorted(found.values(), key=lambda e: (by_user.isdisjoint(e.values), -e.sigmas))
+    ranked = sorted(strongest.values(), key=lambda e: (by_user.isdisjoint(e.values), -e.sigmas))
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 
@@ -86,7 +87,7 @@ def scale_of(
         return None
     ratio, std = mean + value / (1 - share), np.sqrt(after / (1 - share))
     chi2 = (value / (1 - share)) ** 2 / (stated + after / (1 - share))
-    wrong = any(found.kind in ("square_size", "baseline_length") for found in contradictions)
+    wrong = any(contradiction.kind in ("square_size", "baseline_length") for contradiction in contradictions)
     apart_too_far = wrong or chi2 > _APART_CHI2
     baseline_m = extraction.rig.cameras.baseline_m
     return ScaleCheck(1 + ratio, float(std), square_m, baseline_m or 0.0, apart_too_far)
@@ -96,7 +97,7 @@ def jumps_of(
     extraction: Extraction, fit: Fit, search: Callable[[Fit], jumps.Jump | None]
 ) -> tuple[Jump, ...]:
     """Where something moved: stretches of rejected stations, or else the most significant jump, if any."""
-    seen, data, joints = extraction.observations, fit.data, fit.data.chain
+    observations, data, joints = extraction.observations, fit.data, fit.data.chain
     out = ~fit.inliers.views
     stretches = []
     for log in np.unique(data.log).tolist():
@@ -105,24 +106,36 @@ def jumps_of(
         pairs = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
         stretches += [(int(mine[i]), int(j - i)) for i, j in pairs if j - i >= _STRETCH]
     if stretches:
-        first, count = max(stretches, key=lambda found: found[1])
+        first, count = max(stretches, key=lambda jump: jump[1])
         within = np.isin(np.arange(data.stations), np.arange(first, first + count))
         corners = fit.inliers.corners | (data.seen & within[:, None, None])
         lin = fit.lin.with_inliers(replace(fit.inliers, views=fit.inliers.views | within, corners=corners))
         part = jumps.cause(lin, first)
-        return (Jump(part, seen[first].log, first, seen[first].time_ns, count, math.inf, math.inf, 0.0, 0.0),)
-    found = search(fit)
-    if found is None or found.shift_sigmas < _MATERIAL_SIGMAS:
+        return (
+            Jump(
+                part,
+                observations[first].log,
+                first,
+                observations[first].time_ns,
+                count,
+                math.inf,
+                math.inf,
+                0.0,
+                0.0,
+            ),
+        )
+    jump = search(fit)
+    if jump is None or jump.shift_sigmas < _MATERIAL_SIGMAS:
         return ()
-    value = found.value
-    turns = found.part != "" and not found.part.endswith("wheel")
-    slides = found.part.removeprefix("joint ") in joints.prismatic
+    value = jump.value
+    turns = jump.part != "" and not jump.part.endswith("wheel")
+    slides = jump.part.removeprefix("joint ") in joints.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
     move = float(np.linalg.norm(value[3:])) if len(value) == 6 else 0.0
     move = float(value[0]) if slides or not turns else move
-    o = seen[found.station]
-    sizes = found.sigmas, found.shift_sigmas, turn, move
-    return (Jump(found.part, o.log, found.station, o.time_ns, 0, *sizes),)
+    o = observations[jump.station]
+    sizes = jump.sigmas, jump.shift_sigmas, turn, move
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, 0, *sizes),)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
@@ -155,7 +168,7 @@ def budget_of(fit: Fit) -> Budget:
     gradients = gradients_at(lin)
     nine: dict[str, FloatArray] = {}
     figures: dict[str, FloatArray] = {}
-    for name, share in lin.budget().items():
+    for name, share in fit.budget.items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
         of = [variance(g @ shows, share) for g in gradients.values()]
@@ -178,7 +191,7 @@ def jackknife_covariance(fit: Fit) -> FloatArray:
     that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
     not show them.
     """
-    spread = sum(influence.spread for influence in fit.lin.influences)
+    spread = sum(influence.spread for influence in fit.influences)
     C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
     return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
 
@@ -226,17 +239,17 @@ def over_logs(fit: Fit) -> Fit:
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     """Description of each outlier of a fit, in order of time."""
-    seen, inliers, state = extraction.observations, fit.inliers, fit.lin.state
+    observations, inliers, state = extraction.observations, fit.inliers, fit.lin.state
     several = len(extraction.wheels) > 1
     begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
 
     def name(i: int) -> str:
-        return f"{seen[i].log}:{seen[i].station}" if several else str(seen[i].station)
+        return f"{observations[i].log}:{observations[i].station}" if several else str(observations[i].station)
 
     def clock(i: int) -> str:
-        return f"{(seen[i].time_ns - begin[seen[i].log]) / 1e9:.1f} s"
+        return f"{(observations[i].time_ns - begin[observations[i].log]) / 1e9:.1f} s"
 
-    found: list[Outlier] = []
+    outliers: list[Outlier] = []
     legs = fit.lin.legs.residual[:, :3]
     for leg in np.flatnonzero(~inliers.legs):
         i, j = (int(k) for k in fit.data.legs[leg])
@@ -246,29 +259,29 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"Wheel slip or moved board between stations {name(i)} and {name(j)}, {clock(j)}: wheels and cameras "
             f"differ by {by}. The odometry of this leg is excluded."
         )
-        found.append(Outlier("slip", seen[i].log, (i, j), seen[j].time_ns, text))
+        outliers.append(Outlier("slip", observations[i].log, (i, j), observations[j].time_ns, text))
     expected = board_in_camera(fit.data, state)
     for i in (int(k) for k in np.flatnonzero(~inliers.views)):
-        off = se3.log(seen[i].T_c_k @ se3.inverse(expected[i]))
-        shift = (seen[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
+        off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
+        shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
         text = (
             f"Station {name(i)}, {clock(i)}: the board is {np.linalg.norm(shift):.0f} mm and "
             f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
             "predict. Its images are excluded. Check for a moved or wrong board, or wrong joint readings."
         )
-        found.append(Outlier("station", seen[i].log, (i,), seen[i].time_ns, text))
+        outliers.append(Outlier("station", observations[i].log, (i,), observations[i].time_ns, text))
     excluded = fit.data.seen & ~inliers.corners
     joints, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     for i, j in ((int(a), int(b)) for a, b in np.argwhere(~inliers.readings)):
         error = -state.joint_errors[i, j]
         by = f"{error * 1e3:+.1f} mm" if joints[j] in prismatic else f"{math.degrees(error):+.2f} degrees"
         text = f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by {by}. It is excluded."
-        found.append(Outlier("joint", seen[i].log, (i,), seen[i].time_ns, text))
+        outliers.append(Outlier("joint", observations[i].log, (i,), observations[i].time_ns, text))
     for i in (int(k) for k in np.flatnonzero(excluded.any(axis=(1, 2)) & inliers.views)):
         names, number = extraction.rig.cameras.names, excluded[i].sum(axis=1).tolist()
         counts = f"{number[0]} corners of the {names[0]} image" if len(names) > 1 else f"{number[0]} corners"
         for k, camera in enumerate(names[1:], 1):
             counts += f"{' and' if k == len(names) - 1 else ','} {number[k]} of the {camera} image"
         text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
-        found.append(Outlier("corners", seen[i].log, (i,), seen[i].time_ns, text))
-    return tuple(sorted(found, key=lambda o: (o.log, o.time_ns)))
+        outliers.append(Outlier("corners", observations[i].log, (i,), observations[i].time_ns, text))
+    return tuple(sorted(outliers, key=lambda o: (o.log, o.time_ns)))

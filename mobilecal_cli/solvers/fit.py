@@ -6,10 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.model import BetweenLogs, FloatArray, Noise
 from mobilecal_cli.solvers.noise import (
     Component,
@@ -37,7 +39,7 @@ class Fit:
         pooled_covariance: (P, P) covariance that allows for the spread between recordings.
     """
 
-    lin: Linearization
+    lin: Posterior
     costs: FloatArray
     components: Mapping[str, Component]
     directions: Directions
@@ -62,6 +64,21 @@ class Fit:
         return self.lin.noise
 
     @cached_property
+    def tests(self) -> ResidualTests:
+        """Test statistics of all measurements."""
+        return ResidualTests(self.lin)
+
+    @cached_property
+    def influences(self) -> tuple[Influence, ...]:
+        """How each kind of measurement moves the shared parameters."""
+        return tuple(influences(self.lin))
+
+    @property
+    def budget(self) -> Mapping[str, FloatArray]:
+        """Source → its share (P, P) of the posterior's covariance: kinds of measurements, and groups of priors."""
+        return shares(self.lin, self.influences)
+
+    @cached_property
     def covariance(self) -> FloatArray:
         """(P, P) of the shared parameters, wider than the bound where the noise levels rest on few residuals.
 
@@ -71,7 +88,7 @@ class Fit:
         """
         considered, pooled = self.lin.considered, self.pooled_covariance
         covariance = self.lin.covariance.copy() if pooled is None else pooled + considered @ considered.T
-        for influence in self.lin.influences:
+        for influence in self.influences:
             for level in influence.parts:
                 component = self.components.get(level)
                 if component is not None and level not in self.given:

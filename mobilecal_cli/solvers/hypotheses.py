@@ -27,7 +27,7 @@ from mobilecal_cli.kinematics import (
     join,
     motion_seen,
 )
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import (
     BoolArray,
     Diagnosis,
@@ -80,7 +80,7 @@ class Readings:
 
     Attributes:
         rig: the robot.
-        T_c_k: (N, 4, 4) board in the left camera.
+        T_c_k: (N, 4, 4) board in the first camera.
         corners_k: (4, 3) outer corners of the board, m.
         joints: (N, J) readings, rad or m.
         time_ns, log: (N,) stamps, and index of the recording.
@@ -105,10 +105,10 @@ class Readings:
 
     def of_log(self, log: int) -> Readings:
         """The stations of one recording."""
-        one = self.of(self.log == log)
+        own = self.of(self.log == log)
         return replace(
-            one,
-            log=np.zeros_like(one.log),
+            own,
+            log=np.zeros_like(own.log),
             wheels=self.wheels[log : log + 1],
             joint_tracks=self.joint_tracks[log : log + 1],
         )
@@ -157,20 +157,20 @@ class Readings:
 
 def readings_of(extraction: Extraction) -> Readings:
     """The readings of an extraction with at least one leg."""
-    seen, board = extraction.observations, extraction.board
-    square_m = board.square_m or float(np.median([o.square_m for o in seen]))
+    observations, board = extraction.observations, extraction.board
+    square_m = board.square_m or float(np.median([o.square_m for o in observations]))
     grid = board.grid().reshape(-1, 3) * square_m
     ends = [0, board.columns - 1, len(grid) - board.columns, len(grid) - 1]
     return Readings(
         extraction.rig,
-        np.stack([o.T_c_k for o in seen]),
+        np.stack([o.T_c_k for o in observations]),
         grid[ends],
-        np.stack([o.joints for o in seen]),
-        np.array([o.time_ns for o in seen], dtype=np.int64),
-        np.array([o.log for o in seen], dtype=np.int64),
+        np.stack([o.joints for o in observations]),
+        np.array([o.time_ns for o in observations], dtype=np.int64),
+        np.array([o.log for o in observations], dtype=np.int64),
         extraction.wheels,
         extraction.joint_tracks,
-        float(np.median([o.reprojection_px for o in seen])) < _CONSISTENT_PX,
+        float(np.median([o.reprojection_px for o in observations])) < _CONSISTENT_PX,
     )
 
 
@@ -206,8 +206,8 @@ class _Scorer:
         self._starts = [] if nominal.wheels is None else [ratios_of(nominal.wheels)]
         if as_is.distinguishes:
             try:
-                found = linear_estimate(_thinned(as_is.pairs), nominal.wheels).parameters
-                self._starts.append(np.abs(ratios_of(found.wheels)) * [1.0, -1.0])
+                linear = linear_estimate(_thinned(as_is.pairs), nominal.wheels).parameters
+                self._starts.append(np.abs(ratios_of(linear.wheels)) * [1.0, -1.0])
             except (SolveError, np.linalg.LinAlgError):
                 pass
 
@@ -223,7 +223,7 @@ class _Scorer:
             return None
         pairs = _thinned(readings.pairs)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
-        found: list[tuple[float, Parameters]] = []
+        solutions: list[tuple[float, Parameters]] = []
         for ratios in self._starts if full else [np.zeros(2)]:
             try:
                 parameters = (
@@ -238,10 +238,10 @@ class _Scorer:
             except (SolveError, np.linalg.LinAlgError):
                 continue
             if not (shown and possible) or np.all(parameters.wheels.vector > 0):
-                found.append((misfit, parameters))
-        if not found:
+                solutions.append((misfit, parameters))
+        if not solutions:
             return None
-        misfit, best = min(found, key=lambda item: item[0])
+        misfit, best = min(solutions, key=lambda item: item[0])
         turn = np.eye(3) if self._R_h_c is None else self._R_h_c.T @ best.T_h_c[:3, :3]
         of_all = rms_m(residuals_m(pairs, best)) / distance_m
         return _Score(misfit, of_all, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
@@ -537,9 +537,9 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
         )
 
     start = np.concatenate([np.zeros(6), np.full(len(joints), np.median(joints[:, column]))])
-    found = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
-    joints[:, column] = found.x[6:]
-    return replace(readings, joints=joints) if np.ptp(found.x[6:]) > _MOVED else readings.of(slice(0))
+    optimum = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
+    joints[:, column] = optimum.x[6:]
+    return replace(readings, joints=joints) if np.ptp(optimum.x[6:]) > _MOVED else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
@@ -563,8 +563,8 @@ def _wheels_as_seen(readings: Readings) -> Readings:
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
     heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
     start = np.concatenate([np.zeros(6), np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()])
-    found = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
-    T_w_v = base(found.x)
+    optimum = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
+    T_w_v = base(optimum.x)
     T_vi_vj = se3.inverse(T_w_v[:-1]) @ T_w_v[1:]
     first = np.arctan2(T_vi_vj[:, 1, 3], T_vi_vj[:, 0, 3])
     backward = np.abs(first) > math.pi / 2  # rather drives backwards than turns around
@@ -617,12 +617,12 @@ def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
     if as_is is not None and as_is.misfit < FITS:
         return _other_wheels(as_is.wheels, readings.rig.nominal.wheels)
     base = as_is.misfit if as_is is not None and readings.distinguishes else math.inf
-    found = _named(readings, _WHOLE, score, base)
-    if found is None and in_parts:
-        found = _of_one_log(readings) or _changed(readings, score, base)
-        if found is None and len(readings.wheels) == 1 and readings.consistent:
-            found = _named(readings, _FREE, score, base, _FITS_FREE)
-    return found
+    diagnosis = _named(readings, _WHOLE, score, base)
+    if diagnosis is None and in_parts:
+        diagnosis = _of_one_log(readings) or _changed(readings, score, base)
+        if diagnosis is None and len(readings.wheels) == 1 and readings.consistent:
+            diagnosis = _named(readings, _FREE, score, base, _FITS_FREE)
+    return diagnosis
 
 
 def _named(
@@ -632,11 +632,11 @@ def _named(
     limit = min(_BETTER * base, fits)
     for stage in stages:
         scored = [(score(row.transform(readings)), row) for family in stage for row in family(readings)]
-        found = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
-        if not found:
+        fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
+        if not fitting:
             continue
-        least = min(fit.misfit for fit, _ in found)
-        equal = [(fit, row) for fit, row in found if fit.misfit < _EQUAL * least]
+        least = min(fit.misfit for fit, _ in fitting)
+        equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
         nearest = min(fit.turned_rad for fit, _ in equal)
         named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
         return Diagnosis(
@@ -652,11 +652,11 @@ def _of_one_log(readings: Readings) -> Diagnosis | None:
     """The mistake of one of several recordings."""
     logs = len(readings.wheels)
     for log in range(logs if logs > 1 else 0):
-        one = readings.of_log(log)
-        if len(one.log) > FEWEST_LEGS:
-            found = _explained(one)
-            if found is not None:
-                return replace(found, cause=f"recording {log + 1} of {logs}: {found.cause}")
+        own = readings.of_log(log)
+        if len(own.log) > FEWEST_LEGS:
+            diagnosis = _explained(own)
+            if diagnosis is not None:
+                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
     return None
 
 
@@ -704,9 +704,9 @@ def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | Non
                 base if math.isfinite(base) else None,
                 max(before.misfit, after.misfit),
             )
-        found = _named(rest, _WHOLE[:1], score, base)
-        if found is not None:
-            return replace(found, cause=f"from about {readings.at_s(cut)} s on, {found.cause}")
+        diagnosis = _named(rest, _WHOLE[:1], score, base)
+        if diagnosis is not None:
+            return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
     return None
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
@@ -93,20 +94,20 @@ def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
     by_turn = np.argsort(np.abs(Phi[:, 0] - Phi[:, 1]), kind="stable")
     least = np.sort(by_turn[: max(4, min(_SCOUT_LEGS, len(Phi) // 2))])
     scout, whole = Rounds(pairs.select(least)), Rounds(pairs)
-    found: list[tuple[float, Start]] = []
+    scouted: list[tuple[float, Start]] = []
     for start in starts:
         for rounds in (scout, whole):
             history = _iterate(rounds, start.ratios, PAPER_TOLERANCE, _SCOUT_ROUNDS)
             if not history:
                 continue
             ratios = ratios_of(history[-1].wheels)
-            if any(np.allclose(ratios, other.ratios, rtol=0.02, atol=0) for _, other in found):
+            if any(np.allclose(ratios, other.ratios, rtol=0.02, atol=0) for _, other in scouted):
                 continue
             # Two rounds on all legs show how well the guess explains the others.
             onward = _iterate(whole, ratios, PAPER_TOLERANCE, 2)
             if onward:
-                found.append((point_rms_m(pairs, onward[-1]), Start(ratios, start.origin)))
-    return [start for _, start in sorted(found, key=lambda item: item[0])]
+                scouted.append((point_rms_m(pairs, onward[-1]), Start(ratios, start.origin)))
+    return [start for _, start in sorted(scouted, key=lambda item: item[0])]
 
 
 def _answers(pairs: MotionPairs, starts: list[Start]) -> list[_Answer]:
@@ -175,7 +176,7 @@ def linear_estimate(
     )
 
 
-def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, seen: MotionSeen) -> Parameters:
+def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSeen) -> Parameters:
     """The linear method with weak priors from nominal values, for motion that does not show all parameters.
 
     Or the nominal values themselves, where most legs agree better with them.
@@ -183,26 +184,26 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, seen: MotionSeen
     Raises:
         SolveError: wheels that the motion does not show, and no nominal ones.
     """
-    if prior.wheels is None and not seen.shows_wheels:
+    if prior.wheels is None and not motion.shows_wheels:
         raise SolveError(
             "the motion does not show the wheel radii and the wheel separation, and there are no nominal wheels",
             "drive and turn the base between stations, or state nominal.wheels in rig.yaml",
         )
     ratios = ratios_of(prior.wheels) if prior.wheels is not None else np.zeros(2)
-    signs = (0,) if seen.tilts or prior.head_eye_fixed else (1, -1)
-    found = [] if prior.T_h_c is None or prior.wheels is None else [Parameters(prior.T_h_c, prior.wheels)]
+    signs = (0,) if motion.tilts or prior.head_eye_fixed else (1, -1)
+    solutions = [] if prior.T_h_c is None or prior.wheels is None else [Parameters(prior.T_h_c, prior.wheels)]
     for sign in signs:
         try:
-            found.append(Rounds(pairs, prior, sign).after(ratios, _PRIOR_ROUNDS))
+            solutions.append(Rounds(pairs, prior, sign).after(ratios, _PRIOR_ROUNDS))
         except SolveError:
             continue
-    if not found:
+    if not solutions:
         raise SolveError(
             f"the linear method found no solution on {len(pairs.legs)} legs between stations",
             "state nominal.wheels and nominal.head_eye in rig.yaml",
         )
-    upright = [item for item in found if item.wheels.separation_m > 0]  # upside down is a twin with b < 0
-    return min(upright or found, key=lambda item: float(np.median(leg_rms_m(pairs, item))))
+    upright = [item for item in solutions if item.wheels.separation_m > 0]  # upside down is a twin with b < 0
+    return min(upright or solutions, key=lambda item: float(np.median(leg_rms_m(pairs, item))))
 
 
 def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> State:

@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
@@ -55,7 +55,7 @@ class InitialPrior:
     """Nominal values.
 
     Attributes:
-        T_h_c: (4, 4) nominal head-eye transform of the left camera, or None.
+        T_h_c: (4, 4) nominal pose of the first camera on the head, or None.
         wheels: nominal wheels, or None.
         head_eye_fixed: T_h_c is exact.
     """
@@ -156,8 +156,8 @@ class Rounds:
         """Step 3: (aR, aL) from the turns that the camera saw (eqs. 12-13), unwrapped by odometry."""
         R_ci_cj, R_hj_v = self._T_ci_cj[:, :3, :3], np.swapaxes(self._R_v_h[self._j], 1, 2)
         R = self._R_v_h[self._i] @ R_h_c @ R_ci_cj @ R_h_c.T @ R_hj_v
-        seen = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
-        turns = seen + 2 * math.pi * np.round((psi_rad - seen) / (2 * math.pi))
+        psi_seen = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
+        turns = psi_seen + 2 * math.pi * np.round((psi_rad - psi_seen) / (2 * math.pi))
         mean, weight = np.zeros(2), np.zeros(2)
         if self._pulled and self._prior.wheels is not None:
             mean = ratios_of(self._prior.wheels)
@@ -183,8 +183,8 @@ class Rounds:
             headings = np.linspace(0, 2 * math.pi, _HEADINGS, endpoint=False)
             rotations = se3.rotation_about(self._vertical_h, headings) @ R_h_c
         # The matrix is the same for all yaws, only the right sides differ.
-        seen = np.einsum("lab,hbc,lc->hla", T_v_hi[:, :3, :3], rotations, self._T_ci_cj[:, :3, 3])
-        right = -(seen + fixed).reshape(len(rotations), -1)
+        by_camera = np.einsum("lab,hbc,lc->hla", T_v_hi[:, :3, :3], rotations, self._T_ci_cj[:, :3, 3])
+        right = -(by_camera + fixed).reshape(len(rotations), -1)
         mean, weight = self._translation_prior()
         solved = _least_squares(rows, right, mean, weight)
         best = 0
@@ -221,9 +221,9 @@ class Rounds:
 
     def run(self, ratios: FloatArray) -> Iterator[Parameters]:
         """The parameters after each round, without end unless the iteration breaks down."""
-        while (found := self.once(ratios)) is not None:
-            ratios = found[1]
-            parameters = self.translation(*found)
+        while (rotation_and_ratios := self.once(ratios)) is not None:
+            ratios = rotation_and_ratios[1]
+            parameters = self.translation(*rotation_and_ratios)
             if _without_size(parameters.wheels):
                 return
             yield parameters
@@ -234,13 +234,13 @@ class Rounds:
         Raises:
             SolveError: the iteration breaks down.
         """
-        found: tuple[FloatArray, FloatArray] | None = None
+        rotation_and_ratios: tuple[FloatArray, FloatArray] | None = None
         for _ in range(rounds):
-            found = self.once(ratios)
-            if found is None:
+            rotation_and_ratios = self.once(ratios)
+            if rotation_and_ratios is None:
                 break
-            ratios = found[1]
-        parameters = None if found is None else self.translation(*found)
+            ratios = rotation_and_ratios[1]
+        parameters = None if rotation_and_ratios is None else self.translation(*rotation_and_ratios)
         if parameters is None or _without_size(parameters.wheels):
             raise SolveError(
                 f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",

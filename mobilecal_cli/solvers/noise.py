@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.likelihood.dataset import STAMP
 from mobilecal_cli.likelihood.legs import SUPPOSED
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.measurements import STAMP
 from mobilecal_cli.likelihood.nuisance import family
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
 from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
 
@@ -55,7 +55,7 @@ class Component:
         return Component(self.squares + other.squares, self.redundancy + other.redundancy)
 
 
-def components(lin: Linearization) -> dict[str, Component]:
+def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views, marginal, state = lin.views, lin.marginals, lin.state
     taken, posed = marginal.leverage(views.information), lin.data.posed
@@ -110,7 +110,7 @@ def components(lin: Linearization) -> dict[str, Component]:
     return result
 
 
-def _within(lin: Linearization) -> FloatArray:
+def _within(lin: Posterior) -> FloatArray:
     """(N, 5) processes without their mean in each recording, where there are several.
 
     Means that differ say how the recordings differ, not how a process varies along the way.
@@ -126,7 +126,7 @@ def _within(lin: Linearization) -> FloatArray:
     return out
 
 
-def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str, float]:
+def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, float]:
     """Correlation lengths of the processes after one step of expectation-maximization (Dempster et al., 1977).
 
     The expected logarithm of the innovations' density, at the present posterior of the processes, is largest there,
@@ -134,7 +134,7 @@ def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str
     """
     processes, posterior, values = lin.processes, lin.marginals, _within(lin)
     j = lin.data.legs[lin.inliers.legs, 1]
-    found: dict[str, float] = {}
+    lengths_m: dict[str, float] = {}
     variance, before = (
         np.diagonal(part, axis1=1, axis2=2) for part in (posterior.processes, posterior.before)
     )
@@ -151,14 +151,14 @@ def lengths(lin: Linearization, given: frozenset[str], guess: Noise) -> dict[str
             spread = np.maximum(spread, EXACT**2)
             innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
             score -= np.sum(np.log(spread) + innovation / spread, axis=1)
-        found[level] = float(tried[np.argmax(score)])
-    return found
+        lengths_m[level] = float(tried[np.argmax(score)])
+    return lengths_m
 
 
-def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
+def estimated(noise: Noise, shown: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
     """The noise after one step of the fixed point; levels that are given stay."""
     changes: dict[str, float] = {}
-    for name, component in found.items():
+    for name, component in shown.items():
         if name in given:
             continue
         before, supposed = getattr(noise, name), getattr(guess, name)
@@ -168,7 +168,7 @@ def estimated(noise: Noise, found: Mapping[str, Component], given: frozenset[str
     return noise.with_levels(changes)
 
 
-def widths(lin: Linearization) -> dict[str, float]:
+def widths(lin: Posterior) -> dict[str, float]:
     """Kind of constants → how many times as wide as stated its priors are, after one step of the fixed point.
 
     The same estimate as a noise level's: the constants of a kind, as estimated, are its residuals, of which the data
@@ -185,13 +185,13 @@ def widths(lin: Linearization) -> dict[str, float]:
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):
         if used[k]:
             columns.setdefault(family(row.kind), []).append(k)
-    found = {}
+    factors = {}
     for kind, mine in columns.items():
         shown = float(left[mine].sum())
         n = shown**2 / max(float(np.sum(left[mine] ** 2)), _SHOWN**2)
         variance = float(squares[mine].sum()) / (shown + _SHOWN) * n / (n + _TOO_NARROW)
-        found[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
-    return found
+        factors[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
+    return factors
 
 
 class LevelSearch:
@@ -208,9 +208,9 @@ class LevelSearch:
         self._levels: list[FloatArray] = []
         self._changes: list[FloatArray] = []
 
-    def next(self, noise: Noise, found: Noise) -> Noise:
+    def next(self, noise: Noise, shown: Noise) -> Noise:
         """Levels for the next round, from those of this round and what its residuals say."""
-        here, there = noise.all_levels, found.all_levels
+        here, there = noise.all_levels, shown.all_levels
         names = [name for name in there if name not in self._given and here.get(name, 1.0) > 0]
         at = np.log([here.get(name, 1.0) for name in names])
         change = np.log([there[name] for name in names]) - at
@@ -222,7 +222,7 @@ class LevelSearch:
             dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
-        kinds = np.array([name in found.wider for name in names])
+        kinds = np.array([name in shown.wider for name in names])
         step = np.where(kinds, change, step)  # where two explain the same, neither is preferred
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)

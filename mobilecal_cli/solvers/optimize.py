@@ -9,7 +9,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.linearization import solvable
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -32,7 +33,7 @@ class Optimum:
         history: (n,) costs from the start on.
     """
 
-    lin: Linearization
+    lin: Posterior
     history: FloatArray
 
 
@@ -44,7 +45,7 @@ def _stalls(history: list[float]) -> bool:
     return last < _KINKED and last > _LEAP * before
 
 
-def proposed(lin: Linearization, damping: float = 0.0) -> tuple[Step, float]:
+def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
     """The damped step of all unknowns, and the decrease of the cost that it promises.
 
     Raises:
@@ -56,17 +57,12 @@ def proposed(lin: Linearization, damping: float = 0.0) -> tuple[Step, float]:
     s = priors.basis.T @ (normal.s + priors.gradient(lin.state))
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = 1 / np.sqrt(np.diag(S))
-    try:
+    with solvable():
         along = -unit * np.asarray(cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise SolveError(
-            "the inlier measurements do not determine all parameters",
-            "record more stations, with the whole board in the images",
-        ) from error
     return normal.step(priors.basis @ along), normal.gain - float(s @ along)
 
 
-def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], None] = lambda: None) -> Optimum:
+def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] = lambda: None) -> Optimum:
     """Minimize the sum of squares of all inliers and priors.
 
     The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
@@ -85,7 +81,7 @@ def optimize(start: Linearization, near: float = NEAR, on_step: Callable[[], Non
     shift = lin.priors.step_to_mean(lin.state)
     if np.any(shift):
         state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
-        lin = Linearization.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
+        lin = Posterior.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
     damping, history, converged = 0.0, [lin.cost], False
     while len(history) <= _MAX_STEPS + 1:
         on_step()

@@ -42,22 +42,22 @@ _JUDGED_BY = {
 }
 
 
-def _median(size: FloatArray, seen: BoolArray) -> FloatArray:
-    """(N,) median over the detected corners, (N, 2, M)."""
-    return np.asarray(np.nanmedian(np.where(seen, size, np.nan), axis=(1, 2)))
+def _median(size: FloatArray, detected: BoolArray) -> FloatArray:
+    """(N,) median over the detected corners, (N, C, M)."""
+    return np.asarray(np.nanmedian(np.where(detected, size, np.nan), axis=(1, 2)))
 
 
 def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
-    """(n, 2, M) distance of the corners of some stations from the boards that fit each best, robustly."""
-    seen, T = data.seen[stations], data.T_c_k[stations]
+    """(n, C, M) distance of the corners of some stations from the boards that fit each best, robustly."""
+    detected, T = data.seen[stations], data.T_c_k[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(data, state, T, stations)
         W = data.whitening[stations]
         residual, J = whitened(W, residual), whitened(W, J[:, :6])
         size = np.linalg.norm(residual, axis=-1)
-        scale = np.maximum(_median(size, seen), 1e-9)
+        scale = np.maximum(_median(size, detected), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
-        root = (seen / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
+        root = (detected / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
         At = (J * root[:, None]).reshape(len(T), 6, -1)
         r = (residual * root).reshape(len(T), -1)
         A = np.swapaxes(At, 1, 2)
@@ -77,7 +77,7 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         state: gives the cameras and the board.
 
     Returns:
-        (N, 2, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
+        (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
     if data.posed.any():
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
@@ -98,7 +98,7 @@ def worst(fit: Fit) -> float:
     """Largest statistic of an inlier over its limit, for known noise levels."""
     count = fit.data.stations
     return max(
-        float(getattr(fit.lin.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+        float(getattr(fit.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
         for kind, dof in _DEGREES.items()
     )
 
@@ -117,7 +117,7 @@ def consistent_legs(fit: Fit) -> BoolArray | None:
     """
     inliers, one_taken = fit.inliers, False
     legs = inliers.legs.copy()
-    statistic = np.where(~legs, fit.lin.tests.predicted_legs, np.inf)
+    statistic = np.where(~legs, fit.tests.predicted_legs, np.inf)
     for leg in np.argsort(statistic):
         if statistic[leg] > limit(fit.data.stations, 3, CONSENSUS_REDUNDANCY):
             break
@@ -139,8 +139,8 @@ def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
     out = ~inliers.views & usable(fit)
     if not out.any():
         return None
-    as_read, freed = fit.lin.tests.predicted_views
-    near = fit.lin.tests.small_views
+    as_read, freed = fit.tests.predicted_views
+    near = fit.tests.small_views
     agree = out & (near | (as_read < limit(fit.data.stations, 6, redundancy)))
     if agree.any():
         return replace(inliers, views=inliers.views | agree)
@@ -155,8 +155,8 @@ def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
 
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
-    tests = fit.lin.tests
-    found = []
+    tests = fit.tests
+    striking_most = []
     for kind, dof in _DEGREES.items():
         values = getattr(tests, kind)
         if not values.size:
@@ -165,8 +165,8 @@ def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
         striking = np.argwhere(values > usual)
         places = some_of(fit.data, kind, striking[np.argsort(-values[values > usual], kind="stable")])
         if places:
-            found.append((float(values[places[0]]) / usual, kind, places))
-    return sorted(found, reverse=True)
+            striking_most.append((float(values[places[0]]) / usual, kind, places))
+    return sorted(striking_most, reverse=True)
 
 
 def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]:
@@ -188,7 +188,7 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
 
 def external(fit: Fit, kind: str) -> FloatArray:
     """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-    tests = fit.lin.tests
+    tests = fit.tests
     statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
     beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
     return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)

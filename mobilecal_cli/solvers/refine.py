@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import FloatArray, Parameters, Refinement
 from mobilecal_cli.solvers.transfer import point_rms_m, residuals_with_jacobian, rms_m
 

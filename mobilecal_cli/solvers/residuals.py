@@ -10,7 +10,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import integrate
-from mobilecal_cli.likelihood.dataset import Dataset, MotionPairs, dataset_of
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at, wheel_clock_s
 from mobilecal_cli.likelihood.views import view_rates
@@ -140,16 +141,16 @@ def triangulated_again(extraction: Extraction, cameras: CameraRig) -> FloatArray
     """
     observations = extraction.observations
     points = np.stack([o.points_c for o in observations])
-    seen = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
+    detected = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
     pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
-    several = seen.sum(axis=0) > 1
+    several = detected.sum(axis=0) > 1
     if not several.any():
         return points
     for _ in range(_TRIANGULATION_STEPS):
         errors, by_point = [], []
         for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
             T_camera_c = se3.inverse(T_c_camera)
-            usable = (seen[k] & several)[..., None]
+            usable = (detected[k] & several)[..., None]
             own = se3.act(T_camera_c, points) if k else points
             at, J = project_with_jacobian(camera, np.where(usable, own, [0.0, 0.0, 1.0]))
             errors.append(np.where(usable, pixels[k] - at, 0.0))

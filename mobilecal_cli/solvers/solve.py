@@ -12,8 +12,10 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
-from mobilecal_cli.likelihood.dataset import MotionPairs, dataset_of
-from mobilecal_cli.likelihood.predict import predicted_at
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
@@ -44,9 +46,10 @@ from mobilecal_cli.solvers.findings import (
 )
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit, turned_around
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
-from mobilecal_cli.solvers.maximum_likelihood import Solver
+from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.transfer import point_rms_m
@@ -123,23 +126,23 @@ def solve(
         )
     try:
         if method == "ml":
-            solver = Solver(extraction, constraints, on_step, data)
-            constraints.check_shown(solver.data.layout.names)
-            solution = _by_likelihood(extraction, solver, start_ratios)
+            inference = Inference.of(extraction, constraints, on_step, data)
+            constraints.check_shown(inference.data.layout.names)
+            solution = _by_likelihood(extraction, inference, start_ratios)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
     except _ExplainedError:
         raise
     except (SolveError, np.linalg.LinAlgError) as error:
         raise _explained(error, extraction) from error
-    found = (
+    diagnosis = (
         explain(extraction)
         if _fits_badly(solution, extraction)
         else turned_around(extraction.rig, solution.parameters.T_h_c)
     )
-    if found is None and solution.contradictions and len(extraction.wheels) > 1:
-        found = _different_cameras(solution, extraction, constraints)
-    return replace(solution, diagnosis=found)
+    if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:
+        diagnosis = _different_cameras(solution, extraction, constraints)
+    return replace(solution, diagnosis=diagnosis)
 
 
 def _different_cameras(
@@ -149,16 +152,16 @@ def _different_cameras(
     assert solution.uncertainty is not None
     together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
     for log in range(len(extraction.wheels)):
-        one = extraction.of_log(log)
-        if len(one.observations) <= FEWEST_LEGS:
+        alone = extraction.of_log(log)
+        if len(alone.observations) <= FEWEST_LEGS:
             return None
         try:
-            fit = Solver(one, constraints).solve()
+            fit = robust_fit(Inference.of(alone, constraints))
         except (SolveError, np.linalg.LinAlgError):
             return None
         alone_px = max(alone_px, fit.noise.pixel_px)
         alone_m = max(
-            alone_m, point_rms_m(at_state(one, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
+            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
         )
     if together_px < _DIFFERENT * alone_px:
         return None
@@ -175,9 +178,9 @@ def _different_cameras(
 def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
     if not extraction.motions:  # mistakes are searched for with a target
-        found = explain(extraction)
-        if found is not None:
-            return _refusal(found)
+        diagnosis = explain(extraction)
+        if diagnosis is not None:
+            return _refusal(diagnosis)
         share = misfit(extraction)
         if share is not None:
             return _unexplained(share, extraction)
@@ -208,16 +211,18 @@ def _refuse_gross(extraction: Extraction) -> None:
     Raises:
         SolveError: a mistake explains the whole recording, or none explains any part of it.
     """
-    found = explain(extraction, in_parts=False)
-    if found is not None:
-        raise _refusal(found)
+    diagnosis = explain(extraction, in_parts=False)
+    if diagnosis is not None:
+        raise _refusal(diagnosis)
     share = misfit(extraction)
     if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
         raise _unexplained(share, extraction)
 
 
-def _refusal(found: Diagnosis) -> SolveError:
-    return _ExplainedError(f"the recording does not fit the robot's description: {found.cause}", found.cure)
+def _refusal(diagnosis: Diagnosis) -> SolveError:
+    return _ExplainedError(
+        f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
+    )
 
 
 def _require_positive(wheels: WheelGeometry) -> None:
@@ -287,22 +292,22 @@ def _solution(
     )
 
 
-def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatArray | None) -> Solution:
-    pairs = solver.data.pairs
-    if solver.full_motion:
+def _by_likelihood(extraction: Extraction, inference: Inference, start_ratios: FloatArray | None) -> Solution:
+    pairs = inference.data.pairs
+    if inference.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
             _refuse_gross(extraction)
         _require_positive(linear.parameters.wheels)
     else:  # no sign check: an unobservable scale may have any sign
-        start = solver.initial()
+        start = inference.initial()
         rms = point_rms_m(pairs, start)
         linear = LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
-    fit = solver.solve(linear.parameters)
+    fit = robust_fit(inference, linear.parameters)
     contradictions = contradictions_of(fit)
     scale = scale_of(extraction, fit, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, fit, solver.jump)
+    jumps = jumps_of(extraction, fit, inference.jump)
     fit = over_logs(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
@@ -311,18 +316,18 @@ def _by_likelihood(extraction: Extraction, solver: Solver, start_ratios: FloatAr
     inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
     if not inliers.any():
         inliers[:] = True
-    seen, corrected = at_state(extraction, data, state)
+    corrected_extraction, corrected = at_state(extraction, data, state)
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(seen, corrected, refinement, linear=linear, inliers=inliers)
+    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
     return replace(
         solution,
         uncertainty=uncertainty_of(fit),
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
-        evidence=fit.lin.evidence(),
+        evidence=evidence(fit.lin),
         contradictions=contradictions,
         scale=scale,
         between=fit.between,
@@ -344,6 +349,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
     observable = (np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed
     shows = at_work_basis(fit)
     but_height = np.sqrt(np.diag(shows @ shared @ shows)[:9])
+    camera, camera_constants = camera_covariance(fit.lin, shows @ shared @ shows)
     levels = [name for name in fit.components if name not in fit.given]
     return Uncertainty(
         covariance=covariance,
@@ -364,5 +370,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
         at_work=predicted_at(fit.lin, shows @ shared @ shows),
+        camera=camera,
+        camera_constants=camera_constants,
         budget=budget_of(fit),
     )

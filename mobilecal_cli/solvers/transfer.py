@@ -7,12 +7,12 @@ import math
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import LegMotion, integrate, integrate_with_jacobian
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.kinematics import Arcs, integrate
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import FloatArray, Parameters
 
 
-def base_motion(motion: LegMotion) -> FloatArray:
+def base_motion(motion: Arcs) -> FloatArray:
     """T_vi_vj of each leg: (L, 4, 4)."""
     t = np.concatenate([motion.t_m, np.zeros((len(motion.t_m), 1))], axis=1)
     return se3.transform(se3.rotation_z(motion.psi_rad), t)
@@ -57,7 +57,8 @@ def residuals_with_jacobian(pairs: MotionPairs, parameters: Parameters) -> tuple
         (L, M, 3) residuals and (L, M, 3, 9) derivatives by a step of the parameters, see `Parameters.plus`.
     """
     i, j = pairs.legs.T
-    motion, d_psi, d_t = integrate_with_jacobian(pairs.steps, parameters.wheels)
+    motion = integrate(pairs.steps, parameters.wheels)
+    d_psi, d_t = motion.by_wheels()
     X = parameters.T_h_c
     T_vj_cj = pairs.T_v_h[j] @ X
     T_ci_vi = se3.inverse(pairs.T_v_h[i] @ X)

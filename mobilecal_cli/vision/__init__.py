@@ -9,7 +9,7 @@ from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering
 from mobilecal_cli.vision.observing import Measured, measure, resolve_square
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
-from mobilecal_cli.vision.snapshot import snapshot_jpeg
+from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
 
@@ -36,5 +36,6 @@ __all__ = [
     "snapshot_jpeg",
     "square_cure",
     "square_from_points",
+    "thumbnail_jpeg",
     "triangulate",
 ]

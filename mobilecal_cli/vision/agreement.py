@@ -194,9 +194,9 @@ def check_arrangement(
     if len(pairs) >= _FEWEST:
         _check_repeated(pairs)
     gross = [
-        one.points is None or one.points.rms_px > _GROSS_PX if isinstance(one, Measured) else True
+        isinstance(one, Rejection) or (one.points is not None and one.points.rms_px > _GROSS_PX)
         for one in measured
-        if isinstance(one, Measured) or one.reason == INCONSISTENT
+        if (one.reason == INCONSISTENT if isinstance(one, Rejection) else one.points is not None)
     ]
     if sum(gross) < _FEWEST or 2 * sum(gross) < len(gross):
         return

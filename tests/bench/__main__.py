@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -16,10 +17,6 @@ from tests.bench.study import conditions, paragraph
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "performance.md"
 _STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
-_INTRODUCTION = "# Performance\n\n" + paragraph(
-    "This page is written by `make bench`. Machines differ and are shared, so each important figure is a ratio of two "
-    "values measured side by side in one run: the median of at least five rounds."
-)
 
 
 class _Data:
@@ -86,7 +83,7 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
 
 
 def main() -> None:
-    """Measure all sections or the named ones; the page is written only if all are measured."""
+    """Measure all sections or the named ones, and put them into the page; the others stay as they are."""
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=main.__doc__)
     parser.add_argument("sections", nargs="*", help="reading, commands, corners, effect, growth, solvers")
     parser.add_argument("--data", type=Path, help="folder that keeps the recordings for the next run")
@@ -95,16 +92,20 @@ def main() -> None:
         folder = asked.data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
         sections = _sections(_Data(folder))
-        wanted = asked.sections or list(sections)
-        text = f"{_INTRODUCTION}{conditions()}, OpenCV {cv2.__version__}\n"
-        print(text, flush=True)
-        for name in wanted:
+        for name in asked.sections or list(sections):
             head, measure = sections[name]
-            part = f"\n{head}{measure()}"
+            part = f"{head}{measure()}\n*{conditions()}, OpenCV {cv2.__version__}*\n"
             print(part, flush=True)
-            text += part
-    if len(wanted) == len(sections):
-        _PAGE.write_text(text, encoding="utf-8")
+            _PAGE.write_text(_with_section(_PAGE.read_text(encoding="utf-8"), part), encoding="utf-8")
+
+
+def _with_section(page: str, section: str) -> str:
+    """The page with a section in place of the one with the same heading."""
+    heading = section.splitlines()[0]
+    parts = re.split(r"^(?=## )", page, flags=re.MULTILINE)
+    return (
+        "\n\n".join((section if part.splitlines()[0] == heading else part).strip() for part in parts) + "\n"
+    )
 
 
 if __name__ == "__main__":

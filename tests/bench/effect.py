@@ -10,8 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Corners, Extraction
-from mobilecal_cli.simulate.actual import BoardShape
-from mobilecal_cli.simulate.imperfect import station_times_s
+from mobilecal_cli.simulate.imperfect import BoardShape, station_times_s
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world

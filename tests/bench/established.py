@@ -15,8 +15,8 @@ import numpy as np
 
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import paper_robot
@@ -55,10 +55,10 @@ def start_of(path: Path) -> tuple[Dataset, State]:
     return data, initial_state(data, parameters, Inliers.all_of(data))
 
 
-def likelihood_at(data: Dataset, state: State) -> Linearization:
+def likelihood_at(data: Dataset, state: State) -> Posterior:
     """The likelihood of all measurements, without priors."""
     priors = Priors.none(data.layout, state.parameters)
-    return Linearization.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
+    return Posterior.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
 
 
 def vector(state: State) -> np.ndarray:

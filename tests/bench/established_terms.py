@@ -15,7 +15,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
-from mobilecal_cli.kinematics import Arcs, head_jacobian, head_pose
+from mobilecal_cli.kinematics import head_jacobian, head_pose, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.state import State
@@ -169,7 +169,7 @@ class Terms:
         cos, sin = np.cos(first[2]), np.sin(first[2])
         dx, dy = second[:2] - first[:2]
         x, y = cos * dx + sin * dy, -sin * dx + cos * dy
-        arcs = Arcs.along(steps, WheelGeometry(*(float(size) for size in sizes)))
+        arcs = integrate(steps, WheelGeometry(*(float(size) for size in sizes)))
         motion = arcs.motion()
         off = [motion.t_m[0, 0] - x, motion.t_m[0, 1] - y, motion.psi_rad[0] - (second[2] - first[2])]
         if not derivatives:

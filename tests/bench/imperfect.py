@@ -12,8 +12,8 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import (
     AssumedOdometry,
     CalibratedRobot,
@@ -28,8 +28,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.readers.signals.sides import sides_of
-from mobilecal_cli.readers.signals.wheels import rotations
+from mobilecal_cli.readers.signals.wheels import rotations, sides_of
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.imperfect import PRIORS, draw
 from mobilecal_cli.simulate.messages import driver_odometry
@@ -42,8 +41,8 @@ from mobilecal_cli.simulate.robot import (
 )
 from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route, slipping_radps
 from mobilecal_cli.solvers import Constraints, solve
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.maximum_likelihood import Solver
 from tests import extractions
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
 from tests.bench.study import rms
@@ -226,12 +225,12 @@ def bound_of(robot: str, motion: Motion, stations: int, number: int) -> FloatArr
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
     true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
     extraction = extractions.ideal_extraction(true, route)
-    data = Solver(extraction, Constraints()).data
+    inference = Inference.of(extraction, Constraints())
+    data = inference.data
     parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
-    solver = Solver(extraction, Constraints())
     noise = Noise.exact(**given(USUAL).given)
     state = initial_state(data, parameters, everything)
-    lin = Linearization.at(data, state, everything, noise, solver.priors(state))
+    lin = Posterior.at(data, state, everything, noise, inference.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound
 

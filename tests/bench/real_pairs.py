@@ -37,7 +37,8 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.findings import contradictions_of
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.maximum_likelihood import Solver
+from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.vision import (
     Detection,
     Miss,
@@ -285,8 +286,8 @@ class Estimate:
         nominal = extraction.rig.nominal
         assert nominal.T_h_reference is not None
         assert nominal.wheels is not None
-        solver = Solver(extraction, Constraints(dict.fromkeys(NINE)))
-        fit = solver.solve(Parameters(nominal.T_h_reference, nominal.wheels))
+        inference = Inference.of(extraction, Constraints(dict.fromkeys(NINE)))
+        fit = robust_fit(inference, Parameters(nominal.T_h_reference, nominal.wheels))
         return cls(fit, contradictions_of(fit))
 
     @property

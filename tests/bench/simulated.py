@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import (
     EXACT,
@@ -61,7 +61,7 @@ def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None 
     data, true = dataset_of(extraction), Parameters(robot.T_h_c, robot.wheels)
     everything = Inliers.all_of(data)
     state, priors = initial_state(data, true, everything), Priors.none(data.layout, true)
-    return Linearization.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S
+    return Posterior.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S
 
 
 @cache

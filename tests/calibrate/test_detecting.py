@@ -15,6 +15,7 @@ from mobilecal_cli.calibrate import detect as detection_workers
 from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
@@ -102,7 +103,12 @@ def test_processes_see_what_one_sees(log, alone, segmented):
     assert alone.counts["pictures"] == 2 * alone.counts["stations"]
     together, shown_together = everything(log, 2)
     assert same(alone, together)
-    assert [s.jpegs["left"] for s in shown] == [s.jpegs["left"] for s in shown_together]
+    pictures, pictures_together = (
+        [(s.station, s.jpegs, s.thumbnail) for s in each] for each in (shown, shown_together)
+    )
+    assert pictures == pictures_together
+    assert sum(bool(s.jpegs) for s in shown) > 20
+    assert 30 < sum(bool(s.thumbnail) for s in shown) <= THUMBNAILS
 
 
 def test_the_threads_of_the_caller_are_left_as_they_are(log):

@@ -16,8 +16,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
-from mobilecal_cli.calibrate.batch import run_on
-from mobilecal_cli.calibrate.manifest import FleetJob
+from mobilecal_cli.calibrate.batch import FleetJob, run_on
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs

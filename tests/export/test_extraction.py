@@ -5,6 +5,7 @@ import io
 import json
 import math
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hypothesis.extra import numpy as hnp
 
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export import THUMBNAILS, extraction_from_npz, extraction_to_npz, snapshots_from_npz
 from mobilecal_cli.export.extraction import SCHEMA_VERSION
 from mobilecal_cli.model import (
     Board,
@@ -31,6 +32,7 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    Snapshot,
     Sources,
     Track,
     WheelGeometry,
@@ -180,6 +182,29 @@ def test_a_usual_one_comes_back_from_a_file(tmp_path):
     assert_same(extraction, extraction_from_npz(tmp_path / "extraction.npz"))
 
 
+def test_thumbnails_travel_beside_it(tmp_path):
+    path, extraction = tmp_path / "extraction.npz", make_extraction(n=3)
+    own = [Snapshot(0, k, {"left": b"large"}, bytes([255, 216, k])) for k in range(THUMBNAILS)]
+    path.write_bytes(extraction_to_npz(extraction, own))
+    assert_same(extraction, extraction_from_npz(path))
+    assert snapshots_from_npz(path) == tuple(replace(each, jpegs={}) for each in own)
+    many = [*own, Snapshot(0, THUMBNAILS, {}, b"one more"), Snapshot(0, 0, {})]
+    path.write_bytes(extraction_to_npz(extraction, many[::-1]))
+    assert len(snapshots_from_npz(path)) == THUMBNAILS
+    path.write_bytes(extraction_to_npz(extraction))
+    assert snapshots_from_npz(path) == ()
+
+
+@pytest.mark.parametrize(
+    "damage", [None, 3, [3], [[0, 1]], [[0, "x", ""]], [[0, 1, "?"]], [[0, 1, "A" * 99_999]]]
+)
+def test_damaged_thumbnails_are_left_out(tmp_path, damage):
+    path = tmp_path / "extraction.npz"
+    path.write_bytes(with_header(lambda header: header.update(thumbnails=damage)))
+    assert not any(each.thumbnail for each in snapshots_from_npz(path))
+    assert_same(make_extraction(n=2), extraction_from_npz(path))
+
+
 def test_a_file_with_both_wheels_at_the_same_times_is_read():
     """Schema version 5, as it was written: one array of stamps for both wheels."""
     extraction = make_extraction(n=2)
@@ -256,11 +281,14 @@ def with_header(change):
         (lambda h: h.pop("schema_version"), "schema version None"),
         (lambda h: h.update(format="something"), "not an extraction"),
         (lambda h: h.pop("rig"), "damaged"),
-        (lambda h: h["rig"].update(extra=1), "Rig: extra or missing keys: ['extra']"),
-        (lambda h: h["rig"]["chain"].update(pan=3), "Rig.chain.pan: int instead"),
+        (lambda h: h["rig"].update(extra=1), "rig.extra: Unexpected keyword argument"),
+        (lambda h: h["rig"]["chain"].update(pan=3), "rig.chain.pan: Input should be a valid string (got 3)"),
         (lambda h: h["rig"]["cameras"].update(reference="up"), "reference 'up'"),
         (lambda h: h["rig"]["cameras"]["each"][0].update(K=[[1]]), "Camera.K: shape"),
-        (lambda h: h["rig"]["chain"]["links"][0].clear(), "match none of"),
+        (
+            lambda h: h["rig"]["chain"]["links"][0].clear(),
+            "rig.chain.links.0.JointLink.joint: Field required",
+        ),
         (lambda h: h.update(observations=3), "out of bounds"),
         (lambda h: h.update(wheels=2), "wheels.1.right.time_ns"),
     ],

@@ -258,7 +258,8 @@ def with_constants(solution, extraction):
     noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 0.3, 1.0, 1e-4, 1e-4, 1.0, {}, (), {})
     uncertainty = Uncertainty(
         np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
-        np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), Budget((), np.zeros((0, 9)), {}),
+        np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
+        Budget((), np.zeros((0, 9)), {}),
     )  # fmt: skip
     lift = JointLink("lift # 1", np.array([0.0, 0, 1]), "prismatic")
     chain = dataclasses.replace(extraction.rig.chain, links=(lift, *extraction.rig.chain.links))

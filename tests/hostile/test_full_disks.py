@@ -12,7 +12,7 @@ import pytest
 import zstandard
 
 from mobilecal_cli.calibrate import batch as fleet
-from mobilecal_cli.calibrate.manifest import FleetJob
+from mobilecal_cli.calibrate.batch import FleetJob
 from mobilecal_cli.errors import OutputError
 from tests.hostile.refusals import extraction
 

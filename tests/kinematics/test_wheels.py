@@ -11,14 +11,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.kinematics import (
-    Arcs,
     Increments,
     between_steps,
     cut_at,
     encoder_step_rad,
     encoder_steps_rad,
     integrate,
-    integrate_with_jacobian,
     join,
 )
 from mobilecal_cli.model import Track, WheelGeometry, WheelTrack
@@ -90,7 +88,8 @@ def test_jacobian_against_differences(seed):
     n = 40
     steps = Increments(*random.uniform(-0.5, 0.6, (2, n)), np.sort(random.integers(0, 4, n)), 5)
     at = np.array([0.2, 0.25, 0.5])
-    motion, d_psi, d_t = integrate_with_jacobian(steps, WheelGeometry(*at))
+    motion = integrate(steps, WheelGeometry(*at))
+    d_psi, d_t = motion.by_wheels()
     assert motion.t_m == pytest.approx(integrate(steps, WheelGeometry(*at)).t_m)
     for k in range(3):
         h = 1e-6 * np.eye(3)[k]
@@ -107,7 +106,7 @@ def test_sensitivity_against_differences(seed):
     leg = np.sort(random.integers(0, 4, n))
     steps = Increments(*random.uniform(-0.5, 0.6, (2, n)), leg, 5)
     at = np.array([0, 5, n - 1])
-    sensitivity = Arcs.along(steps, WHEELS).sensitivity(at)
+    sensitivity = integrate(steps, WHEELS).sensitivity(at)
     for row, step in zip(sensitivity, at, strict=True):
         for side, name in enumerate(("right_rad", "left_rad")):
             ends = []

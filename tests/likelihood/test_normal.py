@@ -8,9 +8,9 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
-from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals
@@ -59,7 +59,7 @@ class Case:
         shared = random.normal(size=self.sizes[0]) * 1e-3
         boards = random.normal(size=(logs, 6)) * 1e-3
         step = Step(shared, boards, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
-        self.lin = Linearization.at(
+        self.lin = Posterior.at(
             self.data,
             truth.plus(self.data, step),
             inliers,

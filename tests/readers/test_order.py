@@ -7,8 +7,7 @@ import pytest
 
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.containers.blocks import BlockStorage
-from mobilecal_cli.readers.containers.steps import goes_back, steps_back
-from mobilecal_cli.readers.containers.storage import Extent
+from mobilecal_cli.readers.containers.storage import Extent, goes_back, steps_back
 
 from . import recordings as r
 

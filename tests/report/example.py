@@ -33,6 +33,7 @@ from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.vision import thumbnail_jpeg
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.pairs import with_pair
 
@@ -136,6 +137,7 @@ def make_snapshots(extraction: Extraction) -> tuple[Snapshot, ...]:
                 name: _picture(extraction.board, view.pixels, rng)
                 for name, view in zip(extraction.rig.cameras.names, o.views, strict=True)
             },
+            thumbnail_jpeg(rng.integers(0, 255, (480, 640), np.uint8)),
         )
         for o in extraction.observations
     )

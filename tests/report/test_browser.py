@@ -9,15 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import FleetRow, LogSource, Outlier, Rejection
+from mobilecal_cli import se3
+from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.model import FixedLink, FleetRow, JointLink, LogSource, Nominal, Outlier, Rejection
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import fleet_html
+from mobilecal_cli.report.numbers import reference_pose
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
 from tests.extractions import Noise, ideal_extraction
 from tests.report.browser import CHROMIUM, Browser
-from tests.report.example import HOSTILE, make_snapshots, page_of
+from tests.report.example import HOSTILE, WHEELS, make_extraction, make_snapshots, make_solution, page_of
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: chromium)")
 
@@ -52,7 +55,8 @@ def page(tmp_path_factory):
     solution = replace(solution, outliers=outliers)
     trial = evaluate(extraction, solution.parameters, robot.wheels)
     change = Change(HOSTILE, np.linspace(-1, 1, 9) * 1e-3, np.linspace(-3, 3, 9), np.full(9, np.nan), 0.2)
-    text = page_of(solution, extraction, make_snapshots(extraction), trial=trial, change=change)
+    rejected = replace(make_snapshots(extraction)[0], station=20, jpegs={})
+    text = page_of(solution, extraction, (*make_snapshots(extraction), rejected), trial=trial, change=change)
     path = tmp_path_factory.mktemp("page") / "report.html"
     path.write_text(text, encoding="utf-8")
     return path
@@ -142,6 +146,41 @@ def test_a_station_lights_up_everywhere(browser, page):
     assert browser.evaluate("document.getElementById('station').value") == "4"
     browser.key("Escape")
     assert browser.evaluate(lit) == 0
+    assert browser.complaints() == []
+
+
+def test_the_robot_stands_as_its_chain_says(browser, tmp_path):
+    """The script's own kinematics against Python's, with a sliding and a mimicking joint."""
+    extraction = make_extraction(n=4)
+    chain = extraction.rig.chain
+    lift = JointLink("lift", np.array([0.0, 0, 1]), "prismatic", multiplier=2.0, offset=0.3)
+    again = JointLink(chain.joints[0], np.array([0.6, 0, 0.8]), multiplier=-0.5, offset=0.2)
+    links = (FixedLink(se3.exp(np.array([0.1, 0.2, 0.3, 0.4, 0, 1]))), *chain.links, lift, again)
+    joints = np.array([0.3, -0.7, 0.25])
+    seen = tuple(replace(o, joints=joints, joints_std=joints) for o in extraction.observations)
+    chain = replace(chain, links=links)
+    solution = make_solution(extraction)
+    T_nominal = se3.exp(np.array([0.2, 0.1, -0.3, 0.05, 0.02, -0.04]))
+    rig = replace(extraction.rig, chain=chain, nominal=Nominal(T_nominal, WHEELS))
+    path = tmp_path / "report.html"
+    path.write_text(page_of(solution, replace(extraction, rig=rig, observations=seen)), encoding="utf-8")
+    browser.open(path, width=1000)
+    browser.evaluate(OPEN)
+    picture = "document.getElementById('view').toDataURL()"
+    before = browser.evaluate(picture)
+    browser.evaluate("document.getElementById('next').click()")
+    browser.evaluate("document.getElementById('robot').click()")
+    said = browser.evaluate("document.getElementById('picked').textContent")
+    T_v_h = head_pose(chain, joints)
+    for label, T in (
+        ("estimated", reference_pose(solution.parameters, solution.cameras)),
+        ("nominal", T_nominal),
+    ):
+        numbers = re.search(rf"{label} camera at ([-\d., ]+) m", said).group(1)
+        np.testing.assert_allclose([float(n) for n in numbers.split(", ")], (T_v_h @ T)[:3, 3], atol=6e-5)
+    assert browser.evaluate(picture) != before
+    browser.evaluate("document.getElementById('robot').click()")
+    assert "heading" in browser.evaluate("document.getElementById('picked').textContent")
     assert browser.complaints() == []
 
 

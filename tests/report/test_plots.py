@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import HeadChain, JointLink, Snapshot
-from mobilecal_cli.report.plots import leg_views, trail
+from mobilecal_cli.model import HeadChain, JointLink, Outlier, Rejection, Snapshot
+from mobilecal_cli.report.plots import leg_views, thumbnails, trail
 from tests.pairs import with_views
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
 
 
 def test_overlays_draw_both_marks_for_every_corner(extraction, page):
     circles = [a for tag, a in page.tags if tag == "circle" and "class" not in a]
-    images = sum(tag == "image" for tag, _ in page.tags)
+    images = sum(tag == "image" and a["width"] != "96" for tag, a in page.tags)
     assert len(circles) == images * 2 * extraction.board.corners
     assert (
         7 <= images <= 2 * len(extraction.observations) - 1
@@ -43,6 +43,23 @@ def test_overlays_use_the_legs_that_have_pictures(extraction, solution):
     (view,) = leg_views(solution, extraction, first)
     assert (view.rank, view.from_station, view.to_station) == ("only", "0", "1")
     assert leg_views(solution, extraction, ()) == []
+
+
+def test_small_pictures_of_all_stations_say_why_one_is_not_used(extraction, solution):
+    snapshots = make_snapshots(extraction)
+    missed = replace(snapshots[0], station=90, jpegs={})
+    of_nothing = replace(snapshots[0], station=91, jpegs={})
+    extraction = replace(extraction, rejections=(Rejection("vision", "board blurred", "", 5, 90),))
+    solution = replace(
+        solution, outliers=(Outlier("station", 0, (2,), 5, ""), Outlier("slip", 0, (4, 5), 5, ""))
+    )
+    shown = thumbnails(solution, extraction, (*snapshots, missed, of_nothing))
+    assert [each.station for each in shown[:-1]] == [str(o.station) for o in extraction.observations]
+    assert [each.observation for each in shown] == [*range(len(extraction.observations)), -1]
+    assert {each.station: each.reason for each in shown if each.reason} == {
+        "2": "outlier",
+        "90": "board blurred",
+    }
 
 
 def test_a_broken_picture_is_said(solution, extraction):

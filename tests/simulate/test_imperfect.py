@@ -10,8 +10,15 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from mobilecal_cli.simulate.actual import approach_directions, crosswise
-from mobilecal_cli.simulate.imperfect import PRIORS, START_NS, constant_kinds, draw, station_times_s
+from mobilecal_cli.simulate.imperfect import (
+    PRIORS,
+    START_NS,
+    approach_directions,
+    constant_kinds,
+    crosswise,
+    draw,
+    station_times_s,
+)
 from mobilecal_cli.simulate.robot import ROBOTS, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.extractions import (

@@ -9,7 +9,7 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Board, Camera
-from mobilecal_cli.simulate.actual import BoardShape
+from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import Lens, paper_robot
 

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import Rounds

@@ -16,7 +16,8 @@ from mobilecal_cli.simulate.imperfect import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
-from mobilecal_cli.solvers.maximum_likelihood import Solver, maximum_likelihood
+from mobilecal_cli.solvers import maximum_likelihood as recipe
+from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import with_pair, with_views
@@ -138,7 +139,7 @@ def test_encoders_on_two_topics_keep_their_steps(finer_deg):
 def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
     """The budget adds up exactly; noise levels make up all of it but the weak priors' share."""
     fit = maximum_likelihood(as_described(with_noise(noisy)))
-    budget = fit.lin.budget()
+    budget = fit.budget
     total = sum(budget.values())
     assert np.allclose(total, fit.lin.covariance, rtol=1e-9, atol=1e-15)
     assert np.abs(np.diag(budget["free"])[:9] / np.diag(total)[:9]).max() < 1e-4
@@ -149,7 +150,7 @@ def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
 def test_the_budget_of_an_unobservable_parameter_is_its_prior():
     fit = maximum_likelihood(with_noise(extraction_of("straight", seed=3)))
     k = NINE.index("separation")
-    budget = fit.lin.budget()
+    budget = fit.budget
     assert np.allclose(sum(budget.values()), fit.lin.covariance, rtol=1e-9, atol=1e-15)
     assert budget["unobservable"][k, k] > 0.99 * fit.lin.covariance[k, k]
 
@@ -284,8 +285,8 @@ def test_wrong_readings_of_a_long_log_are_judged_a_few_at_a_time(monkeypatch):
         joints = seen[at].joints.copy()
         joints[3] += 0.008  # nine sigma
         seen[at] = replace(seen[at], joints=joints)
-    rounds, decided = [], Solver.decided
-    monkeypatch.setattr(Solver, "decided", lambda self, fit: rounds.append(1) or decided(self, fit))
+    rounds, decided = [], recipe.once_decided
+    monkeypatch.setattr(recipe, "once_decided", lambda *at: rounds.append(1) or decided(*at))
     fit = maximum_likelihood(replace(log, observations=tuple(seen)))
     assert [tuple(at) for at in np.argwhere(~fit.inliers.readings)] == [(at, 3) for at in wrong]
     assert len(rounds) == 3  # three, three, and nothing more

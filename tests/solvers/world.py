@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.kinematics import Increments
-from mobilecal_cli.likelihood.dataset import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import Parameters, WheelGeometry
 
 WHEELS = WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870)

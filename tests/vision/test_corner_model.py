@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Board
-from mobilecal_cli.simulate.actual import BoardShape
+from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.vision import corner_model

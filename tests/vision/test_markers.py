@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers, Observation, Station
-from mobilecal_cli.simulate.actual import BoardShape
+from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.scenario import PRINTED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -34,8 +34,8 @@ from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.export.formats import Exported, Format, Request
-from mobilecal_cli.export.scene import CornerView, Motion, Scene, StationView, dark_squares
-from mobilecal_cli.model import Camera, FloatArray
+from mobilecal_cli.export.scene import Motion, Scene, dark_squares
+from mobilecal_cli.model import Camera, Corners, FloatArray
 
 _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15
@@ -68,7 +68,8 @@ def foxglove_mcap(scene: Scene) -> bytes:
     record "mobilecal" has the verdict of the calibration and its reasons.
     """
     messages = _Messages()
-    for motion, stations in zip(scene.motions, scene.stations, strict=True):
+    for log, motion in scene.motions.items():
+        stations = [k for k, o in enumerate(scene.extraction.observations) if o.log == log]
         _add_frames(messages, scene, motion)
         _add_surroundings(messages, scene, motion, stations)
         for station in stations:
@@ -148,9 +149,7 @@ def _add_frames(messages: _Messages, scene: Scene, motion: Motion) -> None:
         messages.add("/tf", time_ns, FrameTransforms(transforms=moving))
 
 
-def _add_surroundings(
-    messages: _Messages, scene: Scene, motion: Motion, stations: tuple[StationView, ...]
-) -> None:
+def _add_surroundings(messages: _Messages, scene: Scene, motion: Motion, stations: Sequence[int]) -> None:
     """Path of the base, camera poses and the board: one message each, valid for the whole recording."""
     start_ns, names = int(motion.time_ns[0]), scene.names
     stride = max(1, -(-len(motion.time_ns) // _MOST_POSES))
@@ -162,15 +161,14 @@ def _add_surroundings(
     for name, camera in zip(scene.cameras.names, scene.cameras.each, strict=True):
         info = _calibration(camera, names.cameras[name], start_ns)
         messages.add(f"/camera/{name}/calibration", start_ns, info)
-    if stations:
-        board = SceneEntity(
-            timestamp=_time(start_ns),
-            frame_id=names.board,
-            id="board",
-            frame_locked=True,
-            triangles=[_board_triangles(scene)],
-        )
-        messages.add("/board", start_ns, SceneUpdate(entities=[board]))
+    board = SceneEntity(
+        timestamp=_time(start_ns),
+        frame_id=names.board,
+        id="board",
+        frame_locked=True,
+        triangles=[_board_triangles(scene)],
+    )
+    messages.add("/board", start_ns, SceneUpdate(entities=[board]))
 
 
 def _board_triangles(scene: Scene) -> TriangleListPrimitive:
@@ -185,32 +183,33 @@ def _board_triangles(scene: Scene) -> TriangleListPrimitive:
     )
 
 
-def _camera_entity(scene: Scene, station: StationView, time_ns: int) -> SceneEntity:
+def _camera_entity(scene: Scene, station: int, time_ns: int) -> SceneEntity:
     """The first camera at one station as a small pyramid, in the world."""
     camera, tip = scene.cameras.first, np.zeros(3)
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
+    pose, name = _pose(scene.T_w_c[station]), scene.station_names[station]
     lines = LinePrimitive(
         type=LinePrimitive.LINE_LIST,
-        pose=_pose(station.T_w_c),
+        pose=pose,
         thickness=1.5,
         scale_invariant=True,
         points=_points3(np.array(segments)),
         color=_color(_BLUE),
     )
     label = TextPrimitive(
-        pose=_pose(station.T_w_c),
+        pose=pose,
         billboard=True,
         font_size=12,
         scale_invariant=True,
         color=_color(_BLUE),
-        text=station.name,
+        text=name,
     )
     return SceneEntity(
         timestamp=_time(time_ns),
         frame_id=scene.names.world,
-        id=f"station {station.name}",
+        id=f"station {name}",
         lines=[lines],
         texts=[label],
     )
@@ -236,30 +235,36 @@ def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
 # -- stations -------------------------------------------------------------------------------------
 
 
-def _add_station(messages: _Messages, scene: Scene, station: StationView) -> None:
-    time_ns, names = station.time_ns, scene.names
-    board = _transform(time_ns, names.world, names.board, station.T_w_k)
+def _add_station(messages: _Messages, scene: Scene, station: int) -> None:
+    observation, residuals, leg = (
+        scene.extraction.observations[station],
+        scene.residuals,
+        scene.legs.get(station),
+    )
+    time_ns, names, images = observation.time_ns, scene.names, scene.images.get(station, {})
+    board = _transform(time_ns, names.world, names.board, residuals.T_w_k[station])
     messages.add("/tf_board", time_ns, FrameTransforms(transforms=[board]))
-    for name, view in station.corners.items():
-        messages.add(f"/camera/{name}/corners", time_ns, _annotations(view, time_ns))
-        if view.jpeg:
+    for k, (name, corners) in enumerate(zip(scene.cameras.names, observation.views, strict=True)):
+        predicted = None if leg is None else residuals.predicted_px[k, leg]
+        messages.add(f"/camera/{name}/corners", time_ns, _annotations(corners, predicted, time_ns))
+        if name in images:
             image = CompressedImage(
-                timestamp=_time(time_ns), frame_id=names.cameras[name], data=view.jpeg, format="jpeg"
+                timestamp=_time(time_ns), frame_id=names.cameras[name], data=images[name], format="jpeg"
             )
             messages.add(f"/camera/{name}/image", time_ns, image)
-    if station.to_station:
+    if leg is not None:
         messages.add_json(
             "/residuals",
             time_ns,
-            station=station.name,
-            to_station=station.to_station,
-            reprojection_px=station.reprojection_px,
-            point_mm=1e3 * station.point_m,
+            station=scene.station_names[station],
+            to_station=scene.station_names[int(residuals.legs[leg, 1])],
+            reprojection_px=float(residuals.leg_reprojection_px[leg]),
+            point_mm=1e3 * float(residuals.leg_point_rms_m[leg]),
         )
-    messages.add_json("/station", time_ns, state=f"station {station.name}: used")
+    messages.add_json("/station", time_ns, state=f"station {scene.station_names[station]}: used")
 
 
-def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
+def _annotations(corners: Corners, predicted_px: FloatArray | None, time_ns: int) -> ImageAnnotations:
     """Detected corners green, predicted ones red, and yellow lines between them."""
 
     def marks(pixels: FloatArray, color: tuple[float, ...], kind: Any, thickness: float) -> PointsAnnotation:  # noqa: ANN401
@@ -273,10 +278,10 @@ def _annotations(view: CornerView, time_ns: int) -> ImageAnnotations:
             thickness=thickness,
         )
 
-    detected = view.detected[view.seen]
+    detected = corners.pixels[corners.seen]
     marked = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
-    if view.predicted is not None:
-        predicted = view.predicted[view.seen]
+    if predicted_px is not None:
+        predicted = predicted_px[corners.seen]
         pairs = np.stack([detected, predicted], axis=1).reshape(-1, 2)
         marked.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
         marked.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))

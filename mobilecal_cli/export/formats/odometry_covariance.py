@@ -13,7 +13,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.text import decimal, decimals
-from mobilecal_cli.kinematics import Arcs, Increments, integrate
+from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, encoder_sigmas
@@ -202,7 +202,7 @@ def _of_pose(
     """
     nothing = np.zeros((steps.legs, 2))
     whole = steps.with_ends(nothing, nothing)  # every leg has a step
-    arcs = Arcs.along(whole, wheels)
+    arcs = integrate(whole, wheels)
     d_psi, d_t = arcs.by_wheels()
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
     covariance = sum(leg_covariances(whole, wheels, noise).values()) + by_wheels @ C @ by_wheels.mT
@@ -211,7 +211,7 @@ def _of_pose(
     for at in (np.searchsorted(whole.leg, legs), np.searchsorted(whole.leg, legs, side="right") - 1):
         by_reading = arcs.sensitivity(at)
         covariance = covariance + (by_reading * variance) @ by_reading.mT
-    x, y = integrate(whole, wheels).t_m.T
+    x, y = arcs.t_m.T
     along = np.zeros((steps.legs, 3, 3))
     along[:, :2, :2] = se3.exp_so3(np.arctan2(y, x)[:, None] * [0.0, 0.0, 1.0])[:, :2, :2].mT
     along[:, 2, 2] = 1.0

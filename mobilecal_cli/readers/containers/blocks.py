@@ -15,14 +15,16 @@ from typing import ClassVar
 import numpy as np
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
+    LEAST_STEP_NS,
     SIZE_LIMIT,
     Extent,
     RawMessage,
     Storage,
+    goes_back,
+    steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, Payload
 

@@ -19,7 +19,6 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.steps import goes_back, steps_back
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     SIZE_LIMIT,
@@ -27,7 +26,9 @@ from mobilecal_cli.readers.containers.storage import (
     Extent,
     RawMessage,
     Storage,
+    goes_back,
     message_payload,
+    steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import DefinitionFormat

@@ -40,8 +40,14 @@ from mobilecal_cli.readers.signals.series import (
     order_notes,
     pause_notes,
 )
-from mobilecal_cli.readers.signals.sides import sides_of
-from mobilecal_cli.readers.signals.wheels import Counter, Odometry, from_positions, from_velocities, gap_notes
+from mobilecal_cli.readers.signals.wheels import (
+    Counter,
+    Odometry,
+    from_positions,
+    from_velocities,
+    gap_notes,
+    sides_of,
+)
 
 #: Takes a message, its time (stamp or log time) and its log time.
 Taker = Callable[[Any, int, int], None]

@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.ranges import READING
-from mobilecal_cli.readers.containers.steps import LEAST_STEP_NS, steps_of
+from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

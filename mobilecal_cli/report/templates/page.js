@@ -3,7 +3,7 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const report = JSON.parse($("data").textContent);
-  const { stations, legs, paths, board } = report;
+  const { stations, legs, paths, board, robot } = report;
   // A link of the contents opens its section.
   const open = () => {
     const target = location.hash && $(location.hash.slice(1));
@@ -17,7 +17,7 @@
     own: element.dataset.s.split(" ").map(Number),
   }));
   const list = $("station"), view = $("view"), said = $("picked"), context = view.getContext("2d");
-  let picked = -1, log = stations[0].log, yaw = -0.9, pitch = 0.5, zoom = 1;
+  let picked = -1, log = stations[0].log, yaw = -0.9, pitch = 0.5, zoom = 1, close = false;
 
   const several = new Set(stations.map((s) => s.log)).size > 1;
   const name = (k) => (several ? `${stations[k].log}:${stations[k].station}` : `${stations[k].station}`);
@@ -36,8 +36,19 @@
       copy.hidden = false;
       return copy;
     }));
-    said.textContent = k < 0 ? "Pick a station: all plots highlight it. Red: its view of the board against the mean, magnified 10 times." : describe(k);
+    tell();
     draw();
+  }
+  function tell() {
+    if (close) said.textContent = describeRobot();
+    else if (picked >= 0) said.textContent = describe(picked);
+    else said.textContent = "Pick a station: all plots highlight it. Red: its view of the board against the mean, magnified 10 times.";
+  }
+  function describeRobot() {
+    const place = (T) => T.map((row) => row[3].toFixed(4)).join(", ");
+    const { frames, cameras } = atStation(shown());
+    const poses = cameras.map(([label, T]) => `${label} at ${place(T)} m`);
+    return `Robot at station ${name(shown())}, in ${frames[0][0]}: ${poses.join("; ")}. Axes: x red, y green, z blue.`;
   }
   function describe(k) {
     const s = stations[k];
@@ -63,25 +74,53 @@
 
   // -- view in space --------------------------------------------------------------------------------
   const at = (T, p) => T.map((row) => row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3]);
+  const shown = () => Math.max(picked, 0);
+  const times = (A, B) => A.map((row) => [0, 1, 2, 3].map((k) => row[0] * B[0][k] + row[1] * B[1][k] + row[2] * B[2][k] + (k === 3 ? row[3] : 0)));
+  // Motion of a joint, as three rows: along its axis, or about it (Rodrigues).
+  function motion({ axis, prismatic }, reading) {
+    const length = Math.hypot(...axis), angle = prismatic ? 0 : reading * length, [c, s] = [Math.cos(angle), Math.sin(angle)];
+    const [x, y, z] = axis.map((v) => v / (length || 1)), across = [[0, -z, y], [z, 0, -x], [-y, x, 0]];
+    return [x, y, z].map((v, i) => [...[x, y, z].map((w, k) => (i === k ? c : 0) + (1 - c) * v * w + s * across[i][k]),
+      prismatic ? axis[i] * reading : 0]);
+  }
+  // The robot's frames at a station in its base, and the reference camera as estimated and as described.
+  function atStation(k) {
+    let T = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]];
+    const frames = [[robot.base_frame, T]];
+    for (const frame of robot.frames) {
+      T = times(times(T, frame.T_parent_frame), motion(frame, stations[k].joints[frame.name] || 0));
+      frames.push([frame.name, T]);
+    }
+    const cameras = [["estimated camera", times(T, robot.camera)]];
+    if (robot.nominal_camera) cameras.push(["nominal camera", times(T, robot.nominal_camera)]);
+    return { frames, cameras };
+  }
   const corners = [[-1, -1], [board.columns, -1], [board.columns, board.rows], [-1, board.rows]]
     .map(([x, y]) => [x * board.square_mm / 1000, y * board.square_mm / 1000, 0]);
   const mean = (points) => points.reduce((sum, p) => sum.map((v, k) => v + p[k] / points.length), [0, 0, 0]);
   let project, ends = [];
 
+  function extent(all) {
+    const low = [0, 1, 2].map((k) => Math.min(...all.map((p) => p[k])));
+    const high = [0, 1, 2].map((k) => Math.max(...all.map((p) => p[k])));
+    const size = Math.max(Math.hypot(...high.map((v, k) => v - low[k])), 0.1);
+    return { middle: low.map((v, k) => (v + high[k]) / 2), low, high, size };
+  }
   function prepare() {
     const own = stations.filter((s) => s.log === log);
     const path = (paths.find((p) => p.log === log) || { points_m: [] }).points_m.map(([x, y]) => [x, y, 0]);
     const boards = own.map((s) => corners.map((c) => at(s.T_world_board, c)));
     const cameras = own.map((s) => at(s.T_world_camera, [0, 0, 0]));
     const all = [...path, ...cameras, ...boards.flat(), ...own.map((s) => at(s.T_world_base, [0, 0, 0]))];
-    const low = [0, 1, 2].map((k) => Math.min(...all.map((p) => p[k])));
-    const high = [0, 1, 2].map((k) => Math.max(...all.map((p) => p[k])));
-    const size = Math.max(Math.hypot(...high.map((v, k) => v - low[k])), 0.1);
-    return { own, path, boards, middle: low.map((v, k) => (v + high[k]) / 2), low, high, size,
-      usual: corners.map((_, k) => mean(boards.map((b) => b[k]))) };
+    return { own, path, boards, ...extent(all), usual: corners.map((_, k) => mean(boards.map((b) => b[k]))) };
+  }
+  function prepareRobot() {
+    const scene = atStation(shown()), origins = [...scene.frames, ...scene.cameras].map(([, T]) => at(T, [0, 0, 0]));
+    const around = extent(origins);
+    return { ...scene, origins, ...around, size: 1.4 * around.size }; // room for axes and names
   }
   function draw() {
-    const { own, path, boards, middle, low, high, size, usual } = prepare();
+    const scene = close ? prepareRobot() : prepare(), { middle, low, high, size } = scene;
     const wide = view.clientWidth, tall = view.clientHeight;
     if (!wide) return; // its section is collapsed
     const dense = window.devicePixelRatio || 1;
@@ -105,43 +144,62 @@
       context.lineWidth = width;
       context.stroke();
     };
+    const camera = (T, far, width, ink) => {
+      const rim = [[-1, -0.75], [1, -0.75], [1, 0.75], [-1, 0.75]].map(([x, y]) => at(T, [x * far / 2, y * far / 2, far]));
+      line(rim, ink, width, true);
+      rim.forEach((p) => line([at(T, [0, 0, 0]), p], ink, width * 0.7));
+    };
+    const names = [];
+    const axes = (T, length, labeled) => [["x", "red", [length, 0, 0]], ["y", "green", [0, length, 0]], ["z", "blue", [0, 0, length]]]
+      .forEach(([axis, ink, end]) => {
+        line([at(T, [0, 0, 0]), at(T, end)], ink, 2.5);
+        if (labeled) names.push([axis, true, ...project(at(T, end))]);
+      });
+    ends = [];
+    if (close) {
+      const { frames, cameras, origins } = scene;
+      line(origins.slice(0, frames.length + 1), "faint", 3);
+      frames.forEach(([, T]) => axes(T, 0.15 * size));
+      cameras.forEach(([, T], k) => camera(T, 0.2 * size, k ? 1 : 2, k ? "soft" : "orange"));
+      [...cameras, ...frames.reverse()].forEach(([text, T], k) => names.push([text, k < 1, ...project(at(T, [0, 0, 0]))]));
+    } else drawStations(scene, line, axes, camera, names);
+    scaleBar(unit, wide, tall, color("ink"), names);
+    write(names, color);
+  }
+  function drawStations({ own, path, boards, low, high, usual }, line, axes, camera, names) {
     const grid = [Math.floor(low[0]), Math.ceil(high[0]), Math.floor(low[1]), Math.ceil(high[1])];
     const every = Math.max(1, Math.round((grid[1] - grid[0] + grid[3] - grid[2]) / 30));
     for (let x = grid[0]; x <= grid[1]; x += every) line([[x, grid[2], 0], [x, grid[3], 0]], "line");
     for (let y = grid[2]; y <= grid[3]; y += every) line([[grid[0], y, 0], [grid[1], y, 0]], "line");
     line(path, "soft", 1.5);
-    ends = [];
-    const names = [];
-    // Axes of the world, the base at the first station, half a meter long.
-    [["x", "red", [0.5, 0, 0]], ["y", "green", [0, 0.5, 0]], ["z", "blue", [0, 0, 0.5]]].forEach(([axis, ink, end]) => {
-      line([[0, 0, 0], end], ink, 2.5);
-      names.push([axis, true, ...project(end)]);
-    });
+    axes([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], 0.5, true); // the world: the base at the first station
     own.forEach((station, n) => {
       const k = stations.indexOf(station), on = k === picked, faded = picked >= 0 && !on;
       context.globalAlpha = faded ? 0.3 : 1;
       const base = (p) => at(station.T_world_base, p), eye = (p) => at(station.T_world_camera, p);
       line([[0.12, 0, 0], [-0.08, 0.08, 0], [-0.08, -0.08, 0]].map(base), "blue", on ? 3 : 1.5, true);
       line([base([0, 0, 0]), eye([0, 0, 0])], "faint", 1);
-      const far = 0.16, rim = [[-1, -0.75], [1, -0.75], [1, 0.75], [-1, 0.75]].map(([x, y]) => eye([x * far / 2, y * far / 2, far]));
-      line(rim, "orange", on ? 2.5 : 1.2, true);
-      rim.forEach((p) => line([eye([0, 0, 0]), p], "orange", on ? 2 : 0.8));
+      camera(station.T_world_camera, 0.16, on ? 2.5 : 1.2, "orange");
       line(boards[n], "green", on ? 3 : 1, true);
       if (on) boards[n].forEach((p, i) => line([usual[i], usual[i].map((v, a) => v + 10 * (p[a] - v))], "red", 2));
       context.globalAlpha = 1;
       ends.push([k, project(base([0, 0, 0]))], [k, project(eye([0, 0, 0]))]);
       if (on || own.length <= 40) names[on ? "unshift" : "push"]([name(k), on, ...project(base([0, 0, 0]))]);
     });
-    // A scale bar: the longest round length that fits.
-    const meters = [0.1, 0.2, 0.5, 1, 2, 5, 10].filter((length) => length * unit < wide / 3).pop() || 0.1;
+  }
+  // The longest round length that fits.
+  function scaleBar(unit, wide, tall, ink, names) {
+    const meters = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10].filter((length) => length * unit < wide / 3).pop() || 0.01;
     context.beginPath();
     context.moveTo(12, tall - 12);
     context.lineTo(12 + meters * unit, tall - 12);
-    context.strokeStyle = color("ink");
+    context.strokeStyle = ink;
     context.lineWidth = 2;
     context.stroke();
-    names.push([`${meters} m`, true, 12 + meters * unit, tall - 15]);
-    // Names over the lines; the picked one first, and none over another.
+    names.unshift([`${meters} m`, true, 12 + meters * unit, tall - 15]);
+  }
+  // Names over the lines; the first ones first, and none over another.
+  function write(names, color) {
     const taken = [];
     context.lineWidth = 3;
     context.lineJoin = "round";
@@ -204,6 +262,12 @@
   });
   $("closer").addEventListener("click", () => scale(1.25));
   $("farther").addEventListener("click", () => scale(0.8));
+  $("robot").addEventListener("click", () => {
+    [close, zoom] = [!close, 1];
+    $("robot").setAttribute("aria-pressed", close);
+    tell();
+    draw();
+  });
   $("above").addEventListener("click", () => { [yaw, pitch, zoom] = [0, Math.PI / 2, 1]; draw(); });
   window.addEventListener("resize", draw);
   $("stations").addEventListener("toggle", draw);

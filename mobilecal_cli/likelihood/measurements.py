@@ -1,0 +1,264 @@
+"""The measurements of all stations as arrays, and the legs between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
+from mobilecal_cli.model import (
+    BoolArray,
+    CameraRig,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    Track,
+    WheelTrack,
+)
+
+_RATE_INTERVAL_S = 0.04  # rates are differences over this time
+_LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
+_AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
+
+#: Columns of a station's base block: base pose (x, y, heading), encoder errors (right, left), processes (roll, pitch
+#: and height of the floor, scale of the right and left wheel), and the stamp's error.
+BASE, ENCODERS, PROCESSES, STAMP = slice(0, 3), slice(3, 5), slice(5, 10), 10
+FLOOR, SCALES = slice(5, 8), slice(8, 10)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionPairs:
+    """Pairs of stations that a leg joins, and what cameras, joints and wheels measured there (eq. 3).
+
+    Attributes:
+        T_v_h: (N, 4, 4) head in the base, from the joint readings.
+        T_c_k: (N, 4, 4) board in the first camera.
+        points_c: (N, M, 3) triangulated corners, m.
+        legs: (L, 2) first and second station of each leg.
+        chain: (L,) first leg of the recording that the leg belongs to; legs of a recording are consecutive.
+        steps: wheel rotations along the legs.
+    """
+
+    T_v_h: FloatArray
+    T_c_k: FloatArray
+    points_c: FloatArray
+    legs: IntArray
+    chain: IntArray
+    steps: Increments
+
+    def select(self, legs: IntArray) -> MotionPairs:
+        """Some legs alone (increasing indices), each as a recording of its own."""
+        return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorMotions:
+    """How a planar sensor on the head moved over each leg, in its own frame at the start.
+
+    Attributes:
+        motion: (L, 3) x, y (m) and heading (rad).
+        covariance: (L, 3, 3) as stated.
+    """
+
+    motion: FloatArray
+    covariance: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """The measurements of N stations of one or several recordings.
+
+    Attributes:
+        cameras, chain: the stated geometry.
+        points_k: (M, 3) corners on the board, m.
+        pixels: (N, C, M, 2) corners in the images of C cameras, px.
+        seen: (N, C, M) corners that were detected; the others are no measurements.
+        whitening: (N, C, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
+            the noise level: the claims of all stations' usual corners have rms 1.
+        pose_weight: (N, 6, 6) inverse covariance of a measured board pose, left perturbation, as stated; 0 where
+            corners were detected.
+        T_c_k, T_c_k_cov: (N, 4, 4) and (N, 6, 6) board pose of each station by itself, left perturbation.
+        points_c: (N, M, 3) triangulated corners, m.
+        joints: (N, J) readings.
+        joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
+        moving: (N,) stations that are not at rest: there, the offset of a clock matters.
+        approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
+        log: (N,) the recording of each station. Each recording has a board pose of its own.
+        legs: (L, 2) consecutive stations of one recording.
+        tracks: wheels of each recording.
+        motions: of a planar sensor over each leg; None where there is none.
+        times_ns: (N,) the stations' stamps.
+        encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
+        several_wheels: a side has more than one wheel.
+    """
+
+    cameras: CameraRig
+    chain: HeadChain
+    points_k: FloatArray
+    pixels: FloatArray
+    seen: BoolArray
+    whitening: FloatArray
+    pose_weight: FloatArray
+    T_c_k: FloatArray
+    T_c_k_cov: FloatArray
+    points_c: FloatArray
+    joints: FloatArray
+    joint_tracks: tuple[tuple[Track, ...], ...]
+    moving: BoolArray
+    approach_direction: FloatArray
+    log: IntArray
+    legs: IntArray
+    tracks: tuple[WheelTrack, ...]
+    motions: SensorMotions | None
+    times_ns: IntArray
+    encoder_step_rad: FloatArray
+    several_wheels: bool
+
+    @property
+    def stations(self) -> int:
+        """Number of stations."""
+        return len(self.joints)
+
+    @property
+    def logs(self) -> int:
+        """Number of recordings, also of those without stations."""
+        return len(self.tracks)
+
+    @property
+    def posed(self) -> BoolArray:
+        """(N,) stations whose board pose was measured, not its corners."""
+        return np.asarray(~self.seen.any(axis=(1, 2)))
+
+    @property
+    def base_width(self) -> int:
+        """Unknowns of a station that legs couple, see `BASE`, `ENCODERS`, `PROCESSES`, and in motion `STAMP`."""
+        return STAMP + 1 if self.moving.any() and self.joint_tracks else STAMP
+
+    @property
+    def own_width(self) -> int:
+        """Unknowns of a station that nothing couples to others: its joint errors, and the base's sway (3)."""
+        return int(self.joints.shape[1]) + 3
+
+    @property
+    def joint_units(self) -> FloatArray:
+        """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
+        return np.array(self.chain.joint_units)
+
+    @property
+    def encoder_shares(self) -> FloatArray:
+        """(2,) encoder noise of the right and left wheel in units of the coarser one's: as their steps."""
+        coarser = self.encoder_step_rad.max()
+        if coarser == 0:
+            return np.ones(2)
+        return np.asarray(np.maximum(self.encoder_step_rad / coarser, _LEAST_ENCODER_SHARE))
+
+    @cached_property
+    def drives(self) -> BoolArray:
+        """(N,) stations of recordings in which the base moves: there the floor differs from station to station."""
+        turned = np.abs(self._steps_as_stamped.totals_rad).max(axis=1, initial=0.0)
+        moved = turned > _AT_REST_RAD + 2 * self.encoder_step_rad.max()
+        return np.isin(self.log, self.log[self.legs[moved, 0]])
+
+    @property
+    def first(self) -> BoolArray:
+        """(N,) the first station of each recording, whose base pose is the world's origin."""
+        first = np.ones(self.stations, dtype=np.bool_)
+        first[self.legs[:, 1]] = False
+        return first
+
+    # -- stamps in motion -------------------------------------------------------------------------
+
+    def stamps_ns(self, time_offset_s: float) -> IntArray:
+        """(N,) stamps of the images by another clock. Stations at rest keep theirs."""
+        return np.asarray(self.times_ns + self.moving * round(time_offset_s * 1e9), dtype=np.int64)
+
+    def joint_shift(self, time_offset_s: float) -> FloatArray:
+        """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
+        shift = np.zeros_like(self.joints)
+        for number, tracks in enumerate(self.joint_tracks):
+            mine = self.log == number
+            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
+            for j, track in enumerate(tracks):
+                shift[mine, j] = track.at(after) - track.at(before)
+        return shift
+
+    def joint_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
+        late, early = time_offset_s + _RATE_INTERVAL_S / 2, time_offset_s - _RATE_INTERVAL_S / 2
+        return np.asarray((self.joint_shift(late) - self.joint_shift(early)) / _RATE_INTERVAL_S)
+
+    def wheel_rates(self, time_offset_s: float) -> FloatArray:
+        """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
+        rates = np.zeros((self.stations, 2))
+        for number, track in enumerate(self.tracks):
+            mine = self.log == number
+            late, early = (
+                self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
+            )
+            for k, wheel in enumerate((track.right, track.left)):
+                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
+        return rates
+
+    # -- legs -------------------------------------------------------------------------------------
+
+    def steps(self, time_offset_s: float = 0.0) -> Increments:
+        """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
+        if time_offset_s == 0 or not self.moving.any():
+            return self._steps_as_stamped
+        return self._cut(self.stamps_ns(time_offset_s))
+
+    @cached_property
+    def _steps_as_stamped(self) -> Increments:
+        return self._cut(self.times_ns)
+
+    def _cut(self, stamps_ns: IntArray) -> Increments:
+        parts = []
+        for number, track in enumerate(self.tracks):
+            times = stamps_ns[self.log == number]
+            if len(times) > 1:
+                at = np.clip(times, track.time_ns[0], track.time_ns[-1])
+                parts.append(cut_at(track, at, rates=self.several_wheels))
+        return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+
+    @cached_property
+    def pairs(self) -> MotionPairs:
+        """The legs as the linear method and eqs. 18 and 19 take them."""
+        T_v_h = head_pose(self.chain, self.joints)
+        log = self.log[self.legs[:, 0]]
+        chain = np.searchsorted(log, log)
+        return MotionPairs(T_v_h, self.T_c_k, self.points_c, self.legs, chain, self.steps())
+
+    # -- parts ------------------------------------------------------------------------------------
+
+    def of_log(self, log: int) -> Self:
+        """The stations and legs of one recording."""
+        mine = self.log == log
+        legs = mine[self.legs[:, 0]]
+        number = np.cumsum(mine) - 1
+        return replace(
+            self,
+            **{name: getattr(self, name)[mine] for name in _BY_STATION},
+            joint_tracks=self.joint_tracks[log : log + 1],
+            log=np.zeros(int(mine.sum()), dtype=np.int64),
+            legs=number[self.legs[legs]],
+            motions=self.motions and SensorMotions(self.motions.motion[legs], self.motions.covariance[legs]),
+            tracks=self.tracks[log : log + 1],
+        )
+
+
+_BY_STATION = (
+    "pixels",
+    "seen",
+    "whitening",
+    "pose_weight",
+    "T_c_k",
+    "T_c_k_cov",
+    "points_c",
+    "joints",
+    "moving",
+    "approach_direction",
+    "times_ns",
+)

@@ -1,0 +1,357 @@
+"""Fits of one extraction to given inliers: parameters, noise levels and scales of the priors, found together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import MotionSeen, motion_seen
+from mobilecal_cli.likelihood import jumps, nuisance
+from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
+from mobilecal_cli.likelihood.board_corners import corner_modes
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.likelihood.processes import LENGTHS
+from mobilecal_cli.likelihood.state import State, cameras_at
+from mobilecal_cli.model import NINE, Extraction, FloatArray, Noise, Parameters
+from mobilecal_cli.solvers import outliers
+from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.noise import (
+    UNIFORM,
+    Component,
+    LevelSearch,
+    components,
+    converged,
+    estimated,
+    lengths,
+    widths,
+)
+from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
+
+NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
+_NOISE_ROUNDS, _NOISE_FITS = 60, 20
+_OBSERVABILITY_ROUNDS = 8
+#: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
+_STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """Accuracy of a fit.
+
+    Attributes:
+        levels: relative tolerance of the noise levels that are found to first order; after a fit, `_HELD` times it.
+        near: end of an optimization, see `optimize`.
+    """
+
+    levels: float
+    near: float
+
+
+_COARSE, _QUICK = Tolerances(0.1, NEAR), Tolerances(0.1, 1e-3)
+FINE = Tolerances(0.015, NEAR)
+_HELD = 2.0
+
+
+def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset) -> Dataset:
+    """The measurements, with all constants that they can show under the priors of rig.yaml and of the user.
+
+    Raises:
+        ConfigError: see `Constraints.check`.
+    """
+    rig = extraction.rig
+    described = nuisance.table(rig.cameras, rig.chain)
+    rows = (*described, *corner_modes(data, described))
+    constraints.check([row.name for row in rows], rig.nominal)
+    sigmas = dict(rig.prior_sigmas)
+    if extraction.board.square_m is None:
+        sigmas["square_scale"] = NO_SQUARE
+    sigmas |= dict.fromkeys(nuisance.names_of(constraints.constants, rows), math.inf)
+    sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
+    sigmas |= dict.fromkeys(constraints.fixed, math.inf)
+    offered = (row for row in rows if row.effect.offered(data))
+    return data.with_constants(tuple(nuisance.with_priors(offered, sigmas)))
+
+
+@dataclass(frozen=True, eq=False)
+class Inference:
+    """One extraction under the user's constraints and priors.
+
+    Attributes:
+        data: the measurements, and the constants that are estimated.
+        constraints: the user's.
+        motion: what joints and wheels move.
+        nominal: where the linear method starts from.
+        levels: noise levels that rig.yaml states.
+        guess: noise levels before the residuals are known.
+        coarse: tolerances while outliers are searched for.
+        scales_stay: the priors of each kind of constants keep their scale.
+        on_step: called before each step of an optimization.
+    """
+
+    data: Dataset
+    constraints: Constraints
+    motion: MotionSeen
+    nominal: InitialPrior
+    levels: Mapping[str, float]
+    guess: Noise
+    coarse: Tolerances
+    scales_stay: bool
+    on_step: Callable[[], None]
+
+    @classmethod
+    def of(
+        cls,
+        extraction: Extraction,
+        constraints: Constraints,
+        on_step: Callable[[], None] = lambda: None,
+        data: Dataset | None = None,
+    ) -> Inference:
+        """That of an extraction; `data` has its measurements, if they were gathered before.
+
+        Raises:
+            ConfigError: a constraint that this robot cannot have.
+        """
+        data = dataset_for(extraction, constraints, data or dataset_of(extraction))
+        nominal, T_h_c = extraction.rig.nominal, None
+        if nominal.T_h_reference is not None:
+            T_h_c = nominal.T_h_reference @ se3.inverse(extraction.rig.cameras.T_c_reference)
+        head_eye_fixed = all(name in constraints.fixed for name in NINE[:6])
+        encoder_rad = float(data.encoder_step_rad.max()) * UNIFORM
+        return cls(
+            data=data,
+            constraints=constraints,
+            motion=motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad),
+            nominal=InitialPrior(T_h_c, nominal.wheels, head_eye_fixed),
+            levels=extraction.rig.noise.given,
+            guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
+            coarse=_QUICK if data.stations >= outliers.LONG_RECORDING else _COARSE,
+            scales_stay=False,
+            on_step=on_step,
+        )
+
+    @property
+    def given(self) -> frozenset[str]:
+        """Names of the noise levels that are not estimated."""
+        return frozenset(self.levels)
+
+    # -- initial parameters -----------------------------------------------------------------------
+
+    @property
+    def full_motion(self) -> bool:
+        """Whether the motion shows all nine, so that the linear method applies as it is."""
+        motion = self.motion
+        return motion.tilts and motion.turns and motion.drives and not self.nominal.head_eye_fixed
+
+    def initial(self) -> Parameters:
+        """Linear parameters from all legs."""
+        if self.full_motion:
+            return linear_estimate(self.data.pairs, self.nominal.wheels).parameters
+        return initial_with_prior(self.data.pairs, self.nominal, self.motion)
+
+    def initial_of(self, pairs: MotionPairs, near: Parameters) -> Parameters:
+        """Linear parameters from a few legs, from parameters that are nearly right."""
+        if self.full_motion:
+            return Rounds(pairs).after(ratios_of(near.wheels), FEW_ROUNDS)
+        return initial_with_prior(pairs, self.nominal, self.motion)
+
+    # -- priors -------------------------------------------------------------------------------------
+
+    def _anchor(self, present: Parameters) -> Parameters:
+        """Where displacements count from: nominal values where there are any, the present ones otherwise."""
+        T_h_c, wheels = self.nominal.T_h_c, self.nominal.wheels
+        return Parameters(present.T_h_c if T_h_c is None else T_h_c, wheels or present.wheels)
+
+    def _user_weight(self, priors: Priors) -> FloatArray:
+        """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
+        given = [name in self.constraints.priors for name in NINE]
+        return np.where(given + [True] * len(self.data.layout.constants), priors.weight, 0.0)
+
+    def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
+        """Priors from nominal values and from the user, and what the user fixed.
+
+        Values of the head-eye transform are those of the reference camera. Displacements are the first camera's: the
+        reference camera's differ from them as far as the state's cameras differ from the stated ones.
+
+        Args:
+            state: where displacements count from without a nominal value, and the cameras.
+            unobservable: (K, 9) directions that keep their prior.
+        """
+        layout, anchor = self.data.layout, self._anchor(state.parameters)
+        scales = layout.prior_sigmas(anchor.wheels)
+        stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
+        meant = anchor.seen_from(stated)
+        apart = state.parameters.seen_from(cameras.T_c_reference).minus(meant) - state.parameters.minus(
+            anchor
+        )
+        origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
+        has_prior = np.ones(layout.size, dtype=np.bool_)
+        has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
+        mean, weight = np.zeros(layout.size), np.where(has_prior, scales**-2, 0.0)
+        for name, (value, sigma) in self.constraints.priors.items():
+            if name in layout.names:  # one of several recordings may not show a constant
+                k = layout.names.index(name)
+                mean[k], weight[k] = value - origin[k], sigma**-2
+        fixed = np.array([name in self.constraints.fixed for name in layout.names])
+        for k in np.flatnonzero(fixed).tolist():
+            exact = self.constraints.fixed[layout.names[k]]
+            mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
+        mean[: len(NINE)] -= apart
+        kinds = {row.name: row.kind for row in layout.constants}
+        alike = [
+            kinds.get(name, CORNERS) != CORNERS and name not in self.constraints.priors
+            for name in layout.names
+        ]
+        kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
+        return Priors(layout, anchor, mean, weight, fixed, scales, kept, np.array(alike), {})
+
+    def _require_nominal(self, unobservable: FloatArray) -> None:
+        """Refuse to keep the prior of a parameter that has none.
+
+        Raises:
+            SolveError: naming the parameters and what is missing.
+        """
+        names = NINE
+        needed = {names[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)}
+        missing = []
+        if self.nominal.T_h_c is None and needed & set(NINE[:6]):
+            missing.append("nominal.head_eye")
+        if self.nominal.wheels is None and needed & set(NINE[6:]):
+            missing.append("nominal.wheels")
+        if missing:
+            fixable = sorted(needed - {*NINE[:3]})  # rotations are relative to the nominal one
+            other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
+            raise SolveError(
+                f"no nominal value ({', '.join(missing)}) for unobservable parameters: "
+                f"{', '.join(n for n in names if n in needed)}",
+                f"set {' and '.join(missing)} in rig.yaml{other}, or record the missing motion",
+            )
+
+    # -- fits ---------------------------------------------------------------------------------------
+
+    def first_noise(self, own_px: FloatArray) -> Noise:
+        """Supposed levels: given ones, the corners' own scatter, and a guess."""
+        return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
+
+    def fit(self, state: State, inliers: Inliers, noise: Noise, tolerances: Tolerances | None = None) -> Fit:
+        """Optimize. Unobservable directions keep their prior; repeated until these directions do not change.
+
+        Args:
+            state: where to start.
+            inliers, noise: the measurements that are used, and their noise.
+            tolerances: `coarse` by default.
+        """
+        start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
+        return self._fit_from(start, (tolerances or self.coarse).near)
+
+    def _fit_from(self, start: Posterior, near: float) -> Fit:
+        for _ in range(_OBSERVABILITY_ROUNDS):
+            user = self._user_weight(start.priors)
+            unobservable = directions(start, user).unobservable
+            self._require_nominal(unobservable)
+            priors = self.priors(start.state, unobservable)
+            optimum = optimize(start.under(priors), near, self.on_step)
+            shown = directions(optimum.lin, user)
+            again = self.priors(optimum.lin.state, unobservable)
+            still = bool(np.all(np.abs(again.mean - priors.mean)[priors.fixed] < _STILL))
+            if _same_space(shown.unobservable, unobservable) and still:
+                break
+            start = optimum.lin.under(self.priors(optimum.lin.state))
+        return self._fitted(optimum.lin, optimum.history, shown)
+
+    def refit(self, fit: Fit, inliers: Inliers) -> Fit:
+        """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
+        start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
+        optimum = optimize(start, self.coarse.near, self.on_step)
+        return self._fitted(optimum.lin, optimum.history, fit.directions)
+
+    def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
+        return Fit(lin, costs, components(lin), shown, self.given)
+
+    def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
+        """A fit of other inliers, with noise levels of its own, to first order: residuals follow the parameters.
+
+        Raises:
+            SolveError: a singular matrix.
+        """
+        lin = fit.lin.with_inliers(inliers)
+        lin = lin.predicted(proposed(lin)[0])
+        lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
+        return replace(fit, lin=lin, components=shown)
+
+    def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
+        """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
+        tolerances = tolerances or self.coarse
+        fitted = self.coarse.near <= tolerances.near
+        for _ in range(_NOISE_FITS):
+            _, _, noise = self._levels_near(fit.lin, fit.components, tolerances.levels)
+            if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
+                break
+            lin = fit.lin.with_noise(noise).renewed()
+            fit = self._fit_from(lin.under(self.priors(lin.state)), tolerances.near)
+            fitted = True
+        return fit
+
+    def jump(self, fit: Fit) -> jumps.Jump | None:
+        """The jump inside a recording that explains the residuals best; None where none is significant.
+
+        What looks like one is tested at the noise levels of the residuals without it.
+        """
+        jump = jumps.likeliest(fit.lin)
+        if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
+            return None
+        lin = jumps.without(fit.lin, jump)
+        lin = lin.predicted(proposed(lin)[0])
+        lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+        jump = jumps.again(lin, jump)
+        return jump if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump) else None
+
+    def _levels_near(
+        self,
+        lin: Posterior,
+        shown: Mapping[str, Component],
+        tolerance: float,
+        kept: frozenset[str] = frozenset(),
+    ) -> tuple[Posterior, Mapping[str, Component], Noise]:
+        """Noise levels that agree with the residuals, which follow the parameters to first order.
+
+        Args:
+            lin, shown: where to start, and what its residuals show.
+            tolerance: relative.
+            kept: names of levels that stay, beside those that are given.
+
+        Returns:
+            The last point, what its residuals show, and the levels that follow from them.
+        """
+        given = self.given | kept
+        search = LevelSearch(given)
+        for _ in range(_NOISE_ROUNDS):
+            noise = estimated(lin.noise, shown, given, self.guess)
+            wider = lin.noise.wider if self.scales_stay else widths(lin)
+            noise = replace(noise, **lengths(lin, given, self.guess), wider=wider)
+            if converged(lin.noise, noise, tolerance):
+                break
+            lin = lin.with_noise(search.next(lin.noise, noise))
+            lin = lin.predicted(proposed(lin)[0])
+            shown = components(lin)
+        return lin, shown, noise
+
+
+def _same_space(a: FloatArray, b: FloatArray) -> bool:
+    """Whether two sets of orthonormal rows span nearly the same space."""
+    if len(a) != len(b):
+        return False
+    return not len(a) or bool(np.linalg.svd(a @ b.T)[1].min() > 0.999)
