@@ -23,7 +23,7 @@ def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.nd
     assert found is not None
     error = errors(solution.parameters, robot)
     nees = float(error @ np.linalg.solve(found.covariance, error)) / 9
-    offsets = np.array([solution.constants[name] for name in _CLOCKS])
+    offsets = np.array([[solution.constants[name].value, solution.constants[name].std] for name in _CLOCKS])
     return error, found.std, nees, offsets[:, 0] + _LATE_S, offsets[:, 1], len(solution.outliers)
 
 
