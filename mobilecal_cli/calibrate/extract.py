@@ -251,8 +251,8 @@ def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Sna
     places = [s for s, each in enumerate(snapshots) if each.thumbnail]
     rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
     others = [s for s in places if s not in set(rejected)]
-    few = min(len(rejected), max(THUMBNAILS // 2, THUMBNAILS - len(others)))
-    kept = {*_spread(rejected, few), *_spread(others, THUMBNAILS - few)}
+    few = _spread(rejected, THUMBNAILS // 2)
+    kept = {*few, *_spread(others, THUMBNAILS - len(few))}
     bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
     return tuple(each for each in bounded if each.jpegs or each.thumbnail)
 
