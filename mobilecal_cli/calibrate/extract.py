@@ -80,8 +80,6 @@ def describe(
     Numbers in other messages are read only if no wheel is known without them.
 
     Args:
-        recording: the open recording.
-        config: the configuration.
         urdf_text: text of the URDF to use in place of the one in the recording.
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
 
