@@ -52,7 +52,7 @@ def follow(
     grid = expected.reshape(rows, columns, 2)
     if (small := check_size(grid)) is not None:
         return small
-    grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole)
+    grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole, tracked=True)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
     fit, grid_map = fit_board(image, grid, appearance.outer_whole, appearance)
