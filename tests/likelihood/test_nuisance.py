@@ -83,7 +83,7 @@ def test_a_made_up_constant_has_a_prior_and_a_share_of_the_budget():
 @pytest.mark.usefixtures("table")
 def test_the_derivative_of_a_made_up_constant():
     case = Case("standard")
-    H, g = case.dense()
+    H, g = case.dense
     S, _ = reduced(case, H, g)
     k = case.data.layout.names.index("shaky_joint")
     assert case.lin.normal.S[k, k] == pytest.approx(S[k, k], rel=1e-6)
