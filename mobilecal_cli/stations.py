@@ -36,6 +36,7 @@ RESTS_ENOUGH = 6
 KEYFRAMES = 80
 # One camera records nothing for so long, while the other has so many images.
 _SILENT_S, _MISSED_IMAGES = 3.0, 5
+_ALONE_S = 1.0  # an image of one camera this near to a group of images is not used
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 # Reasons for pairs that are not used, and what to do.
@@ -87,24 +88,12 @@ def shots_of(images: Mapping[str, PictureIndex], tolerance_s: float) -> tuple[Sh
     """Each image of one camera alone; of several, each image of the first with the nearest of the others in time.
 
     An image is in one shot at most. Images of the others without one of the first are grouped likewise, from the second
-    camera on; of a pair, only whole pairs are kept.
+    camera on. An image alone counts only where no group is near.
 
     Raises:
-        RecordingError: no two images of a pair are within the tolerance.
+        RecordingError: no two images of two cameras are within the tolerance.
     """
     times = [index.time_ns for index in images.values()]
-    if len(times) == 2:
-        pairs = _nearest(times[0], times[1], tolerance_s)
-        if not pairs:
-            left_ns, right_ns = times
-            closest_ns = min(int(np.abs(right_ns - at).min()) for at in left_ns)
-            left, right = images
-            raise RecordingError(
-                f"no stereo pairs: of {len(left_ns)} {left} and {len(right_ns)} {right} images, "
-                f"the closest two are {closest_ns / _NS:.3f} s apart (limit {tolerance_s:g} s)",
-                "check that both cameras use the same clock and are triggered together",
-            )
-        return tuple(Shot((int(times[0][i]), int(times[1][j]))) for i, j in pairs.items())
     shots: list[Shot] = []
     unused = [np.ones(len(of_camera), dtype=np.bool_) for of_camera in times]
     for k, of_camera in enumerate(times):
@@ -117,7 +106,24 @@ def shots_of(images: Mapping[str, PictureIndex], tolerance_s: float) -> tuple[Sh
             for i, group in enumerate(groups):
                 group.append(int(times[other][free[found[i]]]) if i in found else None)
         shots += [Shot(tuple(group)) for group in groups]
-    return tuple(sorted(shots, key=lambda shot: shot.time_ns))
+    grouped_ns = np.sort([shot.time_ns for shot in shots if len(shot.taken_ns) > 1])
+    if len(times) == 2 and not len(grouped_ns):
+        left_ns, right_ns = times
+        closest_ns = min(int(np.abs(right_ns - at).min()) for at in left_ns)
+        left, right = images
+        raise RecordingError(
+            f"no stereo pairs: of {len(left_ns)} {left} and {len(right_ns)} {right} images, "
+            f"the closest two are {closest_ns / _NS:.3f} s apart (limit {tolerance_s:g} s)",
+            "check that both cameras use the same clock and are triggered together",
+        )
+    kept = [shot for shot in shots if len(shot.taken_ns) > 1 or not _near(grouped_ns, shot.time_ns)]
+    return tuple(sorted(kept, key=lambda shot: shot.time_ns))
+
+
+def _near(times_ns: IntArray, at_ns: int) -> bool:
+    """Whether one of some increasing times is near another."""
+    first = int(np.searchsorted(times_ns, at_ns - _ALONE_S * _NS))
+    return first < len(times_ns) and bool(times_ns[first] <= at_ns + _ALONE_S * _NS)
 
 
 def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[int, int]:

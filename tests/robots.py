@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli import se3
 from mobilecal_cli.model import (
     CameraRig,
+    Corners,
     Extraction,
     FixedLink,
     FloatArray,
@@ -137,6 +139,28 @@ CONFIGURATIONS = {
     (3, "pan"): three_that_pan,
     (3, "pan-tilt"): three_on_pan_tilt,
 }
+
+
+def with_one_view(extraction: Extraction, camera_of: Mapping[int, int]) -> Extraction:
+    """The same, with the board in one camera alone at some stations: index of the station → index of that camera."""
+    rig, board = extraction.rig.cameras, extraction.board.grid() * (extraction.board.square_m or 0.0)
+    observations = list(extraction.observations)
+    for i, k in camera_of.items():
+        o = observations[i]
+        found = pose_from_one(rig.some([k]), board, o.views[k].pixels, o.views[k].sigma_px)
+        assert not isinstance(found, Miss)
+        hidden = Corners(np.zeros_like(o.views[k].pixels), 1.0, 0, np.zeros(len(board), dtype=np.bool_))
+        views = tuple(view if other == k else hidden for other, view in enumerate(o.views))
+        points_c = se3.act(found.T_c_k[None], board)[0]
+        observations[i] = replace(
+            o,
+            views=views,
+            points_c=points_c,
+            T_c_k=found.T_c_k,
+            T_c_k_cov=found.T_c_k_cov,
+            reprojection_px=found.rms_px,
+        )
+    return replace(extraction, observations=tuple(observations))
 
 
 def alone(extraction: Extraction, k: int) -> Extraction:

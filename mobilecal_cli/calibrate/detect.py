@@ -62,7 +62,7 @@ class StationDetections:
     rejections: list[Rejection] = field(default_factory=list)
 
     def of_shots(self, shots: Sequence[Shot], rig: CameraRig) -> list[list[Detection | Miss | None]]:
-        """Results of each camera for the shots with enough decoded images; None for an image that is missing."""
+        """Results of each camera for the shots with decoded images; None for an image that is missing."""
         of_each = [
             [
                 None if time_ns is None else self.found.get(name, {}).get(time_ns)
@@ -70,7 +70,7 @@ class StationDetections:
             ]
             for shot in shots
         ]
-        return [shot for shot in of_each if sum(item is not None for item in shot) >= rig.fewest]
+        return [shot for shot in of_each if any(item is not None for item in shot)]
 
     @property
     def thumbnail(self) -> bytes:

@@ -26,6 +26,7 @@ def export(
     target: str,
     *,
     urdf: AnyPath | None = None,
+    camera: str | None = None,
     wheel_joints: Mapping[Side, str] | None = None,
     with_chain: bool = False,
     rate_hz: float | None = None,
@@ -43,6 +44,7 @@ def export(
             need extraction.npz next to params.yaml.
         target: the format, see `mobilecal export --help`.
         urdf: the file to patch, for the target urdf.
+        camera: for the target camera_info, the name of the camera; the reference camera by default.
         wheel_joints: names of the wheel joints, overriding those that the calibration read.
         with_chain: for the target urdf, also write the estimated head chain.
         rate_hz: for the target odometry_covariance, messages per second; 50 by default.
@@ -80,6 +82,7 @@ def export(
         _check_wheels(robot, joint_names, joints)
         given = {
             "--urdf": urdf is not None,
+            "--camera": camera is not None,
             "--left-joint": "left" in joint_names,
             "--right-joint": "right" in joint_names,
             "--with-chain": with_chain,
@@ -105,6 +108,7 @@ def export(
             measurements=lambda: _beside(path, robot),
             scene=scene,
             urdf=robot_urdf,
+            camera=camera,
             with_chain=with_chain,
             rate_hz=rate_hz,
             distance_m=distance_m,

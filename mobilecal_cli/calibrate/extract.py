@@ -236,7 +236,7 @@ def extract(
         Snapshot(
             number,
             station.index,
-            detected.pictures if len(detected.pictures) >= log.rig.cameras.fewest else {},
+            detected.pictures,
             detected.thumbnail,
         )
         for number, log in enumerate(extracted)
@@ -251,8 +251,8 @@ def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Sna
     places = [s for s, each in enumerate(snapshots) if each.thumbnail]
     rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
     others = [s for s in places if s not in set(rejected)]
-    few = min(len(rejected), max(THUMBNAILS // 2, THUMBNAILS - len(others)))
-    kept = {*_spread(rejected, few), *_spread(others, THUMBNAILS - few)}
+    few = _spread(rejected, THUMBNAILS // 2)
+    kept = {*few, *_spread(others, THUMBNAILS - len(few))}
     bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
     return tuple(each for each in bounded if each.jpegs or each.thumbnail)
 
@@ -293,7 +293,8 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     square_m = board.square_m
     if square_m is None:
         # All stations share one board: use the median of their square sizes, which the stereo baseline determines.
-        sides = [m.square_m for log in logs for m in log.measured if isinstance(m, Measured)]
+        measured = (m for log in logs for m in log.measured if isinstance(m, Measured))
+        sides = [m.square_m for m in measured if m.points is not None]
         square_m = float(np.median(sides)) if len(sides) >= FEWEST_STATIONS else None
     observations: list[Observation] = []
     rejections: list[Rejection] = []

@@ -156,6 +156,6 @@ def _squares_m(
     for left, right in zip(detections["left"], detections["right"], strict=True):
         if isinstance(left, Detection) and isinstance(right, Detection):
             measured = measure(0, station, [[left, right]], cameras, board)
-            if isinstance(measured, Measured):
+            if isinstance(measured, Measured) and measured.points is not None:
                 sides.append(measured.square_m)
     return tuple(sides)

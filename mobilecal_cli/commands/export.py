@@ -19,6 +19,10 @@ def export(
         Path | None,
         typer.Option(readable=False, help="URDF to patch, for --to urdf; the file itself is not changed."),
     ] = None,
+    camera: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="For --to camera_info: the camera. [default: the reference]"),
+    ] = None,
     left_joint: Annotated[
         str | None, typer.Option(help="Joint of the left wheel. [default: as calibrated]")
     ] = None,
@@ -91,6 +95,7 @@ def export(
         params,
         to,
         urdf=urdf,
+        camera=camera,
         wheel_joints=joints,  # type: ignore[arg-type]
         with_chain=with_chain,
         rate_hz=rate,

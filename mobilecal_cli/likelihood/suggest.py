@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
-from mobilecal_cli.kinematics import head_jacobian, head_pose
+from mobilecal_cli.kinematics import head_jacobian, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
@@ -39,6 +39,7 @@ _REACH_RAD = 0.35  # beyond the joints' range in the log
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 20
 _LEAST_DEPTH_M = 0.1
+_UPRIGHT = 0.5  # component of the vertical beyond which a coordinate is a height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,18 +47,19 @@ class _Stops:
     """Stops to choose from, C of them.
 
     Attributes:
-        turn_rad, drive_m: (C,) the base's way from the log's last station.
+        turn_rad, drive_m, face_rad: (C,) the base's way from the log's last station: a turn, a drive, another turn.
         base: (C, 3) where it ends, in the world.
         joints: (C, J) where the head's joints stand.
     """
 
     turn_rad: FloatArray
     drive_m: FloatArray
+    face_rad: FloatArray
     base: FloatArray
     joints: FloatArray
 
     def select(self, chosen: BoolArray) -> _Stops:
-        return _Stops(self.turn_rad[chosen], self.drive_m[chosen], self.base[chosen], self.joints[chosen])
+        return _Stops(*(getattr(self, part.name)[chosen] for part in fields(self)))
 
 
 def _boards(data: Dataset, state: State, base: FloatArray, joints: FloatArray) -> FloatArray:
@@ -69,24 +71,31 @@ def _boards(data: Dataset, state: State, base: FloatArray, joints: FloatArray) -
     return T
 
 
-def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> tuple[_Stops, BoolArray]:
-    """The stops with joints that bring the board's middle to pixels (C, 2) of the first camera; where that works."""
+def _aimed(data: Dataset, state: State, stops: _Stops, target: FloatArray) -> _Stops:
+    """The stops with joints that bring the board's middle as near as they can to pixels (C, 2) of the first camera.
+
+    Where no joint pans, the base turns after its drive.
+    """
     rig, X = cameras_at(data, state), state.parameters.T_h_c
     middle = data.points_k.mean(axis=0)
-    joints = stops.joints
+    joints, base, turns = stops.joints, stops.base.copy(), 0 if data.chain.pan else 1
     to_camera = se3.adjoint(se3.inverse(X))
     for _ in range(_AIM_STEPS):
-        points = se3.act(_boards(data, state, stops.base, joints), middle[None])
+        points = se3.act(_boards(data, state, base, joints), middle[None])
         points[..., 2] = np.maximum(points[..., 2], _LEAST_DEPTH_M)
         at, J_p = project_with_jacobian(rig.first, points)
         off = at[:, 0] - target
         if np.abs(off).max() < 1.0:
             break
         J_twist = np.concatenate([np.cross(points, J_p[:, 0]), J_p[:, 0]], axis=-1)
-        J = -J_twist @ (to_camera @ head_jacobian(data.chain, joints))
-        step = np.linalg.pinv(J, rcond=1e-3) @ off[..., None]
-        joints = joints - np.clip(step[..., 0], -0.3, 0.3)
-    return replace(stops, joints=joints), np.abs(off).max(axis=1) < 1.0
+        about_z = se3.adjoint(se3.inverse(head_pose(data.chain, joints)))[..., 2:3]
+        moves = np.concatenate([about_z[..., :turns], head_jacobian(data.chain, joints)], axis=-1)
+        step = np.linalg.pinv(-J_twist @ (to_camera @ moves), rcond=1e-3) @ off[..., None]
+        step = np.clip(step[..., 0], -0.3, 0.3)
+        base[:, 2] -= step[:, :turns].sum(axis=1)
+        joints = joints - step[:, turns:]
+    face = stops.face_rad + base[:, 2] - stops.base[:, 2]
+    return replace(stops, face_rad=face, base=base, joints=joints)
 
 
 def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: FloatArray) -> BoolArray:
@@ -121,11 +130,10 @@ def _reachable(data: Dataset, state: State) -> _Stops:
     last = state.base[-1]
     heading = last[2] + turn
     base = np.stack([last[0] + drive * np.cos(heading), last[1] + drive * np.sin(heading), heading], axis=1)
-    stops = _Stops(turn, drive, base, np.repeat(data.joints[-1:], len(turn), axis=0))
-    target = np.stack([u * rig.first.width, v * rig.first.height], axis=1)
-    stops, fine = _aimed(data, state, stops, target)
+    stops = _Stops(turn, drive, np.zeros(len(turn)), base, np.repeat(data.joints[-1:], len(turn), axis=0))
+    stops = _aimed(data, state, stops, np.stack([u * rig.first.width, v * rig.first.height], axis=1))
     low, high = data.joints.min(axis=0) - _REACH_RAD, data.joints.max(axis=0) + _REACH_RAD
-    fine &= np.all((stops.joints > low) & (stops.joints < high), axis=1)
+    fine = np.all((stops.joints > low) & (stops.joints < high), axis=1)
     fine &= _seen_whole(data, _boards(data, state, stops.base, stops.joints), rig, distances)
     return stops.select(fine)
 
@@ -159,22 +167,23 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
     return wide, replace(there, constants=state.constants)
 
 
-def _leg(lin: Posterior, turn_rad: float, drive_m: float) -> FloatArray:
-    """(P + 2 B, P + 2 B) information of a leg that turns and then drives, and of the processes along it.
+def _leg(lin: Posterior, turn_rad: float, drive_m: float, face_rad: float) -> FloatArray:
+    """(P + 2 B, P + 2 B) information of a leg that turns, drives and turns again, and of the processes along it.
 
     About the shared parameters and the base blocks of both ends.
     """
     data, state, noise = lin.data, lin.state, lin.noise
     wheels = state.parameters.wheels
-    turn = turn_rad * wheels.separation_m / 2
-    sides = ((turn, wheels.radius_right_m), (-turn, wheels.radius_left_m))
-    right, left = ([0.0, by / radius, (by + drive_m) / radius] for by, radius in sides)
-    times = np.array([0, 1, 2], dtype=np.int64)
-    end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad]])
-    stop = _Stops(np.zeros(1), np.zeros(1), end, data.joints[-1:])
+    sides = ((1, wheels.radius_right_m), (-1, wheels.radius_left_m))
+    turned = np.array([0.0, turn_rad, turn_rad, turn_rad + face_rad]) * wheels.separation_m / 2
+    driven = np.array([0.0, 0.0, drive_m, drive_m])
+    right, left = ((driven + way * turned) / radius for way, radius in sides)
+    times = np.arange(4)
+    end = np.array([[drive_m * np.cos(turn_rad), drive_m * np.sin(turn_rad), turn_rad + face_rad]])
+    stop = _Stops(np.zeros(1), np.zeros(1), np.zeros(1), end, data.joints[-1:])
     pair, there = _with_stops(data, replace(state, base=np.zeros_like(state.base)), stop)
-    track = WheelTrack.at_same_times(times, np.array(right), np.array(left))
-    pair = replace(pair, tracks=(track,), times_ns=times[[0, 2]])
+    track = WheelTrack.at_same_times(times, right, left)
+    pair = replace(pair, tracks=(track,), times_ns=times[[0, -1]])
     along = processes_of(pair, wheels, noise, Inliers.all_of(pair))
     legs = linearize_legs(pair, there, along, noise.encoder_rad > 0)
     by_start = legs.by_start[0].copy()
@@ -201,9 +210,10 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
     count, P, B, own = len(stops.turn_rad), data.layout.size + 6, STAMP, data.own_width
     of_leg = np.r_[: P - 6, P : P + 2 * B]
     sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
-    legs: dict[tuple[float, float], FloatArray] = {}
+    legs: dict[tuple[float, ...], FloatArray] = {}
     out = np.empty((count, P + B, P + B))
-    for c, way in enumerate(zip(stops.turn_rad.tolist(), stops.drive_m.tolist(), strict=True)):
+    ways = np.stack([stops.turn_rad, stops.drive_m, stops.face_rad], axis=1)
+    for c, way in enumerate(map(tuple, ways.tolist())):
         if way not in legs:
             legs[way] = _leg(lin, *way)
         H = np.zeros((P + 2 * B + own,) * 2)  # shared, board, last base, new base, the new stop's own errors
@@ -229,7 +239,9 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
 
 
 def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[Suggestion, ...]:
-    """The stops that would shrink the worst standard deviation most, best first, one for each way of driving.
+    """The stops that would shrink the worst standard deviation most, best first, one for each turn and drive.
+
+    A height that no motion of this robot shows is left out.
 
     Args:
         lin: the optimum.
@@ -247,8 +259,11 @@ def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[
     joint = by_shared @ covariance @ by_shared.T + by_board @ normal.board_covariance[last] @ by_board.T
     joint[-STAMP:, -STAMP:] += normal.base_covariance()[0][-1][:STAMP, :STAMP]
     needed = np.concatenate([NEEDED[:6], NEEDED[6:] * wheels])
+    vertical = unseen_height(lin.data.chain)
+    if vertical is not None:
+        needed[3:6][np.abs(vertical) > _UPRIGHT] = np.inf
     now = np.sqrt(np.diag(covariance)[:9])
-    if not now.any():
+    if not (now / needed).any():
         return ()  # all nine are fixed
     worst = int(np.argmax(now / needed))
     stops = _reachable(lin.data, lin.state)
@@ -260,5 +275,6 @@ def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[
         way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))
         if way not in best or best[way].gain < gain:
             known = float(now[worst]), float(then[worst])
-            best[way] = Suggestion(*way, stops.joints[c], NINE[worst], *known, gain)
+            face = float(stops.face_rad[c])
+            best[way] = Suggestion(*way, face, stops.joints[c], NINE[worst], *known, gain)
     return tuple(sorted(best.values(), key=lambda s: -s.gain)[:most])

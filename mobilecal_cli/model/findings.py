@@ -141,7 +141,7 @@ class Suggestion:
     """An additional stop at the end of the recording, and the expected improvement.
 
     Attributes:
-        turn_rad, drive_m: motion of the base: first the turn (left is positive), then the drive.
+        turn_rad, drive_m, face_rad: motion of the base: a turn (left is positive), the drive, and another turn.
         joints: (J,) head joint values, rad or m.
         worst: the least certain parameter relative to what a robot needs.
         std_now, std_then: its standard deviation without and with the stop, rad or m.
@@ -150,6 +150,7 @@ class Suggestion:
 
     turn_rad: float
     drive_m: float
+    face_rad: float
     joints: FloatArray
     worst: str
     std_now: float

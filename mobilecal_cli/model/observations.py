@@ -98,6 +98,11 @@ class Observation:
         )
 
     @property
+    def several(self) -> bool:
+        """Whether several cameras show the board: the distances between them measure its squares."""
+        return sum(bool(view.seen.any()) for view in self.views) > 1
+
+    @property
     def shown(self) -> bool:
         """Whether any corner was detected; otherwise the pose was measured."""
         return any(bool(view.seen.any()) for view in self.views)

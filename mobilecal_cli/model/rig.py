@@ -153,11 +153,6 @@ class CameraRig:
         return float(np.linalg.norm(self.T_c_each[1][:3, 3])) if self.calibrated else None
 
     @property
-    def fewest(self) -> int:
-        """Least number of cameras that measure the board: both of a stereo pair, which gives the scale."""
-        return 2 if self.calibrated else 1
-
-    @property
     def images_words(self) -> str:
         """Where the whole board must be, in texts."""
         return {1: "the image", 2: "both images"}.get(len(self.each), "an image")
@@ -357,7 +352,7 @@ class WheelSource:
     @property
     def where(self) -> str:
         """Part of the messages that is read, for people."""
-        return ", ".join(one.joint or one.field or "odometry" for one in self.every)
+        return ", ".join(wheel.joint or wheel.field or "odometry" for wheel in self.every)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -107,7 +107,7 @@ def observable(made: Calibration) -> Iterator[Check]:
 
     A warning if all expected errors are within their limits all the same.
     """
-    found, motion = made.solution.uncertainty, made.solution.motion
+    found = made.solution.uncertainty
     if found is None:
         return
     missing = [
@@ -127,20 +127,18 @@ def observable(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
     if not missing:
         return
+    lacking = missing_motion(made.solution, missing)
     cures = []
     if set(missing) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
-    if set(missing) & set(NINE[6:]):
-        turns, drives = (motion[key] >= MOTION[key][0] for key in ("turned_deg", "driven_m"))
-        cures.append(
-            "turn the base by 20 degrees or more between stops"
-            if drives and not turns
-            else "drive forward and back by 20 cm or more between stops"
-            if turns and not drives
-            else "drive and turn the base between stops"
-        )
+    if {"turned_deg", "driven_m"} <= set(lacking):
+        cures.append("drive and turn the base between stops")
+    elif "turned_deg" in lacking:
+        cures.append("turn the base by 20 degrees or more between stops")
+    elif "driven_m" in lacking:
+        cures.append("drive forward and back by 20 cm or more between stops")
     within = all(use.within for use in uses(made.solution, made.limits))
-    names, because = plain_names(missing, made.extraction), missing_motion(made.solution, missing)
+    names, because = plain_names(missing, made.extraction), " and ".join(lacking.values())
     yield Check(
         "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
         "observable parameters",
@@ -460,10 +458,11 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
 def square_size(made: Calibration) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
     stated, bad = made.extraction.board.square_m, 3.0
-    pair = made.extraction.rig.cameras.calibrated
+    sizes = [o.square_m for o in made.extraction.observations if o.several]
+    pair = made.extraction.rig.cameras.calibrated and sizes
     if made.solution.uncertainty is not None or stated is None or not pair:
         return
-    measured = float(np.median([o.square_m for o in made.extraction.observations]))
+    measured = float(np.median(sizes))
     off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3
     yield Check(
         "square_size", off, bad, graded(abs(off), bad),

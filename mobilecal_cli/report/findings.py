@@ -129,12 +129,15 @@ def scale_sentence(scale: ScaleCheck) -> str:
 
 def _path(suggestion: Suggestion) -> str:
     """How the base gets to a suggested stop."""
-    turn, drive = math.degrees(suggestion.turn_rad), suggestion.drive_m
-    parts = []
-    if turn:
-        parts.append(f"turn the base {'left' if turn > 0 else 'right'} by {abs(turn):.0f} degrees")
-    if drive:
-        parts.append(f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m")
+    drive = suggestion.drive_m
+    turns = [
+        f"turn {'the base ' if first else ''}{'left' if rad > 0 else 'right'} by {math.degrees(abs(rad)):.0f} degrees"
+        if round(math.degrees(rad))
+        else ""
+        for first, rad in ((True, suggestion.turn_rad), (False, suggestion.face_rad))
+    ]
+    driven = f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m" if drive else ""
+    parts = [part for part in (turns[0], driven, turns[1]) if part]
     return ", then ".join(parts) or "do not move the base"
 
 
@@ -159,11 +162,9 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             )
         else:
             gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
-        sentences.append(
-            f"{path[0].upper()}{path[1:]}. Set {head}, so that {extraction.rig.cameras.cameras_words} the whole board, "
-            "and stop. "
-            f"Expected result: {gain}."
-        )
+        seen = f"{extraction.rig.cameras.cameras_words} the whole board"
+        stop = f"Set {head}, so that {seen}, and stop." if head else f"Stop where {seen}."
+        sentences.append(f"{path[0].upper()}{path[1:]}. {stop} Expected result: {gain}.")
     return tuple(sentences)
 
 

@@ -198,7 +198,7 @@ class Planner:
         rig = self._robot.rig_cameras
         T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
         # Other cameras than a stereo pair need not show the board together.
-        for camera, T_c_x in list(zip(rig.each, rig.T_c_each, strict=True))[: rig.fewest]:
+        for camera, T_c_x in list(zip(rig.each, rig.T_c_each, strict=True))[: 2 if rig.calibrated else 1]:
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
             points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
             if points[:, 2].min() < 0.3:

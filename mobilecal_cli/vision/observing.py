@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Station,
+    camera_words,
 )
 from mobilecal_cli.vision.averaging import StationCorners, turned_board, turns_of
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
@@ -33,7 +34,9 @@ SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
 #: Reason of stations whose images contradict each other.
 INCONSISTENT: Reason = "left and right images inconsistent"
-_LEAST_IN_BOTH = 8  # for boards with markers, which may be partly visible
+_LEAST = (
+    8  # corners in an image, or in those of all cameras: for boards with markers, which may be partly visible
+)
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -99,8 +102,8 @@ class Measured:
         shown: indices of the cameras that show the board.
         views: all corners in the image of each of these; some may not be detected.
         points: triangulated corners that all of these see; None for one camera.
-        pose: of the board, with free scale, fitted to unit squares times `rough_m`; of one camera, with stated size.
-        rough_m: initial estimate of a square's side, m.
+        pose: of the board, with free scale, fitted to unit squares times `rough_m`; of one camera, with this size.
+        rough_m: initial estimate of a square's side, m; of one camera, the stated one, or 1 m.
     """
 
     log: int
@@ -115,7 +118,7 @@ class Measured:
 
     @property
     def square_m(self) -> float:
-        """Side of a square as measured at this station, m; as stated, if one camera shows the board."""
+        """Side of a square as measured at this station, m; `rough_m`, if one camera shows the board."""
         return self.rough_m * self.pose.scale
 
     def rejected(self, reason: str, detail: str) -> Rejection:
@@ -124,16 +127,19 @@ class Measured:
 
 
 def _showing(
-    shots: Sequence[Sequence[Detection | Miss | None]], fewest: int
+    shots: Sequence[Sequence[Detection | Miss | None]],
 ) -> tuple[tuple[int, ...], list[list[Detection]]]:
     """The largest group of cameras that show the board together, and their detections in each shot in which they do."""
     groups = Counter(tuple(k for k, item in enumerate(shot) if isinstance(item, Detection)) for shot in shots)
-    enough = [group for group in groups if len(group) >= fewest]
-    if not enough:
-        return (), []
-    best = max(enough, key=lambda group: (len(group), groups[group]))
+    best = max(groups, key=lambda group: (len(group), groups[group]))
     detected = [[item for k in best if isinstance(item := shot[k], Detection)] for shot in shots]
     return best, [found for found in detected if len(found) == len(best)]
+
+
+def _pose_from_one(rig: CameraRig, points_k: FloatArray, views: Sequence[Corners]) -> BoardPose | Miss:
+    """Board pose from the corners that a single camera sees, (m, 3) on the board, m."""
+    ((pixels,), (noise,)) = _common_pixels(views, _common(views))
+    return pose_from_one(rig, points_k, pixels, noise)
 
 
 def measure(
@@ -150,7 +156,7 @@ def measure(
         station: its shots and joint readings.
         shots: detection in the image of each camera, for each shot, in the order of `station.shots`; None: no image.
         rig: the cameras.
-        board: the board's size, with the size of its squares where one camera may show it alone.
+        board: the board's size, and the size of its squares where it is known.
 
     Returns:
         The board at this station, or a rejection.
@@ -159,7 +165,7 @@ def measure(
     def rejected(reason: str, detail: str) -> Rejection:
         return Rejection("vision", reason, detail, station.time_ns, station.index, log)
 
-    shown, detected = _showing(shots, max(rig.fewest, 1))
+    shown, detected = _showing(shots)
     if not shown:
         return rejected(*_unusable(rig.names, shots))
     images = [StationCorners.of(found, board) for found in zip(*detected, strict=True)]
@@ -177,18 +183,19 @@ def measure(
         of_camera.select(still).average(board, rig.each[k])
         for k, of_camera in zip(shown, images, strict=True)
     )
+    if _common(views).sum() < _LEAST:
+        most = int(np.argmax([view.seen.sum() for view in views]))
+        shown, views = shown[most : most + 1], views[most : most + 1]
     common, own = _common(views), rig.some(shown)
-    if common.sum() < _LEAST_IN_BOTH:
-        where = {1: "in the image", 2: "in both images"}.get(len(shown), "in all images")
+    if common.sum() < _LEAST:
         return rejected(
             "board partly occluded or outside the image",
-            f"{common.sum()} of {board.corners} corners visible {where}, minimum {_LEAST_IN_BOTH}",
+            f"{common.sum()} of {board.corners} corners visible in an image, minimum {_LEAST}",
         )
     grid = board.grid()[common]
     if len(shown) == 1:
         square_m = board.square_m or 1.0
-        ((pixels,), (noise,)) = _common_pixels(views, common)
-        pose = pose_from_one(own, square_m * grid, pixels, noise)
+        pose = _pose_from_one(own, square_m * grid, views)
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
@@ -250,22 +257,32 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
         square_m: side of a square, m; None uses the station's own estimate.
 
     Returns:
-        The observation, or a rejection. `Observation.square_m` is always the station's own estimate.
+        The observation, or a rejection. `Observation.square_m` is the station's own estimate, of one camera `square_m`.
     """
     m, pose, views = measured, measured.pose, measured.views
-    if square_m is not None and m.points is not None:
+    own, common = m.rig.some(m.shown), _common(views)
+    if m.points is None and square_m != m.rough_m:
+        if square_m is None:
+            return m.rejected(
+                "size of the squares unknown",
+                f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
+            )
+        from_one = _pose_from_one(own, square_m * m.board.grid()[common], views)
+        if isinstance(from_one, Miss):
+            return m.rejected(from_one.reason, from_one.detail)
+        m, pose = replace(m, rough_m=square_m), from_one
+    elif square_m is not None and m.points is not None:
         tolerance_m = max(SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
         if abs(m.square_m - square_m) > tolerance_m:
             return m.rejected(
                 "unexpected square size",
                 f"triangulated squares are {1e3 * m.square_m:.1f} mm wide, expected {1e3 * square_m:.1f} mm",
             )
-        common = _common(views)
         R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         grid = m.board.grid()[common]
-        pose = board_pose(m.rig.some(m.shown), square_m * grid, *_common_pixels(views, common), start)
+        pose = board_pose(own, square_m * grid, *_common_pixels(views, common), start)
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
         views = tuple(
             replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views

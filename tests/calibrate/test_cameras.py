@@ -7,7 +7,9 @@ import pytest
 import yaml
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.steps import calibrate, extract, solve
+from mobilecal_cli.calibrate.export import export
+from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FACTORS
 from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
 from mobilecal_cli.simulate.record import simulate
@@ -15,6 +17,7 @@ from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.command import run
+from tests.export.test_improved import fitted_cameras
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -36,10 +39,10 @@ def true_to(found, T_h_c, wheels, hidden=()):
     return error[kept] @ np.linalg.solve(covariance, error[kept]) / len(kept)
 
 
-@pytest.fixture(scope="module", params=["mcap", "bag"])
-def rgbd(request, tmp_path_factory):
-    path = tmp_path_factory.mktemp("rgbd") / f"log.{request.param}"
-    simulate(Scenario(robot="rgbd", container=request.param, seed=4), path)
+@pytest.fixture(scope="module")
+def rgbd(tmp_path_factory):
+    path = tmp_path_factory.mktemp("rgbd") / "log.bag"
+    simulate(Scenario(robot="rgbd", container="bag", seed=4), path)
     return path
 
 
@@ -128,8 +131,23 @@ def test_three_cameras_from_a_recording(tmp_path):
     assert len(shown) >= 12
     assert shown.any(axis=0).all()
     assert not shown.all()
-    found = solve(data)
-    assert true_to(found, robot.T_h_c, robot.wheels) < 2.7
+    report = Report(data, solve(data))
+    assert true_to(report.fit, robot.T_h_c, robot.wheels) < 2.7
+    fitted = fitted_cameras(extraction, report.fit.solution)
+    for k, name in enumerate(robot.mounted):
+        info = yaml.safe_load(export(report, "camera_info", camera=name).content)
+        np.testing.assert_allclose(info["camera_matrix"]["data"], fitted.each[k].K.ravel(), rtol=1e-9)
+        np.testing.assert_allclose(info["projection_matrix"]["data"][:3], fitted.each[k].K[0], rtol=1e-9)
+    with pytest.raises(ConfigError, match="no camera 'left'"):
+        export(report, "camera_info", camera="left")
+    with pytest.raises(ConfigError, match="--camera applies only to --to camera_info"):
+        export(report, "camera_info_left", camera="left")
+    chain = yaml.safe_load(export(report, "camchain").content)
+    T = np.eye(4)
+    for k, name in enumerate(robot.mounted):
+        T = np.array(chain[f"cam{k}"].get("T_cn_cnm1", np.eye(4))) @ T
+        np.testing.assert_allclose(np.linalg.inv(T), fitted.T_c_each[k], atol=1e-8)
+        assert chain[f"cam{k}"]["rostopic"] == f"/{name}/image_raw/compressed"
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,11 @@ from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_pose, unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, Nominal, Parameters
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.report.findings import suggestion_sentences
+from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import plan_route
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, in_view
+from tests.robots import CONFIGURATIONS, chain_of
 
 ROBOT = paper_robot()
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
@@ -55,6 +57,29 @@ def test_the_verdict_is_about_what_can_be_seen():
     assert " m, from the robot description" in str(report)
     assert "tilt the head" not in str(report)
     assert "8 of 8 that the motion of this robot can show" in report.html
+
+
+@pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
+def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configuration):
+    robot = CONFIGURATIONS[configuration]()
+    extraction = ideal_extraction(robot, plan_route(robot, stations=8, seed=1), NOISE, 1)
+    solution = fitted(extraction).solution
+    assert solution.suggestions
+    assert all(s.worst != "t_z" and s.gain > 0 for s in solution.suggestions)
+    for suggestion, sentence in zip(
+        solution.suggestions, suggestion_sentences(solution, extraction), strict=True
+    ):
+        assert ("Set pan_joint to" in sentence) == (configuration[1] == "pan")
+        assert ("degrees" in sentence) == any(
+            round(np.degrees(turn)) for turn in (suggestion.turn_rad, suggestion.face_rad)
+        )
+        T = solution.residuals.T_w_v[-1]
+        for turn, drive in ((suggestion.turn_rad, suggestion.drive_m), (suggestion.face_rad, 0.0)):
+            T = T @ se3.transform(se3.rotation_z(np.array(turn)), np.zeros(3))
+            T = T @ se3.transform(np.eye(3), np.array([drive, 0.0, 0.0]))
+        T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
+        points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
+        assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
 
 
 def test_linear_methods_need_the_height():

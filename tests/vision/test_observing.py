@@ -18,6 +18,7 @@ from tests.vision.scenes import pose, render, seen, stereo_rig
 BOARD = Board(9, 6)
 SQUARE_M = 0.06
 RIG = stereo_rig("raw")
+HIDDEN = Miss("board partly occluded or outside the image", "7 x 6 seen")
 T_C_K = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
 
 
@@ -90,14 +91,13 @@ def test_shots_missing_in_one_picture_are_left_out() -> None:
 
 
 def test_no_pair() -> None:
-    left, right = pairs(3, 0.1)
-    hidden = Miss("board partly occluded or outside the image", "7 x 6 seen")
+    hidden, none = HIDDEN, Miss("no board found", "none")
     result = rejected(
         observe(
             0,
             station(3),
-            [hidden, left[1], hidden],
-            [right[0], Miss("no board found", "none"), hidden],
+            [hidden, none, hidden],
+            [none, none, hidden],
             RIG,
             BOARD,
             0.06,
@@ -105,9 +105,29 @@ def test_no_pair() -> None:
     )
     assert result.reason == "board partly occluded or outside the image"
     assert result.detail == (
-        "3 stereo pairs; left: 2 x board partly occluded or outside the image (7 x 6 seen); "
-        "right: 1 x no board found (none); 1 x board partly occluded or outside the image (7 x 6 seen)"
+        "3 stereo pairs; left: 2 x board partly occluded or outside the image (7 x 6 seen); 1 x no board found (none); "
+        "right: 2 x no board found (none); 1 x board partly occluded or outside the image (7 x 6 seen)"
     )
+
+
+@pytest.mark.parametrize("hidden", [HIDDEN, None], ids=["not found", "no image"])
+@pytest.mark.parametrize("stated", [SQUARE_M, None])
+@pytest.mark.parametrize("k", [0, 1])
+def test_one_camera_of_a_pair(k: int, stated: float | None, hidden: Miss | None) -> None:
+    """The camera that sees the board counts alone, with squares as stated or as other stations measure them."""
+    found = list(pairs(4, 0.1))
+    found[1 - k] = [hidden] * 4
+    measured = measure(0, station(4), *found, RIG, Board(9, 6, stated))
+    assert isinstance(measured, Measured)
+    assert measured.points is None
+    o = observed(resolve_square(measured, SQUARE_M))
+    assert [view.seen.all() for view in o.views] == [k == 0, k == 1]
+    assert not o.several
+    assert o.square_m == SQUARE_M
+    delta = se3.log(o.T_c_k @ se3.inverse(T_C_K))
+    assert delta @ np.linalg.solve(o.T_c_k_cov, delta) < 25  # chi-squared with 6 degrees of freedom
+    if stated is None:
+        assert rejected(resolve_square(measured, None)).reason == "size of the squares unknown"
 
 
 def test_a_shot_that_moved_is_left_out() -> None:

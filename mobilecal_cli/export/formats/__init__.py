@@ -50,7 +50,7 @@ class Request:
         joints: names of the wheel joints, as far as they are known.
         measurements: reads the extraction next to the file.
         scene: makes the scene for viewers.
-        urdf, with_chain, rate_hz, distance_m, logs: see `pipeline.exporting.export`.
+        urdf, camera, with_chain, rate_hz, distance_m, logs: see `calibrate.export.export`.
     """
 
     robot: CalibratedRobot
@@ -59,6 +59,7 @@ class Request:
     measurements: Callable[[], Extraction]
     scene: Callable[[], Scene]
     urdf: Path | None = None
+    camera: str | None = None
     with_chain: bool = False
     rate_hz: float | None = None
     distance_m: float | None = None

@@ -1,4 +1,4 @@
-"""The reference camera in the format of camera_calibration_parsers."""
+"""A camera in the format of camera_calibration_parsers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from mobilecal_cli.model import Camera
 
 
 class CameraInfo(Format):
-    """The camera as estimated, with new R and P; only for raw images"""
+    """The camera as estimated (`--camera`: another than the reference), with new R and P; only for raw images"""
 
-    #: Name of the camera; "" for the reference camera.
+    options: ClassVar[frozenset[str]] = frozenset({"--camera"})
+    #: Name of the camera; "" for the one in `--camera`.
     camera: ClassVar[str] = ""
 
     def export(self, asked: Request) -> Exported:
@@ -34,11 +35,11 @@ class CameraInfo(Format):
                 "the calibration was made from rectified images, so it gives no camera_info of the raw images",
                 "calibrate from the raw images",
             )
-        name = self.camera or cameras.reference
+        name = self.camera or asked.camera or cameras.reference
         if name not in cameras.names:
             raise ConfigError(
                 f"the robot has no camera {name!r}; it has {', '.join(cameras.names)}",
-                "use --to camera_info for the reference camera",
+                f"use --to camera_info --camera {cameras.reference}",
             )
         camera = cameras.each[cameras.names.index(name)]
         alone = np.eye(3), np.hstack([camera.K, np.zeros((3, 1))])

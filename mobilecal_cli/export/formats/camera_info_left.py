@@ -6,4 +6,5 @@ from mobilecal_cli.export.formats.camera_info import CameraInfo
 class CameraInfoLeft(CameraInfo):
     """The left camera as estimated, with new R and P; only for raw images"""
 
+    options = frozenset()
     camera = "left"
