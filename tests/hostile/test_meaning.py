@@ -15,11 +15,6 @@ from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
 
 
-def test_there_are_at_least_sixty():
-    assert len(WRONG) >= 60
-    assert len(recorded().observations) == 20
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):

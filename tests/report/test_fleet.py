@@ -21,3 +21,6 @@ def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
     (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
     assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
     assert "\x1b" not in fleet_text(rows)
+    page = fleet_html([FleetRow("r", "ERROR", 3, "<script>alert(1)</script>\x1b[2J")])
+    assert "<script" not in page
+    assert "\x1b" not in page
