@@ -244,6 +244,9 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
         ([], [], ["pan_zeroo"], "did you mean pan_zero"),
         ([], [], ["tilt_zero"], "cannot be estimated separately"),
         (["neck_zero"], [], [], "no such parameter"),
+        ([], [], ["t_x"], "already estimated, like all nine parameters"),
+        (["focal_length"], [], [], "--set priors.focal_length=fixed"),
+        ([], ["joint_zero=0±1"], [], "--set priors.joint_zero=NUMBER"),
     ],
 )
 def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
