@@ -32,11 +32,9 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     advice,
-    error_of,
     limiting_sentence,
     missing_motion,
     next_step_of,
-    shares_of,
     small_motion,
     uses,
 )
@@ -723,7 +721,7 @@ def noise(made: Calibration) -> Iterator[Check]:
 def expected_errors(made: Calibration) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
     for use in sorted(uses(made.solution, made.limits), key=lambda use: -use.share):
-        figure, shares = use.figure, shares_of(made.solution, use.figure.field)
+        figure, shares = use.figure, use.shares
         value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
         yield Check(
             figure.name, use.value, use.limit, "pass" if use.within else "not_enough",
@@ -734,7 +732,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             f"{limiting_sentence(shares, figure.meaning)}",
             " ".join(
                 tuple(small_motion(made.solution, figure))
-                or (next_step_of(error_of(use, made.solution), made.solution, made.extraction) or advice(shares),)
+                or (next_step_of(use, made.solution, made.extraction) or advice(shares),)
             ),
         )  # fmt: skip
 
