@@ -11,9 +11,9 @@ import numpy as np
 
 from mobilecal_cli.model import BoolArray, Camera, FloatArray
 
-_NEWTON_STEPS = 60
+_NEWTON_STEPS = 60  # a few are usual; near the edge of a model's range, steps are short
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
-_EXACT = 5e-16
+_EXACT = 5e-16  # relative rounding error of the distorted coordinates
 _CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
@@ -274,19 +274,3 @@ def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArr
         return target, np.ones(target.shape[:-1], dtype=np.bool_)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a trial step may diverge
         return _undistort_polynomial(camera.D, target)
-
-
-def normalized(camera: Camera, pixels: FloatArray) -> FloatArray:
-    """Coordinates at z = 1 of pixels: (..., 2) px → (..., 2).
-
-    Raises:
-        ArithmeticError: the camera model cannot produce one of the pixels; see `undistorted`.
-    """
-    points, good = undistorted(camera, pixels)
-    if not good.all():
-        bad = np.asarray(pixels)[~good]
-        raise ArithmeticError(
-            f"{camera.frame_id}: the {camera.distortion} model "
-            f"cannot produce {len(bad)} of {good.size} pixels, first ({bad[0, 0]:.1f}, {bad[0, 1]:.1f})"
-        )
-    return points

@@ -72,13 +72,13 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
             raise TypeError(
                 f"type {type(robot).__name__} is not a calibration: give load(path), or the robot of a report"
             )
-    for one, other, what in (
+    for frame, other, what in (
         (first.parent_frame, second.parent_frame, "head"),
         (first.child_frame, second.child_frame, "camera"),
     ):
-        if one != other:
+        if frame != other:
             raise ConfigError(
-                f"the {what} frames of the calibrations differ: {one!r} in one and {other!r} in the other",
+                f"the {what} frames of the calibrations differ: {frame!r} in one and {other!r} in the other",
                 "compare calibrations of one robot with the same head.head_frame and cameras.reference",
             )
     if (first.odometry is None) != (second.odometry is None):

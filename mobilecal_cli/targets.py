@@ -1,10 +1,11 @@
-"""Export formats, paper sizes and simulated robots, in a module that imports nothing heavy, for the command line."""
+"""Choices of the command line: formats, paper sizes, simulations; this module imports nothing heavy."""
 
 from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
 from pkgutil import iter_modules
+from typing import Literal
 
 
 class Target(StrEnum):
@@ -49,3 +50,15 @@ class Robot(StrEnum):
     _ignore_ = "_name"
     for _name in ROBOTS:
         vars()[_name] = _name
+
+
+#: Motions of a simulated robot.
+Motion = Literal[
+    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
+]
+#: Formats of a simulated recording, of its images, and the board in them.
+Container = Literal[
+    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
+]
+Pictures = Literal["jpeg", "png", "mono8"]
+BoardKind = Literal["checkerboard", "charuco", "aprilgrid"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
@@ -177,12 +177,11 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
 
 
 def detect_segment(
-    recording: Recording, rig: Rig, board: Board, segment: Segment
-) -> Iterator[int | list[StationDetections]]:
-    """Detect the board in all images of a segment, in one pass over its part of the recording.
+    recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], None] | None = None
+) -> list[StationDetections]:
+    """The board in all images at each station of a segment, in one pass over its part of the recording.
 
-    Yields:
-        1 for every image processed; at the end, a list with one `StationDetections` per station.
+    `count` receives 1 after each image.
     """
     stations = segment.stations
     names = rig.cameras.names
@@ -207,8 +206,9 @@ def detect_segment(
         if name not in place.thumbnails:
             place.thumbnails[name] = thumbnail_jpeg(picture)
         place.found[name][stamp] = followers[name].find(picture, stamp)
-        yield 1
-    yield detections
+        if count is not None:
+            count(1)
+    return detections
 
 
 def measure_stations(
@@ -262,9 +262,7 @@ def _begin(files: Sequence[Path]) -> None:
 
 
 def _detect(rig: Rig, board: Board, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
-    *_, detections = detect_segment(_Here.recording, rig, board, segment)
-    assert isinstance(detections, list)
-    return detections, _Here.recording.damage
+    return detect_segment(_Here.recording, rig, board, segment), _Here.recording.damage
 
 
 @contextmanager
@@ -295,34 +293,28 @@ class DetectionWorkers(Processes):
             self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
     def detect_segments(
-        self, rig: Rig, board: Board, segments: Sequence[Segment]
-    ) -> Iterator[int | list[StationDetections]]:
-        """`detect_segment` for all segments, in order.
-
-        Yields:
-            The number of images processed since the last value; after each segment, its list of results.
-        """
-        done = 0
+        self, rig: Rig, board: Board, segments: Sequence[Segment], count: Callable[[int], None]
+    ) -> list[StationDetections]:
+        """`detect_segment` for all segments; `count` receives the number of images processed since its last call."""
+        detections: list[StationDetections] = []
+        waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+        done, ahead = 0, iter(segments)
         self.call(len(segments) // 2)
-        if self.started and len(segments) > 1:
-            with suppress(*FAILED):
-                waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-                ahead = iter(segments)
-                while True:
-                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
-                        waiting.append(self.submit(_detect, rig, board, segment))
-                    if not waiting:
-                        break
-                    detections, damage = waiting.popleft().result()
-                    for note in damage:
-                        self._recording.note(note)
-                    yield sum(
-                        len(of_camera) for station in detections for of_camera in station.found.values()
-                    )
-                    yield detections
-                    done += 1
+        while self.started and 1 < len(segments) > done:
+            try:
+                for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
+                    waiting.append(self.submit(_detect, rig, board, segment))
+                found, damage = waiting.popleft().result()
+            except FAILED:
+                break
+            for note in damage:
+                self._recording.note(note)
+            count(sum(len(of_camera) for station in found for of_camera in station.found.values()))
+            detections += found
+            done += 1
         for segment in segments[done:]:
-            yield from detect_segment(self._recording, rig, board, segment)
+            detections += detect_segment(self._recording, rig, board, segment, count)
+        return detections
 
     def measure_stations(
         self,
@@ -361,13 +353,13 @@ def detect_all(
     shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
     total = sum(len(shot.taken_ns) for shot in shots)
     done = 0
-    detections: list[StationDetections] = []
+
+    def count(images: int) -> None:
+        nonlocal done
+        done += images
+        progress("detecting the board", done, total)
+
     with _one_thread():
-        for step in workers.detect_segments(rig, board, segments):
-            if isinstance(step, int):
-                done += step
-                progress("detecting the board", done, total)
-            else:
-                detections += step
+        detections = workers.detect_segments(rig, board, segments, count)
     in_order = iter(detections)
     return [list(islice(in_order, len(plan.stations))) for plan in plans]

@@ -80,8 +80,6 @@ def describe(
     Numbers in other messages are read only if no wheel is known without them.
 
     Args:
-        recording: the open recording.
-        config: the configuration.
         urdf_text: text of the URDF to use in place of the one in the recording.
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
 
@@ -253,8 +251,8 @@ def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Sna
     places = [s for s, each in enumerate(snapshots) if each.thumbnail]
     rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
     others = [s for s in places if s not in set(rejected)]
-    few = min(len(rejected), max(THUMBNAILS // 2, THUMBNAILS - len(others)))
-    kept = {*_spread(rejected, few), *_spread(others, THUMBNAILS - few)}
+    few = _spread(rejected, THUMBNAILS // 2)
+    kept = {*few, *_spread(others, THUMBNAILS - len(few))}
     bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
     return tuple(each for each in bounded if each.jpegs or each.thumbnail)
 

@@ -44,9 +44,7 @@ def sample_board(
     """The board in a few images (None if no image can be read), what is wrong with it, and what limits a calibration.
 
     Args:
-        recording: the open recording.
         images: image topic of each camera.
-        layout: arrangement of the two images of a pair.
         cameras: the cameras, None if unknown.
         board: as configured, None if its size is found in the images.
         stated_m: side of a square as configured, m.

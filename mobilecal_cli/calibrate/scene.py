@@ -40,7 +40,6 @@ def scene_of(
     """The scene of a calibration.
 
     Args:
-        robot: the calibration.
         extraction: its measurements.
         params: its file; report.json next to it, if it exists, names the outliers and the legs that were used.
         logs: its recordings, for the images; none for a scene without images.

@@ -66,7 +66,6 @@ def draft(
         logs: parts of one recording.
         urdf: URDF file to use in place of the one in the recording.
         beside: directory of the rig.yaml, which the path of the URDF is relative to; the working directory by default.
-        progress: receives the progress.
 
     Raises:
         RecordingError: the recording cannot be read.

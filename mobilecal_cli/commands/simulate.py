@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from mobilecal_cli.commands.options import Force, Quiet, written_line
-from mobilecal_cli.targets import ROBOTS, Robot
+from mobilecal_cli.targets import ROBOTS, BoardKind, Container, Motion, Pictures, Robot
 
-Container = Literal[
-    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
-]
-#: Motions of a simulated robot.
-Motion = Literal[
-    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
-]
 _PAPER = Robot("paper")
 _BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 
@@ -37,9 +30,9 @@ def simulate(
     container: Annotated[
         Container | None, typer.Option(help="Container format. [default: from the file extension]")
     ] = None,
-    pictures: Annotated[Literal["jpeg", "png", "mono8"], typer.Option(help="Image encoding.")] = "jpeg",
+    pictures: Annotated[Pictures, typer.Option(help="Image encoding.")] = "jpeg",
     board: Annotated[
-        Literal["checkerboard", "charuco", "aprilgrid"],
+        BoardKind,
         typer.Option(help="Board on the wall; boards with markers may be partly visible."),
     ] = "checkerboard",
     exact: Annotated[

@@ -97,7 +97,7 @@ class _Header(BaseModel):
         """JSON has no infinite numbers, which the sigmas of free constants are."""
         plain: dict[str, Any] = serialize(rig)
         sigmas = plain["prior_sigmas"].items()
-        plain["prior_sigmas"] = {name: "inf" if sigma == math.inf else sigma for name, sigma in sigmas}
+        plain["prior_sigmas"] = {name: str(sigma) if math.isinf(sigma) else sigma for name, sigma in sigmas}
         return plain
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
@@ -15,8 +16,6 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
     """Check before the work whether a file can be written.
 
     Args:
-        path: the file.
-        force: replace an existing file.
         inputs: files and directories that the command reads.
 
     Raises:
@@ -60,14 +59,20 @@ def write_file(path: Path, content: bytes, force: bool) -> None:
         OutputError: see `check_file`; or writing failed.
     """
     check_file(path, force)
+    with _writing(path, "output path"), partial_of(path, recognized_file) as partial:
+        write_synced(partial, content)
+        place(partial, path, recognized_file, force)
+
+
+@contextmanager
+def _writing(path: Path, option: str) -> Iterator[None]:
+    """Write a path inside the block; an `OSError` is an `OutputError`."""
     try:
-        with partial_of(path, recognized_file) as partial:
-            write_synced(partial, content)
-            place(partial, path, recognized_file, force)
+        yield
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be written: {error.strerror}",
-            "check free space and permissions, or choose another output path",
+            f"{path}: cannot be written: {error.strerror or error}",
+            f"check free space and permissions, or choose another {option}",
         ) from error
 
 
@@ -89,14 +94,8 @@ def append_text(path: Path, text: str) -> None:
         OutputError: it cannot be written, or is not a regular file.
     """
     check_appendable(path)
-    try:
-        with path.open("a", encoding="utf-8") as stream:
-            stream.write(text)
-    except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be written: {error.strerror}",
-            "check free space and permissions, or choose another output path",
-        ) from error
+    with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
+        stream.write(text)
 
 
 def write_synced(path: Path, content: bytes) -> None:
@@ -168,17 +167,11 @@ def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> N
         raise ValueError(f"unknown output files: {foreign}")
     check_output(directory, force)
     target = _absolute(directory)
-    try:
-        with partial_of(target, recognized_output) as partial:
-            partial.mkdir()
-            for name, content in files.items():
-                write_synced(partial / name, content)
-            place(partial, target, recognized_output, force)
-    except OSError as error:
-        raise OutputError(
-            f"{directory}: cannot be written: {error.strerror or error}",
-            "check free space and permissions, or choose another --output",
-        ) from error
+    with _writing(directory, "--output"), partial_of(target, recognized_output) as partial:
+        partial.mkdir()
+        for name, content in files.items():
+            write_synced(partial / name, content)
+        place(partial, target, recognized_output, force)
 
 
 def recognized_output(directory: Path) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -31,13 +32,11 @@ from mobilecal_cli.model import (
     SIDES,
     AssumedOdometry,
     CalibratedRobot,
-    CameraRig,
     EstimatedConstant,
     Extraction,
     FloatArray,
     Knowledge,
     LogSource,
-    NoiseLevels,
     Provenance,
     Side,
     Solution,
@@ -45,7 +44,10 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.rig.config import WheelsNominal, checked_settings
+from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, checked_settings
+
+if TYPE_CHECKING:
+    from jinja2 import Template
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
@@ -82,113 +84,69 @@ def params_yaml(
         verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" to state none.
         reasons: why it is not PASS, whole sentences.
     """
-    cameras, chain = solution.cameras, extraction.rig.chain
+    cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
     T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
-    frame = cameras.of_reference.frame_id
-    wheels, odometry = solution.parameters.wheels, extraction.rig.sources.assumed_odometry
-    kind = "rectified" if cameras.rectified else "raw"
-    blocks = [
-        f"{FIRST_LINE} Lengths in m, angles in rad unless the key says deg.",
-        f"schema_version: {SCHEMA_VERSION if odometry is None else _OF_ODOMETRY}",
-        "",
-        *(_verdict_lines(verdict, reasons) if verdict else []),
-        "# Head-eye transform, the pose of the camera on the head: x_parent = R(quaternion) x_child + translation.",
-        f"# Child: the optical frame of the {camera_words(cameras.reference)} ({kind} images): "
-        "x right, y down, z forward.",
-        "head_eye:",
-        *_transform_lines(chain.head_frame, frame, T_h_reference),
-        "",
-        *(_raw_block(cameras, chain.head_frame, frame, T_h_reference) if cameras.rectified else []),
-        *(_wheel_lines(wheels) if odometry is None else _odometry_lines(solution, odometry)),
-        "# Quality of the calibration; report.html explains these figures.",
-        "quality:",
-        f"  stations: {len(extraction.observations)}  # stations used",
-        f"  point_rms_mm: {decimal(solution.point_rms_m * 1e3)}"
-        "  # point error: station-to-station corner error in space, rms, mm",
-        f"  reprojection_rms_px: {decimal(solution.reprojection_rms_px)}  # reprojection error: the same in px",
-        "",
-        *_uncertainty_lines(solution, odometry),
-        *_constant_lines(solution, extraction),
-        *_provenance_lines(provenance),
-    ]
-    return "\n".join(blocks) + "\n"
-
-
-def _verdict_lines(verdict: str, reasons: Sequence[str]) -> list[str]:
-    return [
-        "# PASS: the calibration can be used. FAIL or NOT ENOUGH: it cannot, and export refuses it.",
-        "verdict:",
-        f"  level: {quoted(verdict)}",
-        "  reasons:" if reasons else "  reasons: []",
-        *(f"  - {quoted(visible(reason))}" for reason in reasons),
-        "",
-    ]
-
-
-def _wheel_lines(wheels: WheelGeometry) -> list[str]:
-    return [
-        "# Differential drive: wheel radii and wheel separation.",
-        "wheels:",
-        f"  radius_left_m: {decimal(wheels.radius_left_m)}  # left wheel radius, m",
-        f"  radius_right_m: {decimal(wheels.radius_right_m)}  # right wheel radius, m",
-        f"  separation_m: {decimal(wheels.separation_m)}  # distance between the contact points, m",
-        "",
-    ]
-
-
-def _odometry_lines(solution: Solution, odometry: AssumedOdometry) -> list[str]:
-    """The block `odometry`, which stands in place of `wheels`."""
-    wheels, found = solution.parameters.wheels, solution.uncertainty
-    values = odometry.factors(wheels).tolist()
-    lines = [f"  {name}: {decimal(value)}" for name, value in zip(FACTORS, values, strict=True)]
-    if found is not None:
-        std = np.sqrt(np.diag(odometry.covariance(wheels, found.reference_covariance[6:, 6:]))).tolist()
-        shown = ", ".join(f"{name}: {exponential(s)}" for name, s in zip(FACTORS, std, strict=True))
-        lines.append(f"  std: {{{shown}}}")
-    return [
-        "# Factors of the odometry, unit 1: the recording has no wheels, so no radius and no separation was measured.",
-        "# The multipliers are those of diff_drive_controller, relative to the wheels in the driver. linear_scale is",
-        "# true over measured distance, angular_scale true over measured rotation: drivers take these or those.",
-        "# The driver is assumed to have a wheel separation of assumed_separation_m; the difference between the",
-        "# multipliers of the two radii is in proportion to it, and the other factors do not depend on it.",
-        "odometry:",
-        f"  topic: {quoted(odometry.topic)}",
-        *lines,
-        f"  assumed_radius_m: {decimal(odometry.wheels.radius_right_m)}",
-        f"  assumed_separation_m: {decimal(odometry.wheels.separation_m)}",
-        f"  assumed_separation_share: {decimal(odometry.separation_share)}  # its relative standard deviation",
-        "",
-    ]
-
-
-def _uncertainty_lines(solution: Solution, odometry: AssumedOdometry | None = None) -> list[str]:
-    """The block `uncertainty`; empty for methods that give none."""
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return []
-    covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
-    names = NINE
-    lengths = "lengths in m."
+    frame, wheels = cameras.of_reference.frame_id, solution.parameters.wheels
+    odometry = extraction.rig.sources.assumed_odometry
+    shown: dict[str, Any] = {"head_eye_raw": None}
+    if cameras.rectified:
+        R_rect_raw = cameras.R_rect[cameras.names.index(cameras.reference)]
+        T_h_raw = T_h_reference @ se3.transform(R_rect_raw, np.zeros(3))
+        shown["head_eye_raw"] = _transform(chain.head_frame, f"{frame}_raw", T_h_raw)
     if odometry is not None:
-        names, lengths = _FACTOR_ORDER, "lengths in m, factors in 1."
-        units = _units(odometry.wheels)
-        covariance = covariance / np.outer(units, units)
-    std = np.sqrt(np.diag(covariance))
-    observable = zip(names, uncertainty.observable, strict=True)
-    shown = ", ".join(f"{n}: {exponential(s)}" for n, s in zip(names, std, strict=True))
-    return [
-        f"# Standard deviations and covariance: r is a small rotation vector in the head frame, rad; {lengths}",
-        "# A parameter that the recording does not determine (observable: false) keeps its nominal value, and has the",
-        "# standard deviation of a nominal value. Parameters fixed by the user have none.",
-        "uncertainty:",
-        f"  order: [{', '.join(names)}]",
-        f"  std: {{{shown}}}",
-        "  covariance:",
-        *(f"    - [{', '.join(exponential(value) for value in row)}]" for row in covariance),
-        f"  observable: {{{', '.join(f'{n}: {str(bool(ok)).lower()}' for n, ok in observable)}}}",
-        f"  noise: {{{_noise(uncertainty.noise)}}}",
-        "",
-    ]
+        shown["factors"] = zip(FACTORS, odometry.factors(wheels).tolist(), strict=True)
+    if uncertainty is not None:
+        covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
+        order = NINE
+        if odometry is not None:
+            order, units = _FACTOR_ORDER, _units(odometry.wheels)
+            of_factors = odometry.covariance(wheels, uncertainty.reference_covariance[6:, 6:])
+            shown["factors_std"] = zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True)
+            covariance = covariance / np.outer(units, units)
+        sliding = chain.prismatic
+        shown |= {
+            "order": order,
+            "std": zip(order, np.sqrt(np.diag(covariance)), strict=True),
+            "covariance": covariance.tolist(),
+            "observable": zip(order, uncertainty.observable, strict=True),
+            "constants": [
+                (c, _unit(c, sliding)) for c in solution.constants.values() if c.prior > 0 or c.value
+            ],
+        }
+    logs = [{"path": log.path, "sha256": log.sha256} for log in provenance.logs]
+    return _template().render(
+        first_line=FIRST_LINE,
+        schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
+        verdict=verdict,
+        reasons=reasons,
+        camera=camera_words(cameras.reference),
+        kind="rectified" if cameras.rectified else "raw",
+        head_eye=_transform(chain.head_frame, frame, T_h_reference),
+        wheels=wheels,
+        odometry=odometry,
+        stations=len(extraction.observations),
+        solution=solution,
+        uncertainty=uncertainty,
+        provenance=provenance,
+        sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
+        **shown,
+    )
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=PackageLoader("mobilecal_cli.export"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {each.__name__: each for each in (decimal, decimals, exponential, quoted, visible)}
+    environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
+    return environment.get_template("params.yaml")
 
 
 def _units(assumed: WheelGeometry) -> FloatArray:
@@ -196,74 +154,18 @@ def _units(assumed: WheelGeometry) -> FloatArray:
     return np.concatenate([np.ones(6), assumed.vector])
 
 
-def _noise(levels: NoiseLevels) -> str:
-    """Every noise level, and the names of those that were estimated from the residuals."""
-    shown = (f"{name}: {exponential(level)}" for name, level in levels.levels.items())
-    return f"{', '.join(shown)}, estimated: [{', '.join(levels.estimated)}]"
-
-
-def _constant_lines(solution: Solution, extraction: Extraction) -> list[str]:
-    """The block `constants`; empty for methods that estimate none."""
-    if solution.uncertainty is None:
-        return []
-    sliding = extraction.rig.chain.prismatic
-    changed = [constant for constant in solution.constants.values() if constant.prior > 0 or constant.value]
-    return [
-        "# Constants of the robot description: value is the difference from the stated value, sigma its standard",
-        "# deviation, prior that of the stated value. Units: rad, m, s; share: relative, or of the image width.",
-        "constants:" if changed else "constants: {}",
-        *(_constant_line(constant, sliding) for constant in changed),
-        "",
-    ]
-
-
-def _raw_block(cameras: CameraRig, head_frame: str, frame: str, T_h_rectified: FloatArray) -> list[str]:
-    R_rect_raw = cameras.R_rect[cameras.names.index(cameras.reference)]
-    T_h_raw = T_h_rectified @ se3.transform(R_rect_raw, np.zeros(3))
-    return [
-        "# The raw optical frame of the same camera: x_rectified = R x_raw with R from camera_info.",
-        "# Use it for images that are not rectified.",
-        "head_eye_raw:",
-        *_transform_lines(head_frame, f"{frame}_raw", T_h_raw),
-        "",
-    ]
-
-
-def _transform_lines(parent: str, child: str, T_parent_child: FloatArray) -> list[str]:
+def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:
     rotation = T_parent_child[:3, :3]
-    x, y, z = (decimal(angle) for angle in se3.euler_zyx_deg(rotation))
     margin_deg = se3.gimbal_margin_deg(rotation)
-    euler = f'  euler_zyx_deg: {{"x": {x}, "y": {y}, "z": {z}}}'  # YAML 1.1 reads a bare y as "true"
-    if margin_deg < NEAR_LOCK_DEG:
-        euler = f"  euler_zyx_deg: null  # y is {margin_deg:.1f} degrees from gimbal lock: use the quaternion"
-    return [
-        f"  parent_frame: {quoted(parent)}  # last link of the head chain",
-        f"  child_frame: {quoted(child)}  # optical frame of the camera",
-        "  # Origin of the child in the parent: x, y, z, m.",
-        f"  translation_m: {decimals(T_parent_child[:3, 3])}",
-        "  # Rotation from the child to the parent, a unit quaternion in the order x, y, z, w.",
-        f"  quaternion_xyzw: {decimals(se3.quaternion_xyzw(rotation))}",
-        "  # For display only: R = Rz(z) Ry(y) Rx(x), deg.",
-        euler,
-    ]
-
-
-def _provenance_lines(provenance: Provenance) -> list[str]:
-    body = dump(
-        {
-            "logs": [{"path": log.path, "sha256": log.sha256} for log in provenance.logs],
-            "config": provenance.config,
-        }
-    )
-    return [
-        "# Provenance: version, recordings, and the settings used with the source of each.",
-        "provenance:",
-        '  tool: "mobilecal"',
-        f"  version: {quoted(provenance.version)}  # of mobilecal",
-        f"  created: {quoted(provenance.created)}  # UTC",
-        f"  method: {quoted(provenance.method)}  # see --method",
-        *(f"  {line}" for line in body.removesuffix("\n").split("\n")),
-    ]
+    return {
+        "parent": parent,
+        "child": child,
+        "translation_m": T_parent_child[:3, 3],
+        "quaternion_xyzw": se3.quaternion_xyzw(rotation),
+        "euler_deg": se3.euler_zyx_deg(rotation),
+        "margin_deg": margin_deg,
+        "near_lock": margin_deg < NEAR_LOCK_DEG,
+    }
 
 
 def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
@@ -272,21 +174,11 @@ def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
     return "m" if found.kind in _JOINT_POSITIONS and found.part in sliding else unit
 
 
-def _constant_line(constant: EstimatedConstant, sliding: frozenset[str]) -> str:
-    name = constant.name if _PLAIN_NAME.fullmatch(constant.name) else quoted(constant.name)
-    numbers = (("value", constant.value), ("sigma", constant.std), ("prior", constant.prior))
-    shown = ", ".join(f"{key}: {exponential(value)}" for key, value in numbers)
-    return f"  {name}: {{{shown}, unit: {_unit(constant, sliding)}}}  # {visible(constant.part)}: {constant.meaning}"
-
-
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore")
 
 
 _Number = Annotated[FiniteFloat, Strict()]  # neither a text nor true
-_Length = Annotated[_Number, AfterValidator(ranges.POSITION.validated)]
-_Radius = Annotated[_Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
-_Separation = Annotated[_Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
 
 
 class _Euler(_Section):
@@ -295,20 +187,12 @@ class _Euler(_Section):
     z: _Number
 
 
-class _HeadEye(_Section):
+class _HeadEye(Pose):
+    model_config = _Section.model_config
+
     parent_frame: str = Field(min_length=1)
     child_frame: str = Field(min_length=1)
-    translation_m: tuple[_Length, _Length, _Length]
-    quaternion_xyzw: tuple[_Number, _Number, _Number, _Number]
     euler_zyx_deg: _Euler | None = None
-
-    @field_validator("quaternion_xyzw")
-    @classmethod
-    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        norm = math.hypot(*value)
-        if abs(norm - 1) > 1e-3:
-            raise ValueError(f"the norm is {norm:.6g}, expected 1")
-        return value
 
     @model_validator(mode="after")
     def _one_rotation(self) -> _HeadEye:
@@ -322,10 +206,8 @@ class _HeadEye(_Section):
         return self
 
 
-class _Wheels(_Section):
-    radius_left_m: _Radius
-    radius_right_m: _Radius
-    separation_m: _Separation
+class _Wheels(WheelsNominal):
+    model_config = _Section.model_config
 
 
 _Row = Annotated[tuple[_Number, ...], Field(min_length=9, max_length=9)]
@@ -374,8 +256,8 @@ class _Odometry(_Section):
     right_wheel_radius_multiplier: _Factor
     left_wheel_radius_multiplier: _Factor
     wheel_separation_multiplier: _Factor
-    assumed_radius_m: _Radius
-    assumed_separation_m: _Separation
+    assumed_radius_m: Radius
+    assumed_separation_m: Separation
     assumed_separation_share: Annotated[_Number, Field(ge=0, le=10)] = 0.0
 
     @property
@@ -384,7 +266,7 @@ class _Odometry(_Section):
         return AssumedOdometry(self.topic, wheels, self.assumed_separation_share)
 
     @property
-    def wheels(self) -> WheelGeometry:
+    def geometry(self) -> WheelGeometry:
         factors = [
             self.right_wheel_radius_multiplier,
             self.left_wheel_radius_multiplier,
@@ -445,7 +327,6 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     """Read the parameters, their uncertainty and provenance; other keys are ignored.
 
     Args:
-        text: the file's contents.
         name: its name in error messages.
 
     Raises:
@@ -477,23 +358,20 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
     several = {side: getattr(settings.wheels, side).joints for side in SIDES}
-    odometry, wheels = checked.odometry, checked.wheels
+    odometry, sizes = checked.odometry, checked.wheels or checked.odometry
+    assert sizes is not None  # checked above
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
         T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
-        wheels=odometry.wheels
-        if odometry is not None
-        else _geometry(wheels)
-        if wheels
-        else WheelGeometry(1, 1, 1),
+        wheels=sizes.geometry,
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
         wheel_joints={side: joint for side, joint in joints.items() if joint},
         side_joints={side: names for side, names in several.items() if names},
         odometry=None if odometry is None else odometry.assumed,
-        nominal_wheels=_geometry(settings.nominal.wheels) if settings.nominal.wheels else None,
+        nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(
             link.joint
             for link in settings.head.chain or ()
@@ -504,7 +382,3 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         verdict="" if verdict is None else verdict.level,
         reasons=() if verdict is None else verdict.reasons,
     )
-
-
-def _geometry(wheels: _Wheels | WheelsNominal) -> WheelGeometry:
-    return WheelGeometry(wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m)

@@ -126,8 +126,8 @@ def _joint(element: Element) -> UrdfJoint:
     where = f"joint {name!r}"
     ends = {}
     for end in ("parent", "child"):
-        found = element.find(end)
-        link = found.get("link") if found is not None else None
+        named = element.find(end)
+        link = named.get("link") if named is not None else None
         if not link:
             raise ConfigError(f"URDF: {where}: no <{end} link=...>", "correct the URDF")
         ends[end] = link

@@ -10,14 +10,14 @@ import numpy as np
 
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track, WheelGeometry, WheelTrack
 
-_ROUNDING_RAD = 1e-9
+_ROUNDING_RAD = 1e-9  # of readings that are printed with nine digits
 _WHOLE_STEPS = 0.01  # a sound change is so near to a whole number of steps
 _ROUNDING_STEPS = 1e-6  # agreement in steps that says no more
 _FEW_READINGS = 10  # of one wheel in one recording
 _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
-_CHANGES_TRIED = 500
-_BY_CHANCE = 1e-3
+_CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
+_BY_CHANCE = 1e-3  # probability
 _RATE_NS = 50_000_000  # turning rates are means over this time to either side
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 

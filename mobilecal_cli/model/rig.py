@@ -352,7 +352,7 @@ class WheelSource:
     @property
     def where(self) -> str:
         """Part of the messages that is read, for people."""
-        return ", ".join(one.joint or one.field or "odometry" for one in self.every)
+        return ", ".join(wheel.joint or wheel.field or "odometry" for wheel in self.every)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

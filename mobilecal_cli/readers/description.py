@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
-from mobilecal_cli.readers.messages.types import fields_of
+from mobilecal_cli.readers.messages.types import leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import transforms_of
 
@@ -176,7 +176,6 @@ def number_fields(
     """Numbers in the messages of some topics.
 
     Args:
-        recording: the open recording.
         topics: its topics.
         `wanted`: whether a number at a topic and a path is of interest.
 
@@ -218,17 +217,15 @@ def _of_topic(
     )
 
 
-def _paths(value: Any, prefix: str = "") -> list[str]:  # noqa: ANN401 - the type is the recording's
+def _paths(message: Any) -> list[str]:  # noqa: ANN401 - the type is the recording's
     """Paths to the single numbers in a message."""
-    paths: list[str] = []
-    for name, inner in fields_of(value).items():
-        if name in _NOT_READINGS:
-            continue
-        if fields_of(inner):
-            paths += _paths(inner, f"{prefix}{name}.")
-        elif isinstance(inner, (int, float, np.integer, np.floating)) and not isinstance(inner, bool):
-            paths.append(f"{prefix}{name}")
-    return paths
+    return [
+        path
+        for path, value in leaves_of(message)
+        if isinstance(value, (int, float, np.integer, np.floating))
+        and not isinstance(value, bool)
+        and _NOT_READINGS.isdisjoint(path.split("."))
+    ]
 
 
 def _wraps(values: list[int | float]) -> tuple[int | None, int | None]:

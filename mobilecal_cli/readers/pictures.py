@@ -56,7 +56,6 @@ def find_pictures(recording: Recording, image_topics: Mapping[str, str]) -> Pict
     """Log times and approximate stamps of the images, without reading them all.
 
     Args:
-        recording: the open recording.
         image_topics: image topic of each camera.
 
     Returns:
@@ -105,7 +104,6 @@ def read_stamps(
     """Stamps of selected images; only the blocks that contain them are read.
 
     Args:
-        recording: the open recording.
         logged_ns: topic → (n,) log times of the selected images. Of several with one log time, the first is used.
 
     Returns:
@@ -157,10 +155,8 @@ def read_images(
     """Selected images, one at a time, in the order of the recording.
 
     Args:
-        recording: the open recording.
         image_topics: image topic of each camera.
         `wanted`: rows of the index of each camera's images.
-        layout: arrangement of the two images of a pair.
 
     Yields:
         Camera, time, and the image as (height, width) uint8; or the reason why it cannot be decoded.
@@ -191,9 +187,7 @@ def _read(
     """One pass for the missing images; removes those that are found.
 
     Args:
-        recording: the open recording.
         missing: topic → log time and stamp of an image → its cameras, and the times to return.
-        layout: see `read_images`.
         extent: how much of the recording is read.
     """
     videos: dict[str, Video] = {}
@@ -225,8 +219,6 @@ def pictures_near(
     """First images of all cameras after given times, without reading the whole recording.
 
     Args:
-        recording: the open recording.
-        sources: its image topics.
         times_ns: log times.
 
     Yields:

@@ -107,7 +107,7 @@ def observable(made: Calibration) -> Iterator[Check]:
 
     A warning if all expected errors are within their limits all the same.
     """
-    found, motion = made.solution.uncertainty, made.solution.motion
+    found = made.solution.uncertainty
     if found is None:
         return
     missing = [
@@ -127,20 +127,18 @@ def observable(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
     if not missing:
         return
+    lacking = missing_motion(made.solution, missing)
     cures = []
     if set(missing) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
-    if set(missing) & set(NINE[6:]):
-        turns, drives = (motion[key] >= MOTION[key][0] for key in ("turned_deg", "driven_m"))
-        cures.append(
-            "turn the base by 20 degrees or more between stops"
-            if drives and not turns
-            else "drive forward and back by 20 cm or more between stops"
-            if turns and not drives
-            else "drive and turn the base between stops"
-        )
+    if {"turned_deg", "driven_m"} <= set(lacking):
+        cures.append("drive and turn the base between stops")
+    elif "turned_deg" in lacking:
+        cures.append("turn the base by 20 degrees or more between stops")
+    elif "driven_m" in lacking:
+        cures.append("drive forward and back by 20 cm or more between stops")
     within = all(use.within for use in uses(made.solution, made.limits))
-    names, because = plain_names(missing, made.extraction), missing_motion(made.solution, missing)
+    names, because = plain_names(missing, made.extraction), " and ".join(lacking.values())
     yield Check(
         "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
         "observable parameters",

@@ -104,7 +104,7 @@ def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
         *PARAMETERS[:6],
         *(
             replace(
-                p, label=name.replace("_", " "), meaning=name.replace("_", " "), unit="1", shown_unit="factor",
+                p, label=name.replace("_", " "), meaning=name.replace("_", " "), unit="1", shown_unit="",
                 factor=1 / size, digits=5, factor_name=name,
             )
             for p, name, size in sizes
@@ -181,7 +181,7 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
             (value, std), unit = factors.pop(name), parameter.shown_unit
         numbers.append(_number(name, parameter.label, unit, float(value), std, state))
     for name, (value, std) in factors.items():  # that follow from those above
-        numbers.append(_number(name, name.replace("_", " "), "factor", value, std, numbers[-1].state))
+        numbers.append(_number(name, name.replace("_", " "), "", value, std, numbers[-1].state))
     return tuple(numbers)
 
 
@@ -203,7 +203,8 @@ def numbers_table(numbers: Sequence[NumberData]) -> list[tuple[str, str]]:
     rows = []
     for n in numbers:
         sigma = f" ± {n.std_text}" if n.std_text else ""
-        rows.append((n.label, f"{n.value_text}{sigma} {n.unit}{f', {n.state}' if n.state else ''}"))
+        state = f", {n.state}" if n.state else ""
+        rows.append((n.label, f"{n.value_text}{sigma} {n.unit}".rstrip() + state))
     return rows
 
 

@@ -18,11 +18,11 @@ import numpy as np
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.numbers import percent_text, std_text, value_text
+from mobilecal_cli.report.numbers import percent_text
 from mobilecal_cli.report.plots import Drawings
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN
-from mobilecal_cli.report.values import ReportData, ResultData
+from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ CONTENTS = {
     "description": "Robot description",
     "record": "Input",
 }
+_MOST_STOPS = 3
 #: Kind of criterion → the section that shows it; "checks" for others.
 _SECTIONS = {
     **dict.fromkeys(
@@ -63,32 +64,18 @@ def report_html(report: ReportData, drawings: Drawings) -> str:
     The first screen has the verdict, the numbers and what limits them; the rest is collapsed. The script links plots
     and images by station, and draws the view in space from the report's JSON, which is in the page.
     """
-    from markupsafe import Markup  # SVG made here, with every text escaped
+    from markupsafe import Markup
 
     script, style = _asset("page.js"), _asset("page.css") + STYLE
-    figures = [
-        {
-            "section": figure.section,
-            "half": figure.half,
-            "parts": [(title, Markup(svg)) for title, svg in figure.parts],
-            "caption": figure.caption,
-        }
-        for figure in drawings.figures
-    ]
     text = link_terms(
         template("report.html.jinja").render(
             report=report,
-            figures=figures,
-            views=drawings.views,
-            thumbnails=drawings.thumbnails,
-            path=Markup(drawings.path),
-            limits=drawings.limits,
-            bar=Markup("" if drawings.limits is None else drawings.limits.svg),
+            drawn=drawings,
             contents=list(CONTENTS.items()),
             opened=opened_section(report),
-            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
+            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
             change="" if report.change is None else _change(report.change),
-            orientation=_orientation(report.parameters),
+            orientation=report.parameters.orientation,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
             style=Markup(style),
         )
@@ -131,25 +118,6 @@ def template(name: str) -> Template:
     return found.get_template(name)
 
 
-def _orientation(found: ResultData) -> str:
-    """Quaternion, and Euler angles with their standard deviations; without these near gimbal lock."""
-    quaternion = ", ".join(f"{q:.6f}" for q in found.quaternion_xyzw)
-    shown, angles, stds = (
-        f"Quaternion (x, y, z, w): {quaternion}.",
-        found.euler_zyx_deg,
-        found.euler_zyx_std_deg,
-    )
-    if angles is None:
-        margin = f"{found.gimbal_margin_deg:.1f}"
-        return f"{shown} Euler angles are not shown: the orientation is {margin}° from gimbal lock."
-    each = (
-        f"{axis} = {value_text(angle, None if stds is None else stds[k], 3)}°"
-        + ("" if stds is None else f" ± {std_text(stds[k])}°")
-        for k, (axis, angle) in enumerate(zip("xyz", angles, strict=True))
-    )
-    return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
-
-
 def _change(change: Change) -> str:
     in_sigma = np.isfinite(change.sigmas).any()
     more = "; in sigma: divided by the standard deviation of the difference" if in_sigma else ""
@@ -177,29 +145,12 @@ TERMS = (
          "deviations. The solver then trusts it less."),
     Term("dead-reckoning", "Dead reckoning", "dead reckoning",
          "The path of the base, computed from the wheel rotations alone."),
-    Term("error-budget", "Error budget", "error budget",
-         "What share of a variance comes from each source: corners, joints, floor, wheels, and each kind of stated "
-         "value."),
     Term("gimbal-lock", "Gimbal lock", "gimbal lock",
          "An orientation at which Euler angles are not unique: the middle angle is near ±90°. Use the rotation "
          "vector or the quaternion there."),
-    Term("head-eye", "Head-eye transform", "head-eye transform",
-         "The pose of the reference camera in the frame of the last head link: rotation and translation."),
     Term("hold-out", "Hold-out", "hold-out|held-out|held out",
          "Data kept aside: it has no influence on the result, and the result is tested on it."),
-    Term("initial", "Initial estimate", "initial estimates?",
-         "The parameters from which an iterative method starts."),
-    Term("jackknife", "Jackknife", "jackknife",
-         "A second estimate of the standard deviations. It leaves out parts of the data in turn and measures how "
-         "much the result changes."),
     Term("leg", "Leg", "legs?", "The motion of the base from one station to the next."),
-    Term("linear", "Linear solution", "linear (?:solution|method)",
-         "The result of the iterative linear method of Kim and Jeong (2015). It is the start of the refinement."),
-    Term("ml", "Maximum likelihood", "maximum likelihood",
-         "The method that weights each measurement by its own noise and finds the parameters that explain all "
-         "measurements best."),
-    Term("nine", "Nine parameters", "nine parameters|nine-parameter model",
-         "The head-eye transform (six parameters), the right and left wheel radius, and the wheel separation."),
     Term("nominal", "Nominal value", "nominal (?:values?|wheels|head-eye transform)",
          "The value of a parameter before calibration, from the URDF or from rig.yaml."),
     Term("observable", "Observable", "(?:un)?observable",
@@ -218,8 +169,6 @@ TERMS = (
          "The station-to-station corner error in the images, root mean square in px."),
     Term("residual", "Residual", "residuals?",
          "The difference between a measurement and its prediction by the solution."),
-    Term("rotation-vector", "Rotation vector", "rotation vectors?",
-         "A rotation written as its axis times its angle. It is unique for all angles below 180°."),
     Term("sigma", "Sigma", "standard deviations?|sigmas?",
          "Standard deviation (1 sigma): the expected size of the error. The true value is within 1 sigma in 68 % of "
          "cases and within 2 sigma in 95 %."),

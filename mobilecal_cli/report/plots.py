@@ -50,14 +50,12 @@ class Figure:
     """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
-        parts: title ("" for none) and SVG element of each.
-        caption: what it shows, from its numbers; "" for none.
+        parts: title, SVG element, and caption (what it shows, from its numbers) of each; "" for none.
         half: half as wide as the page, side by side.
     """
 
     section: str
-    parts: tuple[tuple[str, str], ...]
-    caption: str
+    parts: tuple[tuple[str, str, str], ...]
     half: bool
 
 
@@ -161,13 +159,12 @@ def plot(
                 titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
             if corners and extraction.measured:
                 titles = {}
-            parts, captions = [], []
+            parts = []
             for more, title in titles.items():
                 drawn = draw(solution, extraction, *more)
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
-                parts += [(title, element)] if element else []
-                captions += [caption] if caption else []
-            return Figure(section, tuple(parts), " ".join(dict.fromkeys(captions)), half)
+                parts += [(title, element, caption)] if element else []
+            return Figure(section, tuple(parts), half)
 
         _PLOTS.append(figure)
         return draw
@@ -207,7 +204,6 @@ _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 _MARK_BYTES = 160  # of a detected and a predicted corner in the page
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
-_OUTLIERS = {"corners": "corners", "station": "station", "slip": "leg (slip)", "joint": "joint reading"}
 
 
 @plot("stations", each="log")
@@ -354,27 +350,6 @@ def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes
     return canvas, axes
 
 
-@plot("description", half=True, each="camera", corners=True)
-def picture_coverage(_: Solution, extraction: Extraction, k: int) -> Drawn:
-    """Outlines of the board in the images of one camera."""
-    import cv2  # slow to import, and other plots do not need it
-
-    of_camera = camera_words(extraction.rig.cameras.names[k])
-    canvas, axes = image_axes(extraction, k, f"outlines of the board in the images of the {of_camera}")
-    seen, names = extraction.observations, station_names(extraction)
-    for i in np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_OUTLINES)).astype(int)).tolist():
-        corners = seen[i].views[k]
-        measured = corners.pixels[corners.seen]
-        if not len(measured):
-            continue
-        hull = cv2.convexHull(measured.astype(np.float32), returnPoints=False)
-        axes.line(measured[hull.ravel()], "blue thin outline", [i], f"station {names[i]}", closed=True)
-    camera = extraction.rig.cameras.each[k]
-    pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
-    share = image_coverage(pixels, camera.width, camera.height)
-    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
-
-
 @plot("stations")
 def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     """Point error and reprojection error of each leg."""
@@ -404,45 +379,6 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     )
     times = float(residuals.leg_reprojection_px[worst]) / median if median else 1.0
     return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
-
-
-@plot("stations", each="log")
-def over_time(solution: Solution, extraction: Extraction, log: int) -> str:
-    """Leg and stereo residuals of one recording over time, with outliers and rejected stations."""
-    seen, residuals, names = extraction.observations, solution.residuals, station_names(extraction)
-    mine = [leg for leg, (i, _) in enumerate(residuals.legs) if seen[i].log == log]
-    stations = [(i, o) for i, o in enumerate(seen) if o.log == log]
-    rejected = [r for r in extraction.rejections if r.log == log and r.time_ns]
-    outliers = [o for o in solution.outliers if o.log == log]
-    start = min([o.time_ns for _, o in stations] + [r.time_ns for r in rejected])
-    times = [o.time_ns for _, o in stations]
-    times += [r.time_ns for r in rejected] + [o.time_ns for o in outliers]
-    values = [*residuals.leg_reprojection_px[mine], *(o.reprojection_px for _, o in stations)]
-    entries = [("line blue", "legs"), ("line green", "images alone")]
-    entries += [("line red", f"outlier: {_OUTLIERS[kind]}") for kind in sorted({o.kind for o in outliers})]
-    if rejected:
-        entries.append(("line ink", "rejected image or station"))
-    canvas = Canvas(WIDE, 290.0, "residuals over time, with outliers and rejected stations")
-    top = canvas.legend(entries, 8.0, 16.0)
-    x = Scale.of([(t - start) * 1e-9 for t in times])
-    axes = Axes.of(canvas, x, Scale.of(values, zero=True), "residual [px]", (0.0, top + 8.0, WIDE, 290.0))
-    axes.grid("time since the first station [s]")
-    for leg in mine:
-        i, j = residuals.legs[leg].tolist()
-        px = float(residuals.leg_reprojection_px[leg])
-        ends = [((seen[k].time_ns - start) * 1e-9, px) for k in (i, j)]
-        axes.line(ends, "blue", [i, j], f"{names[i]}–{names[j]}: {px:.2f} px")
-    for i, o in stations:
-        tip = f"station {names[i]}: {o.reprojection_px:.2f} px"
-        axes.dot((o.time_ns - start) * 1e-9, o.reprojection_px, "green", [i], tip, r=3)
-    bottom, room = axes.y.low, 0.05 * (axes.y.high - axes.y.low)
-    for r in rejected:
-        at = (r.time_ns - start) * 1e-9
-        axes.line([(at, bottom), (at, bottom + room)], "ink", tip=r.reason)
-    for outlier in outliers:
-        at = (outlier.time_ns - start) * 1e-9
-        axes.line([(at, bottom), (at, bottom + 2 * room)], "red", outlier.observations, outlier.text)
-    return canvas.svg
 
 
 @plot("description", corners=True)
@@ -479,26 +415,33 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
 
 
 @plot("description", half=True, each="camera", corners=True)
-def picture_residuals(_: Solution, extraction: Extraction, k: int) -> str:
-    """Residuals of the corners from the fitted flat board over the image, one line per corner, magnified.
+def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
+    """Board in the images of one camera: outlines, and the residuals of the corners, one line each, magnified.
 
-    The board's pose at each station comes from the cameras, so the robot's motion has no influence.
+    Residuals are from the fitted flat board, whose pose at each station comes from the cameras, so the robot's motion
+    has no influence.
     """
+    import cv2  # slow to import, and other plots do not need it
+
     found = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
-    lengths = np.concatenate([np.linalg.norm(r, axis=1) for _, r in found])
-    if not len(lengths):
+    detected, residuals = (np.concatenate(each) for each in zip(*found, strict=True))
+    if not len(detected):
         return ""
-    of_camera = camera_words(extraction.rig.cameras.names[k])
+    camera, of_camera = extraction.rig.cameras.each[k], camera_words(extraction.rig.cameras.names[k])
     canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
-    longest = float(np.percentile(lengths, 95))
+    longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
-    every = max(1, sum(len(pixels) for pixels, _ in found) // _MOST_DOTS)
-    names = station_names(extraction)
-    for i, (pixels, residual) in enumerate(found):
+    every = max(1, len(detected) // _MOST_DOTS)
+    outlined = max(1, len(found) // _MOST_OUTLINES)
+    for i, (name, (pixels, residual)) in enumerate(zip(station_names(extraction), found, strict=True)):
+        if len(pixels) and i % outlined == 0:
+            hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
+            axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
         lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
-        axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {names[i]}")
+        axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {name}")
     canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    return canvas.svg
+    share = image_coverage(detected, camera.width, camera.height)
+    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
 
 
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:

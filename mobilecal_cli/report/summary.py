@@ -57,7 +57,7 @@ def _change(report: ReportData, k: int) -> str:
     change, number = report.change, report.numbers[k]
     if change is None or k >= len(change.value) or not np.isfinite(change.value[k]):
         return ""
-    if number.unit == "factor":  # the change is that of the assumed wheels
+    if not number.unit:  # the change is that of the assumed wheels
         return f"{change.sigmas[k]:+.1f} sigma" if np.isfinite(change.sigmas[k]) else ""
     decimals = 5 if number.std is None else decimals_of(number.std, 5)
     sigmas = f" ({change.sigmas[k]:+.1f} sigma)" if np.isfinite(change.sigmas[k]) else ""

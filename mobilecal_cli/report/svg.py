@@ -1,4 +1,4 @@
-"""Plots as SVG text: axes with linear, logarithmic or named scales, and marks that belong to stations.
+"""Plots as SVG text: axes with linear or named scales, and marks that belong to stations.
 
 Colors are classes, so that the page's style sheet decides on light and dark. A mark with stations has them in
 `data-s`, by which the page's script links the plots.
@@ -28,7 +28,6 @@ svg.plot .title { font-weight: 600; } svg.plot .grid { stroke: var(--line); } sv
 svg.plot .fill { fill: var(--c); } svg.plot .line { fill: none; stroke: var(--c); stroke-width: 1.7; }
 svg.plot .thin { stroke-width: 1; } svg.plot .dash { stroke-dasharray: 5 4; } svg.plot .dots { stroke-dasharray: 1 4; }
 svg.plot .dark { fill-opacity: .75; } svg.plot .half { fill-opacity: .55; } svg.plot .light { fill-opacity: .35; }
-svg.plot .outline { fill: var(--c); fill-opacity: .08; }
 svg.plot .line.on { stroke-width: 3; } svg.plot .fill.on { stroke: var(--ink); stroke-width: 2; }
 """
 
@@ -40,11 +39,10 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Values from `low` to `high` (positive ones if logarithmic), shown from coordinate `start` to `end`."""
+    """Values from `low` to `high`, shown from coordinate `start` to `end`."""
 
     low: float
     high: float
-    log: bool = False
     start: float = 0.0
     end: float = 1.0
 
@@ -63,17 +61,11 @@ class Scale:
 
     def __call__(self, value: float) -> float:
         """Coordinate of a value."""
-        low, high = (math.log10(v) if self.log else v for v in (self.low, self.high))
-        at = math.log10(value) if self.log else value
-        return self.start + (at - low) / ((high - low) or 1.0) * (self.end - self.start)
+        return self.start + (value - self.low) / ((self.high - self.low) or 1.0) * (self.end - self.start)
 
     @property
     def ticks(self) -> list[float]:
-        """Round values to label: powers of ten, or in steps of 1, 2, 2.5 or 5 times a power of ten."""
-        if self.log:
-            first, last = math.ceil(math.log10(self.low) - 1e-9), math.floor(math.log10(self.high) + 1e-9)
-            every = max(1, -(-(last - first + 1) // 6))
-            return [10.0**k for k in range(first, last + 1, every)]
+        """Round values to label, in steps of 1, 2, 2.5 or 5 times a power of ten."""
         span, most = self.high - self.low, max(4, min(7, int(abs(self.end - self.start) / 55)))
         if not span > 0:
             return [self.low]
@@ -209,18 +201,17 @@ class Axes:
             scales.append(replace(s, low=middle - half, high=middle + half))
         return Axes(self.canvas, *scales)
 
-    def grid(self, x_label: str = "", x: bool = True, whole: bool = False) -> None:
-        """Grid lines, tick labels, on the x axis if `x` and only whole numbers if `whole`, and the x axis's label."""
+    def grid(self, x_label: str = "", x: bool = True) -> None:
+        """Grid lines, tick labels, on the x axis if `x`, and the x axis's label."""
         for value in self.y.ticks:
             at = self.y(value)
             self._line(self.x.start, at, self.x.end, at, "grid")
             self.canvas.text(self.x.start - 5, at + 4, f"{round(value, 12) + 0.0:.7g}", anchor="end")
         for value in self.x.ticks if x else ():
-            if not whole or value == round(value):
-                at = self.x(value)
-                self._line(at, self.y.start, at, self.y.end, "grid")
-                label = f"{round(value, 12) + 0.0:.7g}"  # without the rounding errors of the step
-                self.canvas.text(at, self.y.start + 14, label, anchor="middle")
+            at = self.x(value)
+            self._line(at, self.y.start, at, self.y.end, "grid")
+            label = f"{round(value, 12) + 0.0:.7g}"  # without the rounding errors of the step
+            self.canvas.text(at, self.y.start + 14, label, anchor="middle")
         self._line(self.x.start, self.y.start, self.x.end, self.y.start, "axis")
         if x_label:
             self.canvas.text((self.x.start + self.x.end) / 2, self.y.start + 31, x_label, anchor="middle")

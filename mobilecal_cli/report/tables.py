@@ -104,6 +104,8 @@ def noise(case: Case) -> Rows:
         source = "given" if level in given else "assumed"
         if (level == "stamp_s" and not moving) or (level == "encoder_rad" and not std):
             continue
+        if level == "joint_rad" and not case.extraction.rig.chain.joints:
+            continue
         if level == ("pixel_px" if case.extraction.measured else "pose_scale"):
             continue
         if level in levels.estimated:
@@ -120,7 +122,7 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
     units = dict(zip(chain.joints, chain.joint_units, strict=True))
     both = 0 < len(chain.prismatic) < len(units)
     revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
-    kinds = [(revolute, 180 / math.pi, "deg")] if len(chain.prismatic) < len(units) or not units else []
+    kinds = [(revolute, 180 / math.pi, "deg")] if len(chain.prismatic) < len(units) else []
     return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 
@@ -260,4 +262,4 @@ def inputs(case: Case) -> Rows:
     rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"
-    return [*rows, ("calibrated", f"{made}; params.yaml lists all settings")]
+    return [row for row in [*rows, ("calibrated", f"{made}; params.yaml lists all settings")] if row[1]]

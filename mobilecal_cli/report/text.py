@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import NEAR_LOCK_DEG, numbers_table, std_text, value_text
+from mobilecal_cli.report.numbers import numbers_table, std_text, value_text
 from mobilecal_cli.report.values import ReportData
 
 _WIDTH = 80
@@ -32,15 +32,8 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 
 
 def _details(report: ReportData) -> list[str]:
-    found, quality = report.parameters, report.quality
-    quaternion = " ".join(f"{q:.6f}" for q in found.quaternion_xyzw)
-    lines = ["", f"  {'quaternion x y z w':<{_LABEL}}{quaternion}"]
-    if found.euler_zyx_deg is None:
-        lock = f"{found.gimbal_margin_deg:.1f} deg from gimbal lock, limit {NEAR_LOCK_DEG:g}"
-        lines.append(f"  {'Euler angles':<{_LABEL}}none ({lock})")
-    else:
-        angles = " ".join(f"{angle:.3f}" for angle in found.euler_zyx_deg)
-        lines.append(f"  {'Euler x y z (ZYX)':<{_LABEL}}{angles} deg")
+    quality = report.quality
+    lines = ["", *wrapped(report.parameters.orientation, "", "  ", _WIDTH)]
     keys = {"time_joints": "clock of the joints", "time_wheels": "clock of the wheels"}
     for key, name in keys.items():
         if key in report.constants:

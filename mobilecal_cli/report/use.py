@@ -124,15 +124,23 @@ _EXTENTS = {
 }
 
 
-def missing_motion(solution: Solution, names: Sequence[str]) -> str:
-    """Why the recording does not determine these parameters: the motion that it lacks; "" if it lacks none."""
-    wanted = {"head": bool(set(names) & set(NINE[:6])), "base": bool(set(names) & set(NINE[6:]))}
-    said = []
-    for key, (least, name, _) in MOTION.items():
-        now = solution.motion.get(key, least)
-        if wanted[name.rsplit(" ", 1)[1]] and now < least:
-            said.append(_EXTENTS[key].format(f"{now:.2f} m" if key.endswith("_m") else f"{now:.1f} degrees"))
-    return " and ".join(said)
+def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
+    """Motion that the recording lacks to determine these parameters: key of `MOTION` → why, in words."""
+    of_base = set(names) & set(NINE[6:])
+    wanted = {"head": bool(set(names) & set(NINE[:6])), "base": bool(of_base)}
+    motion = solution.motion
+    keys = [
+        key
+        for key, (least, name, _) in MOTION.items()
+        if wanted[name.rsplit(" ", 1)[1]] and motion.get(key, least) < least
+    ]
+    if of_base and not {"turned_deg", "driven_m"} & set(keys):
+        # Turning shows the radii over the separation, driving the radii: it is little beside the other.
+        keys.append("turned_deg" if of_base == {NINE[8]} else "driven_m")
+    values = {
+        key: f"{motion[key]:.2f} m" if key.endswith("_m") else f"{motion[key]:.1f} degrees" for key in keys
+    }
+    return {key: _EXTENTS[key].format(value) for key, value in values.items()}
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.

@@ -72,6 +72,8 @@ from mobilecal_cli.report.numbers import (
     stated_priors,
     stations_looked_at,
     stations_text,
+    std_text,
+    value_text,
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
@@ -128,6 +130,25 @@ class ResultData(ParametersData):
     camera: str
     rectified: bool
     odometry: OdometryData | None
+
+    @property
+    def orientation(self) -> str:
+        """Quaternion, and Euler angles with their standard deviations; without these near gimbal lock."""
+        quaternion = ", ".join(f"{q:.6f}" for q in self.quaternion_xyzw)
+        shown, angles, stds = (
+            f"Quaternion (x, y, z, w): {quaternion}.",
+            self.euler_zyx_deg,
+            self.euler_zyx_std_deg,
+        )
+        if angles is None:
+            margin = f"{self.gimbal_margin_deg:.1f}"
+            return f"{shown} Euler angles are not shown: the orientation is {margin}° from gimbal lock."
+        each = (
+            f"{axis} = {value_text(angle, None if stds is None else stds[k], 3)}°"
+            + ("" if stds is None else f" ± {std_text(stds[k])}°")
+            for k, (axis, angle) in enumerate(zip("xyz", angles, strict=True))
+        )
+        return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
 
 
 @json_value

@@ -25,6 +25,7 @@ from pydantic import (
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
+from mobilecal_cli.model import WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -343,6 +344,11 @@ class WheelsNominal(_Section):
     radius_left_m: Radius
     radius_right_m: Radius
     separation_m: Separation
+
+    @property
+    def geometry(self) -> WheelGeometry:
+        """The wheels as the estimator has them."""
+        return WheelGeometry(self.radius_right_m, self.radius_left_m, self.separation_m)
 
 
 class NominalConfig(_Section):

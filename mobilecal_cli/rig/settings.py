@@ -25,7 +25,6 @@ from mobilecal_cli.model import (
     Rig,
     Side,
     Track,
-    WheelGeometry,
     WheelSource,
     WheelTrack,
 )
@@ -34,6 +33,13 @@ from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsN
 
 def _numbers(array: FloatArray) -> list[float]:
     return [float(value) + 0.0 for value in array]
+
+
+def _pose(T: FloatArray) -> dict[str, Any]:
+    return {
+        "translation_m": _numbers(T[:3, 3]),
+        "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
+    }
 
 
 def _chain(chain: HeadChain) -> list[dict[str, Any]]:
@@ -57,11 +63,7 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
 def _camera(rig: Rig, name: str) -> dict[str, Any]:
     settings: dict[str, Any] = {"image": rig.sources.image[name], "info": rig.sources.info[name]}
     if not rig.cameras.calibrated and name != rig.cameras.names[0]:
-        T = rig.cameras.T_c_each[rig.cameras.names.index(name)]
-        settings["pose"] = {
-            "translation_m": _numbers(T[:3, 3]),
-            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
-        }
+        settings["pose"] = _pose(rig.cameras.T_c_each[rig.cameras.names.index(name)])
     return settings
 
 
@@ -127,10 +129,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         sizes = asdict(nominal.wheels)
         settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
-        settings.setdefault("nominal", {})["head_eye"] = {
-            "translation_m": _numbers(nominal.T_h_reference[:3, 3]),
-            "quaternion_xyzw": _numbers(se3.quaternion_xyzw(nominal.T_h_reference[:3, :3])),
-        }
+        settings.setdefault("nominal", {})["head_eye"] = _pose(nominal.T_h_reference)
     if rig.noise.given:
         settings["noise"] = rig.noise.given
     if rig.prior_sigmas:
@@ -189,7 +188,7 @@ def nominal_of(config: RigConfig) -> Nominal:
     if head_eye is not None:
         rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
         T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
-    return Nominal(T_h_reference, None if wheels is None else WheelGeometry(**wheels.model_dump()))
+    return Nominal(T_h_reference, None if wheels is None else wheels.geometry)
 
 
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.

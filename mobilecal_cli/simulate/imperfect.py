@@ -283,8 +283,6 @@ def draw(
     """Constants from their priors: name → value. Each kind gets the same values whichever others are drawn.
 
     Args:
-        robot: the description.
-        random: source of the values.
         scale: of the priors' standard deviations.
         kinds: keys of `PRIORS` or names of constants; by default all but those that only moving recordings show.
     """
@@ -321,7 +319,6 @@ def floor_poses(noise: Noise, turns: FloatArray, lifts: FloatArray, still: bool)
     """Poses (N, 4, 4) of the base from unit random numbers; the same at all stations of a base that stands still.
 
     Args:
-        noise: its levels.
         turns, lifts: (N, 2) and (N,).
         still: whether the base never moves.
     """
@@ -342,8 +339,6 @@ def rolled_as_read(
     Args:
         angles: (n, 2) true rotations of the right and left wheel, rad.
         leg: (n - 1,) leg of each change, from 0.
-        noise: their levels.
-        random: source of the noise.
     """
     change = np.diff(angles, axis=0)
     error = np.zeros(change.shape)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,7 +33,8 @@ from mobilecal_cli.simulate.imperfect import (
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import SimulatedRobot, urdf_text
 from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.scenario import Container, Scenario
+from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.targets import Container
 
 Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
@@ -291,63 +293,60 @@ def _serialized(publisher: Publisher, published: Published) -> bytes:
     return bytes(serialize(published.message, published.type))
 
 
-def _mcap(compression: CompressionType) -> Write:
-    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
-        profile, encoding = ("ros1", "ros1") if publisher.ros == 1 else ("ros2", "cdr")
-        with path.open("wb") as stream:
-            writer = McapWriter(stream, compression=compression)
-            writer.start(profile=profile, library="mobilecal simulate")
-            channels: dict[str, int] = {}
-            for published in messages:
-                if published.topic not in channels:
-                    definition, _ = publisher.store.generate_msgdef(published.type, ros_version=publisher.ros)
-                    name = published.type.replace("/msg/", "/") if publisher.ros == 1 else published.type
-                    schema = writer.register_schema(name, f"{profile}msg", definition.encode())
-                    channels[published.topic] = writer.register_channel(published.topic, encoding, schema)
-                time_ns = published.time_ns
-                data = _serialized(publisher, published)
-                writer.add_message(channels[published.topic], time_ns, data, time_ns)
-            writer.finish()  # type: ignore[no-untyped-call]
-
-    return write
+def _mcap(
+    compression: CompressionType, path: Path, messages: Iterable[Published], publisher: Publisher
+) -> None:
+    profile, encoding = ("ros1", "ros1") if publisher.ros == 1 else ("ros2", "cdr")
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, compression=compression)
+        writer.start(profile=profile, library="mobilecal simulate")
+        channels: dict[str, int] = {}
+        for published in messages:
+            if published.topic not in channels:
+                definition, _ = publisher.store.generate_msgdef(published.type, ros_version=publisher.ros)
+                name = published.type.replace("/msg/", "/") if publisher.ros == 1 else published.type
+                schema = writer.register_schema(name, f"{profile}msg", definition.encode())
+                channels[published.topic] = writer.register_channel(published.topic, encoding, schema)
+            time_ns = published.time_ns
+            data = _serialized(publisher, published)
+            writer.add_message(channels[published.topic], time_ns, data, time_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _connected(writer: Any, messages: Iterable[Published], publisher: Publisher) -> None:  # noqa: ANN401
     connections: dict[str, Any] = {}
-    for published in messages:
-        topic = published.topic
-        if topic not in connections:
-            connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
-        writer.write(connections[topic], published.time_ns, _serialized(publisher, published))
+    with writer:
+        for published in messages:
+            topic = published.topic
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
+            writer.write(connections[topic], published.time_ns, _serialized(publisher, published))
 
 
-def _rosbag2(plugin: StoragePlugin) -> Write:
-    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
-        with Rosbag2Writer(path, version=9, storage_plugin=plugin) as writer:
-            _connected(writer, messages, publisher)
-
-    return write
+def _rosbag2(plugin: StoragePlugin, path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
+    _connected(Rosbag2Writer(path, version=9, storage_plugin=plugin), messages, publisher)
 
 
-def _bag(compression: BagWriter.CompressionFormat | None) -> Write:
-    def write(path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
-        writer = BagWriter(path)
-        if compression is not None:
-            writer.set_compression(compression)
-        with writer:
-            _connected(writer, messages, publisher)
-
-    return write
+def _bag(
+    compression: BagWriter.CompressionFormat | None,
+    path: Path,
+    messages: Iterable[Published],
+    publisher: Publisher,
+) -> None:
+    writer = BagWriter(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    _connected(writer, messages, publisher)
 
 
 WRITERS: dict[Container, Write] = {
-    "mcap": _mcap(CompressionType.NONE),
-    "mcap-lz4": _mcap(CompressionType.LZ4),
-    "mcap-zstd": _mcap(CompressionType.ZSTD),
-    "mcap-ros1": _mcap(CompressionType.NONE),
-    "rosbag2": _rosbag2(StoragePlugin.SQLITE3),
-    "rosbag2-mcap": _rosbag2(StoragePlugin.MCAP),
-    "bag": _bag(None),
-    "bag-lz4": _bag(BagWriter.CompressionFormat.LZ4),
-    "bag-bz2": _bag(BagWriter.CompressionFormat.BZ2),
+    "mcap": partial(_mcap, CompressionType.NONE),
+    "mcap-lz4": partial(_mcap, CompressionType.LZ4),
+    "mcap-zstd": partial(_mcap, CompressionType.ZSTD),
+    "mcap-ros1": partial(_mcap, CompressionType.NONE),
+    "rosbag2": partial(_rosbag2, StoragePlugin.SQLITE3),
+    "rosbag2-mcap": partial(_rosbag2, StoragePlugin.MCAP),
+    "bag": partial(_bag, None),
+    "bag-lz4": partial(_bag, BagWriter.CompressionFormat.LZ4),
+    "bag-bz2": partial(_bag, BagWriter.CompressionFormat.BZ2),
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field, fields
+import pickle
 
 import cv2
 import numpy as np
@@ -98,23 +98,10 @@ def _covered(position: FloatArray, width: FloatArray, low: float, high: float) -
     return np.asarray(above * np.clip((high - position) / width + 0.5, 0, 1))
 
 
-@dataclass(frozen=True)
-class _Camera:
-    """A camera that equals others of the same values.
-
-    Attributes:
-        camera: the camera.
-        values: its fields, arrays as bytes.
-    """
-
-    camera: Camera = field(compare=False)
-    values: tuple[object, ...]
-
-
 @functools.lru_cache(maxsize=4)
-def _pixel_rays(known: _Camera) -> FloatArray:
-    """Ray of each pixel, (height, width, 2) at z = 1. The inverse of a lens takes longer than drawing an image."""
-    camera = known.camera
+def _pixel_rays(pickled: bytes) -> FloatArray:
+    """Ray of each pixel of a camera, which has no hash, (height, width, 2) at z = 1: slower than drawing an image."""
+    camera: Camera = pickle.loads(pickled)
     pixels = np.stack(
         np.meshgrid(*(np.arange(n, dtype=np.float64) for n in (camera.width, camera.height))), -1
     )
@@ -137,13 +124,12 @@ class BoardRenderer:
         board = shape.board
         self._camera, self._shape, self._blur_px = camera, shape, blur_px
         height, width = camera.height, camera.width
-        values = (getattr(camera, field.name) for field in fields(camera))
-        known = _Camera(camera, tuple(v.tobytes() if isinstance(v, np.ndarray) else v for v in values))
         # Rays change direction by 0.0002 px between two pixels, so linear interpolation is exact enough for
         # subpixels.
         fine = (width * _SUB, height * _SUB)
         self._rays = np.asarray(
-            cv2.resize(_pixel_rays(known), fine, interpolation=cv2.INTER_LINEAR), dtype=np.float64
+            cv2.resize(_pixel_rays(pickle.dumps(camera)), fine, interpolation=cv2.INTER_LINEAR),
+            dtype=np.float64,
         )
         self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
         self._background = self._clutter(random)

@@ -164,6 +164,8 @@ def rays(camera: Camera, at: FloatArray, rounds: int = 40) -> FloatArray:
 
 
 Vector = tuple[float, float, float]
+#: Camera axes (right, down, forward) in a frame with x forward, y left, z up.
+OPTICAL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,14 +222,14 @@ class SimulatedRobot:
 
     name: str
     joints: tuple[RobotJoint, ...]
-    pan: str
-    tilt: str
     infos: tuple[CameraInfo, ...]
     T_h_c: FloatArray
     wheels: WheelGeometry
     nominal_wheels: WheelGeometry
     T_h_c_nominal: FloatArray
-    encoder_step_rad: float
+    pan: str = ""
+    tilt: str = ""
+    encoder_step_rad: float = 2 * np.pi / 4096
     wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
     slip: float = 0.0
     ticks_per_revolution: int = 4096
@@ -356,10 +358,7 @@ def paper_robot() -> SimulatedRobot:
 @cache
 def tick_robot() -> SimulatedRobot:
     """Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution."""
-    # Camera axes (right, down, forward) in a head frame (x forward, y left, z up), mounted with a small
-    # rotation.
-    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-    T_h_c = pose((0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * optical)
+    T_h_c = pose((0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL)
     return SimulatedRobot(
         name="tick",
         joints=(
@@ -374,29 +373,22 @@ def tick_robot() -> SimulatedRobot:
         wheels=WheelGeometry(radius_right_m=0.0824, radius_left_m=0.0817, separation_m=0.3372),
         nominal_wheels=WheelGeometry(radius_right_m=0.082, radius_left_m=0.082, separation_m=0.340),
         T_h_c_nominal=T_h_c @ _NOMINAL,
-        encoder_step_rad=2 * np.pi / 4096,
         wheel_signal="ticks",
-        ticks_per_revolution=4096,
-        tick_bits=16,
     )
 
 
 @cache
 def fixed_camera_robot() -> SimulatedRobot:
     """Robot with a stereo pair fixed to its base."""
-    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-    T_h_c = pose((0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * optical)
+    T_h_c = pose((0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL)
     return SimulatedRobot(
         name="fixed_camera",
         joints=(),
-        pan="",
-        tilt="",
         infos=stereo_infos("stereo"),
         T_h_c=T_h_c,
         wheels=WheelGeometry(radius_right_m=0.0979, radius_left_m=0.0986, separation_m=0.3931),
         nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.390),
         T_h_c_nominal=T_h_c @ _NOMINAL,
-        encoder_step_rad=2 * np.pi / 4096,
     )
 
 
@@ -428,22 +420,18 @@ def odometry_only_robot() -> SimulatedRobot:
 @cache
 def rgbd_robot() -> SimulatedRobot:
     """Small robot with the color camera of an RGB-D camera on its base."""
-    optical = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     T_h_c = pose(
-        (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * optical
+        (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * OPTICAL
     )
     color = replace(stereo_infos("camera_color", focal_px=605.0)[0], frame_id="camera_color_optical_frame")
     return SimulatedRobot(
         name="rgbd",
         joints=(),
-        pan="",
-        tilt="",
         infos=(replace(color, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
         T_h_c=T_h_c,
         wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
         nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
         T_h_c_nominal=T_h_c @ _NOMINAL,
-        encoder_step_rad=2 * np.pi / 4096,
         mounted={"camera": np.eye(4)},
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -17,7 +17,8 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Board, FloatArray, WheelGeometry
-from mobilecal_cli.simulate.robot import SimulatedRobot, pixels, pose
+from mobilecal_cli.simulate.robot import OPTICAL, SimulatedRobot, pixels, pose
+from mobilecal_cli.targets import Motion
 
 _STRAIGHT_RADPS = 1e-12
 
@@ -117,9 +118,6 @@ def base_in_world(poses: FloatArray) -> FloatArray:
     return T
 
 
-Motion = Literal[
-    "standard", "head_fixed", "pan_only", "straight", "spin", "base_fixed", "large_turns", "moving"
-]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
 REST_S = 1.2
@@ -178,12 +176,10 @@ class Route:
 
 def board_in_world(board: Board, distance_m: float, height_m: float) -> FloatArray:
     """T_w_k of an upright board that faces the robot with a small rotation, (4, 4)."""
-    # As seen from the robot: x to the right, y down, z away.
-    facing = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
     askew = Rotation.from_euler("xyz", [2.0, 6.0, -1.5], degrees=True)
     square = board.square_m or 0.0
     centre = square * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
-    rotation = facing * askew
+    rotation = OPTICAL * askew
     return pose(np.array([distance_m, 0.0, height_m]) - rotation.apply(centre), rotation)
 
 
@@ -400,7 +396,6 @@ def plan_route(
     """Plan a route that keeps the board in view.
 
     Args:
-        robot: robot to plan for.
         motion: "standard", a motion with unobservable parameters, or "moving", which never rests.
         stations: number of stops; a moving route takes three seconds per station.
         board: 9x6 corners with squares of 80 mm by default.

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.model import Board, Markers
 from mobilecal_cli.simulate.imperfect import NOT_RENDERED, PRIORS, STATION_NOISE, Noise, draw
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
-from mobilecal_cli.simulate.route import Motion, Route, plan_route
+from mobilecal_cli.simulate.route import Route, plan_route
+from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
 
-Container = Literal[
-    "mcap", "mcap-lz4", "mcap-zstd", "mcap-ros1", "rosbag2", "rosbag2-mcap", "bag", "bag-lz4", "bag-bz2"
-]
 CONTAINERS: tuple[str, ...] = get_args(Container)
-Pictures = Literal["jpeg", "png", "mono8"]
-BoardKind = Literal["checkerboard", "charuco", "aprilgrid"]
 _BOARD = Board(9, 6, 0.08)
 PRINTED: dict[BoardKind, Board] = {
     "charuco": Board(15, 11, 0.08, Markers("charuco", "DICT_5X5_1000", 0.75)),
@@ -106,15 +103,6 @@ class Scenario:
         ]
 
 
-def _plain(value: float) -> str:
-    """Plain decimal number, readable by every YAML loader."""
-    return np.format_float_positional(value, precision=13, unique=True, fractional=False, trim="0")
-
-
-def _row(values: object) -> str:
-    return "[" + ", ".join(_plain(float(value)) for value in np.asarray(values).ravel()) + "]"
-
-
 def _factors(robot: SimulatedRobot) -> list[str]:
     """The factors of odometry, of a robot whose recording has nothing else; `wheels` are those that it has."""
     if robot.wheel_signal != "odometry":
@@ -128,7 +116,7 @@ def _factors(robot: SimulatedRobot) -> list[str]:
         "linear_scale": linear,
         "angular_scale": linear / separation,
     }
-    return ["odometry:", *(f"  {name}: {_plain(float(value))}" for name, value in values.items())]
+    return ["odometry:", *(f"  {name}: {decimal(float(value))}" for name, value in values.items())]
 
 
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
@@ -140,39 +128,39 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         "head_eye:",
         f"  parent_frame: {robot.head_frame}",
         f"  child_frame: {robot.infos[0].frame_id}",
-        f"  translation_m: {_row(robot.T_h_c[:3, 3])}",
-        f"  quaternion_xyzw: {_row(quaternion)}",
+        f"  translation_m: {decimals(robot.T_h_c[:3, 3])}",
+        f"  quaternion_xyzw: {decimals(quaternion)}",
         "wheels:",
-        f"  radius_left_m: {_plain(robot.wheels.radius_left_m)}",
-        f"  radius_right_m: {_plain(robot.wheels.radius_right_m)}",
-        f"  separation_m: {_plain(robot.wheels.separation_m)}",
+        f"  radius_left_m: {decimal(robot.wheels.radius_left_m)}",
+        f"  radius_right_m: {decimal(robot.wheels.radius_right_m)}",
+        f"  separation_m: {decimal(robot.wheels.separation_m)}",
         *_factors(robot),
         "board:",
         f"  columns: {route.board.columns}",
         f"  rows: {route.board.rows}",
-        f"  square_m: {_plain(route.board.square_m or 0.0)}",
+        f"  square_m: {decimal(route.board.square_m or 0.0)}",
         "scenario:",
         f"  robot: {scenario.robot}",
         f"  motion: {scenario.motion}",
         f"  seed: {scenario.seed}",
         f"  exact: {str(scenario.exact).lower()}",
-        f"  pixel_noise_grey: {_plain(0.0 if scenario.exact else scenario.pixel_noise_grey)}",
-        f"  blur_px: {_plain(scenario.blur_px)}",
-        f"  wheel_noise_rad_per_sqrt_rad: {_plain(0.0 if scenario.exact else scenario.wheel_noise_rad_per_sqrt_rad)}",
-        f"  encoder_step_rad: {_plain(0.0 if scenario.exact else robot.encoder_step_rad)}",
-        f"  joint_noise_rad: {_plain(0.0 if scenario.exact else robot.joint_noise_rad)}",
-        f"  camera_late_s: {_plain(scenario.camera_late_s)}",
+        f"  pixel_noise_grey: {decimal(0.0 if scenario.exact else scenario.pixel_noise_grey)}",
+        f"  blur_px: {decimal(scenario.blur_px)}",
+        f"  wheel_noise_rad_per_sqrt_rad: {decimal(0.0 if scenario.exact else scenario.wheel_noise_rad_per_sqrt_rad)}",
+        f"  encoder_step_rad: {decimal(0.0 if scenario.exact else robot.encoder_step_rad)}",
+        f"  joint_noise_rad: {decimal(0.0 if scenario.exact else robot.joint_noise_rad)}",
+        f"  camera_late_s: {decimal(scenario.camera_late_s)}",
     ]
     if scenario.imperfect:
         constants, noise = scenario.imperfections(robot)
         levels = {name: getattr(noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
         levels["stamp_s"] = noise.stamp_s if scenario.motion == "moving" else 0.0
-        lines += [f"  {name}: {_plain(level)}" for name, level in levels.items()]
+        lines += [f"  {name}: {decimal(level)}" for name, level in levels.items()]
         lines.append(
             "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)"
         )
-        lines += [f"  {name}: {_plain(value)}" for name, value in constants.items()]
-    lines.append(f"board_in_world: {_row(route.T_w_k[:3])}  # first three rows of T_w_k")
+        lines += [f"  {name}: {decimal(value)}" for name, value in constants.items()]
+    lines.append(f"board_in_world: {decimals(route.T_w_k[:3].ravel())}  # first three rows of T_w_k")
     if len(route.rests_s):
         times = route.rests_s.mean(axis=1)
         lines.append(f"joints: [{', '.join(robot.joint_names)}]")
@@ -180,7 +168,7 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
             "stations:  # base: x (m), y (m), heading (rad) in the world frame (the base frame at the start)"
         )
         lines += [
-            f"  - {{time_s: {_plain(t)}, base: {_row(base)}, joints_rad: {_row(joints)}}}"
+            f"  - {{time_s: {decimal(t)}, base: {decimals(base)}, joints_rad: {decimals(joints)}}}"
             for t, base, joints in zip(times, route.drive.poses(times), route.joints(times), strict=True)
         ]
     return "\n".join(lines) + "\n"

@@ -6,23 +6,22 @@ description: they are kept, and the estimate finds what is wrong with it.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise, product
 
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, CameraRig, FloatArray, Rejection
+from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
 from mobilecal_cli.vision.averaging import turned_board, turns_of
 from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
-Pixels = tuple[FloatArray, FloatArray]
 _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart
-_FLAT_PX = 3.0
-_TIMES_THE_MEDIAN = 3.0
+_FLAT_PX = 3.0  # corners that far off a plane are not those of a board
+_TIMES_THE_MEDIAN = 3.0  # misfit that sets a station apart from the others of a recording
 _UNIT_TOLERANCE = 0.3  # a wrong unit is off by far more
 _UNITS = {"millimeters": 1000.0, "centimeters": 100.0, "inches": 1 / 0.0254}
 _FEWEST = 5  # stations that make a median
@@ -33,6 +32,10 @@ _RECALIBRATE = (
     "check that each camera_info belongs to its images (left and right, resolution, crop), or calibrate the stereo "
     "pair again"
 )
+_EXCHANGED = "the left and the right images are exchanged"
+_LATE = "the images of the right camera are those of the station before"
+_EARLY = "the images of the left camera are those of the station before"
+_CLOCK = "check that both cameras send each image at once, with the time of its exposure, and record again"
 
 
 def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | Rejection], tuple[str, ...]]:
@@ -44,11 +47,27 @@ def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | 
     Returns:
         The stations, and a note if all of them disagree with camera_info.
     """
-    found = [one for one in measured if isinstance(one, Measured)]
+    stations = [station for station in measured if isinstance(station, Measured)]
     epipolar_px, common_px = _limit(
-        [one.points.rms_px for one in found if one.points is not None], _EPIPOLAR_PX
+        [station.points.rms_px for station in stations if station.points is not None], _EPIPOLAR_PX
     )
-    flat_px, _ = _limit([one.pose.rms_px for one in found], _FLAT_PX)
+    flat_px, _ = _limit([station.pose.rms_px for station in stations], _FLAT_PX)
+
+    def judged(station: Measured | Rejection) -> Measured | Rejection:
+        if isinstance(station, Rejection):
+            return station
+        if station.points is not None and station.points.rms_px > epipolar_px:
+            return station.rejected(
+                INCONSISTENT,
+                f"distance from the epipolar lines {station.points.rms_px:.2f} px rms, limit {epipolar_px:.1f} px",
+            )
+        if station.pose.rms_px > flat_px:
+            return station.rejected(
+                INCONSISTENT,
+                f"a flat board fits the corners with an rms of {station.pose.rms_px:.2f} px, limit {flat_px:.1f} px",
+            )
+        return station
+
     notes: tuple[str, ...] = ()
     if common_px > _EPIPOLAR_PX:
         notes = (
@@ -56,9 +75,7 @@ def agreeing(measured: Sequence[Measured | Rejection]) -> tuple[list[Measured | 
             f"median station (limit {_EPIPOLAR_PX} px). Stations that share this misfit are kept, and the estimate "
             "corrects camera_info as far as its priors allow.",
         )
-    return [
-        _judged(one, epipolar_px, flat_px) if isinstance(one, Measured) else one for one in measured
-    ], notes
+    return [judged(station) for station in measured], notes
 
 
 def _limit(rms_px: Sequence[float], usual_px: float) -> tuple[float, float]:
@@ -67,82 +84,68 @@ def _limit(rms_px: Sequence[float], usual_px: float) -> tuple[float, float]:
     return max(usual_px, _TIMES_THE_MEDIAN * common_px), common_px
 
 
-def _judged(one: Measured, epipolar_px: float, flat_px: float) -> Measured | Rejection:
-    if one.points is not None and one.points.rms_px > epipolar_px:
-        detail = (
-            f"distance from the epipolar lines {one.points.rms_px:.2f} px rms, limit {epipolar_px:.1f} px"
-        )
-    elif one.pose.rms_px > flat_px:
-        detail = (
-            f"a flat board fits the corners with an rms of {one.pose.rms_px:.2f} px, limit {flat_px:.1f} px"
-        )
-    else:
-        return one
-    return one.rejected(INCONSISTENT, detail)
+def _as_is(camera: Camera, board: Board, corners: FloatArray) -> list[FloatArray]:
+    return [corners]
 
 
-def _exchanged(_: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    return [(right, left)]
-
-
-def _mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    return [([rig.each[0].width - 1, 0] + left * [-1, 1], [rig.each[1].width - 1, 0] + right * [-1, 1])]
-
-
-def _left_mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    ((corners, _),) = _mirrored(rig, board, left, right)
-    return [(numbered, right) for numbered in _as_mirrored(board, corners)]
-
-
-def _right_mirrored(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    ((_, corners),) = _mirrored(rig, board, left, right)
-    return [(left, numbered) for numbered in _as_mirrored(board, corners)]
-
-
-def _as_mirrored(board: Board, corners: FloatArray) -> list[FloatArray]:
-    """Corners (M, 2) as a mirrored image may number them: from the other end of the rows, or of the columns."""
-    grid = corners.reshape(board.rows, board.columns, 2)
+def _mirrored(camera: Camera, board: Board, corners: FloatArray) -> list[FloatArray]:
+    """As a mirrored image may number them: from the other end of the rows, or of the columns."""
+    grid = ([camera.width - 1, 0] + corners * [-1, 1]).reshape(board.rows, board.columns, 2)
     return [grid[:, ::-1].reshape(-1, 2), grid[::-1].reshape(-1, 2)]
 
 
-def _upside_down(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray) -> list[Pixels]:
-    ends = [[camera.width - 1, camera.height - 1] for camera in rig.each]
-    return [(ends[0] - left, ends[1] - right)]
+def _upside_down(camera: Camera, board: Board, corners: FloatArray) -> list[FloatArray]:
+    return [[camera.width - 1, camera.height - 1] - corners]
 
 
-#: What may have happened to the images, what undoes it on the corners, and the cure.
-_MISTAKES: Mapping[str, tuple[Callable[[CameraRig, Board, FloatArray, FloatArray], list[Pixels]], str]] = {
-    "the left and the right images are exchanged": (
-        _exchanged,
+_Undo = Callable[[Camera, Board, FloatArray], list[FloatArray]]
+#: What may have happened to the images; what undoes it on the corners (M, 2) of the left and the right image, px, with
+#: the possible numberings; and the cure.
+_MISTAKES: Mapping[str, tuple[_Undo, _Undo, str]] = {
+    _EXCHANGED: (
+        _as_is,
+        _as_is,
         "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
     ),
     "the images of both cameras are mirrored": (
         _mirrored,
+        _mirrored,
         "switch the mirroring of the camera driver off, and record again",
     ),
     "the images of the left camera are mirrored": (
-        _left_mirrored,
+        _mirrored,
+        _as_is,
         "switch the mirroring of the left camera's driver off, and record again",
     ),
     "the images of the right camera are mirrored": (
-        _right_mirrored,
+        _as_is,
+        _mirrored,
         "switch the mirroring of the right camera's driver off, and record again",
     ),
     "the images of both cameras are upside down": (
+        _upside_down,
         _upside_down,
         "calibrate the stereo pair with images as recorded, or switch the rotation of the camera driver off",
     ),
 }
 
 
-_LATE = "the images of the right camera are those of the station before"
-_EARLY = "the images of the left camera are those of the station before"
-_CLOCK = "check that both cameras send each image at once, with the time of its exposure, and record again"
+def _undone_px(rig: CameraRig, board: Board, mistake: str, pairs: Sequence[Pair]) -> float:
+    """Median distance from the epipolar lines with a mistake undone, px rms."""
+    undo_left, undo_right, _ = _MISTAKES[mistake]
+    apart_px = []
+    for pair in pairs:
+        left, right = reversed(pair) if mistake == _EXCHANGED else pair
+        options = product(
+            undo_left(rig.each[0], board, left.pixels), undo_right(rig.each[1], board, right.pixels)
+        )
+        apart_px.append(min(_misfit_px(rig, board, *option, pair) for option in options))
+    return float(np.median(apart_px))
 
 
-def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray, seen: Pair) -> float:
+def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray, pair: Pair) -> float:
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
-    both = seen[0].seen & seen[1].seen
+    both = pair[0].seen & pair[1].seen
     best = np.inf
     for turns in turns_of(board):
         points = triangulate(rig, [left[both], turned_board(right, board, turns)[both]], [1.0, 1.0])
@@ -194,25 +197,15 @@ def check_arrangement(
     if len(pairs) >= _FEWEST:
         _check_repeated(pairs)
     gross = [
-        isinstance(one, Rejection) or (one.points is not None and one.points.rms_px > _GROSS_PX)
-        for one in measured
-        if (one.reason == INCONSISTENT if isinstance(one, Rejection) else one.points is not None)
+        isinstance(station, Rejection) or (station.points is not None and station.points.rms_px > _GROSS_PX)
+        for station in measured
+        if (station.reason == INCONSISTENT if isinstance(station, Rejection) else station.points is not None)
     ]
     if sum(gross) < _FEWEST or 2 * sum(gross) < len(gross):
         return
-    misfits_px = {
-        mistake: float(
-            np.median(
-                [
-                    min(_misfit_px(rig, board, *p, (a, b)) for p in undo(rig, board, a.pixels, b.pixels))
-                    for a, b in pairs
-                ]
-            )
-        )
-        for mistake, (undo, _) in _MISTAKES.items()
-    }
+    misfits_px = {mistake: _undone_px(rig, board, mistake, pairs) for mistake in _MISTAKES}
     for by, mistake in ((1, _LATE), (-1, _EARLY)):
-        shifted = [(a, b) for (a, _), (_, b) in itertools.pairwise(pairs[::by])]
+        shifted = [(a, b) for (a, _), (_, b) in pairwise(pairs[::by])]
         apart_px = [_misfit_px(rig, board, a.pixels, b.pixels, (a, b)) for a, b in shifted]
         misfits_px[mistake] = float(np.median(apart_px)) if apart_px else np.inf
     likely = min(misfits_px, key=lambda mistake: misfits_px[mistake])
@@ -223,7 +216,7 @@ def check_arrangement(
     if misfits_px[likely] <= _EPIPOLAR_PX:
         raise ObservationError(
             f"{likely}: {facts}; with this undone, they are {misfits_px[likely]:.1f} px away",
-            _MISTAKES[likely][1] if likely in _MISTAKES else _CLOCK,
+            _MISTAKES[likely][2] if likely in _MISTAKES else _CLOCK,
         )
     raise ObservationError(f"camera_info does not fit the images: {facts}", _RECALIBRATE)
 
@@ -234,17 +227,17 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     Raises:
         ObservationError: they differ at the median of enough stations; names a unit given as meters.
     """
-    sides_m = [one.square_m for one in measured if isinstance(one, Measured) and one.points is not None]
+    stations = (station for station in measured if isinstance(station, Measured))
+    sides_m = [station.square_m for station in stations if station.points is not None]
     if len(sides_m) < _FEWEST:
         return
     side_m = float(np.median(sides_m))
     if abs(side_m - square_m) <= SQUARE_TOLERANCE * square_m:
         return
-    cure = square_cure(square_m, side_m)
     raise ObservationError(
         f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} stations, but board.square_m is "
         f"{square_m:g} m (limit {100 * SQUARE_TOLERANCE:g} %)",
-        cure,
+        square_cure(square_m, side_m),
     )
 
 

@@ -56,15 +56,17 @@ class StationCorners:
     cov: FloatArray
 
     @classmethod
-    def of(cls, found: Sequence[Detection], board: Board) -> StationCorners:
+    def of(cls, detections: Sequence[Detection], board: Board) -> StationCorners:
         """Bring every image to the numbering nearest to that of the first."""
         pixels, cov = [], []
-        for d in found:
+        for d in detections:
             options = [(turned_board(d.pixels, board, k), k) for k in turns_of(board)]
-            nearest, turn = min(options, key=lambda option: float(np.sum((option[0] - found[0].pixels) ** 2)))
+            nearest, turn = min(
+                options, key=lambda option: float(np.sum((option[0] - detections[0].pixels) ** 2))
+            )
             pixels.append(nearest)
             cov.append(turned_board(d.cov, board, turn))
-        return cls(np.stack(pixels), np.stack([d.seen for d in found]), np.stack(cov))
+        return cls(np.stack(pixels), np.stack([d.seen for d in detections]), np.stack(cov))
 
     def select(self, kept: BoolArray) -> StationCorners:
         """A subset of the images."""

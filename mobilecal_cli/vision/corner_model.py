@@ -25,10 +25,10 @@ from mobilecal_cli.vision.values import Appearance, Single
 # Half width of a corner's window in units of the edge: up to the middle of a square, outside the next edge's
 # blur. It is smaller toward the outside of the board, because printed boards often have narrow outer squares.
 _INNER_REACH, _OUTER_REACH = 0.5, 0.28
-_LEAST_HALF_PX, _MOST_HALF_PX = 2, 7
-_MOST_ROUNDS = 5
-_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0
-_LEAST_PIXELS = 20
+_LEAST_HALF_PX, _MOST_HALF_PX = 2, 7  # of a window: for seven unknowns, and for the time that it takes
+_MOST_ROUNDS = 5  # two or three are usual
+_LEAST_BLUR_PX, _MOST_BLUR_PX = 0.3, 4.0  # a pixel's own width, and that of half a window
+_LEAST_PIXELS = 20  # of a corner near the image border, for seven unknowns
 _LEAST_CONTRAST_GREY = 4.0  # half of the step from dark to light; a lower contrast is no corner
 _LARGEST_MOVE = 0.15  # in units of the edge, from the result of cornerSubPix
 _UNKNOWNS = 7
@@ -43,23 +43,6 @@ _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
 _RIDGE = 1e-6 * np.eye(_UNKNOWNS)
 _NO_CONTRAST = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Round:
-    """Result of one Gauss-Newton iteration.
-
-    Attributes:
-        step: (M, 2) steps of the corners, px.
-        cov: (M, 2, 2) covariances of the corners, px^2.
-        contrast_grey: (M,) half of the step from dark to light, gray levels.
-        noise_grey: (M,) sigma of a pixel, gray levels.
-    """
-
-    step: FloatArray
-    cov: FloatArray
-    contrast_grey: FloatArray
-    noise_grey: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,32 +101,20 @@ def _normals(along: FloatArray, down: FloatArray) -> FloatArray:
     return normals
 
 
-def _reaches(
-    along: FloatArray, down: FloatArray, shape: tuple[int, int], outer_whole: bool
-) -> tuple[Single, Single]:
-    """Lower and upper limits of the windows along the normal of each edge, (M, 2, 1) each, px."""
-    area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
-    width = np.empty((len(along), 2, 1), dtype=np.float32)
-    width[:, 0, 0], width[:, 1, 0] = area / np.hypot(*along.T), area / np.hypot(*down.T)
-    lower, upper = _shares(*shape, outer_whole)
-    return lower * width, upper * width
-
-
 @lru_cache(maxsize=16)
-def _shares(rows: int, columns: int, outer_whole: bool) -> tuple[Single, Single]:
-    """Lower and upper limits of the windows in units of the squares' width, (M, 2, 1) each."""
+def _reach(rows: int, columns: int, outer_whole: bool) -> Single:
+    """(M, 2, 1, 2) lower and upper limit of the windows along the normal of each edge, in widths of the squares."""
     reach = np.full((rows, columns, 2, 2), _INNER_REACH, dtype=np.float32)
     if not outer_whole:
         reach[0, :, 0, 0] = reach[-1, :, 0, 1] = reach[:, 0, 1, 0] = reach[:, -1, 1, 1] = _OUTER_REACH
-    ends = reach.reshape(-1, 2, 2)
-    return -ends[..., :1], ends[..., 1:]
+    return reach.reshape(-1, 2, 1, 2) * np.array([-1, 1], dtype=np.float32)
 
 
 @lru_cache(maxsize=16)
 def _offsets(half: int) -> Single:
     """Homogeneous coordinates (x, y, 1) of a window's pixels relative to its center, (3, P), px."""
-    one = np.arange(-half, half + 1, dtype=np.float32)
-    x, y = np.meshgrid(one, one)
+    reach = np.arange(-half, half + 1, dtype=np.float32)
+    x, y = np.meshgrid(reach, reach)
     offsets = np.stack([x.ravel(), y.ravel(), np.ones(x.size, dtype=np.float32)])
     offsets.setflags(write=False)
     return offsets
@@ -171,14 +142,26 @@ class _Fit:
 
     The Jacobian columns of the edge shifts and of the blur omit the contrast as a factor. The problem is then
     linear in contrast, mean and gradient, so they need no initial estimate.
+
+    Attributes:
+        step, cov: (M, 2) last step of the corners, px, and (M, 2, 2) their covariances, px^2.
+        contrast_grey, sigma_grey: (M,) half of the step from dark to light, and sigma of a pixel, gray levels.
     """
+
+    step: FloatArray
+    cov: FloatArray
+    contrast_grey: FloatArray
+    sigma_grey: FloatArray
 
     def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance) -> None:
         self.shape = (grid.shape[0], grid.shape[1])
         self.pixels = grid.reshape(-1, 2)
         along, down = _steps(grid)
         self.edge_px = np.minimum(np.hypot(*along.T), np.hypot(*down.T))
-        self._lower, self._upper = _reaches(along, down, self.shape, outer_whole)
+        area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
+        width = np.stack([area / np.hypot(*along.T), area / np.hypot(*down.T)], axis=1).astype(np.float32)
+        limits = _reach(*self.shape, outer_whole) * width[:, :, None, None]
+        self._lower, self._upper = limits[..., 0], limits[..., 1]
         extent = _INNER_REACH * float((np.abs(along) + np.abs(down)).max())
         half = min(max(int(np.ceil(extent)), _LEAST_HALF_PX), _MOST_HALF_PX)
         self._middle = np.rint(self.pixels).astype(np.int64)
@@ -233,7 +216,7 @@ class _Fit:
         gradient = squares / max(2 * level.size - sum(self.shape), 1) / upper_median(self.edge_px) ** 2
         normal[:, [5, 6], [5, 6]] += self.noise_grey**2 / max(gradient, 1e-6)
 
-    def round(self) -> Round:
+    def round(self) -> None:
         """Do one Gauss-Newton iteration."""
         normals = _normals(*_steps(self.pixels.reshape(*self.shape, 2)))
         distance = self._distances(normals)
@@ -253,20 +236,19 @@ class _Fit:
         unknowns = solved[..., 0]
         cost = products[:, _UNKNOWNS, _UNKNOWNS] - np.einsum("mi,mi->m", unknowns, right_side)
         variance = np.maximum(cost, 0.0) / np.maximum(self.used - _UNKNOWNS, 1)
-        contrast = unknowns[:, 3]
+        contrast = unknowns[:, 3].astype(np.float64)
         # The edge shifts are in units of the blur and multiplied by the contrast.
         unit = self.blur / np.where(np.abs(contrast) > _NO_CONTRAST, contrast, _NO_CONTRAST)
         by_shift = _inverse_2x2(normals)
         shift = unknowns[:, :2] * unit[:, None]
-        step = -(by_shift @ shift[..., None])[..., 0]
-        cov = (
-            by_shift @ (solved[:, :2, 1:] * (variance * unit**2)[:, None, None]) @ np.swapaxes(by_shift, 1, 2)
-        )
-        self.pixels = self.pixels + np.minimum(np.maximum(step, -_STEP_PX), _STEP_PX)
+        self.step = -(by_shift @ shift[..., None])[..., 0]
+        of_shift = solved[:, :2, 1:] * (variance * unit**2)[:, None, None]
+        self.cov = by_shift @ of_shift @ np.swapaxes(by_shift, 1, 2)
+        self.pixels = self.pixels + np.minimum(np.maximum(self.step, -_STEP_PX), _STEP_PX)
         wider = np.minimum(np.maximum(-unknowns[:, 2] * unit, -_STEP_BLUR_PX), _STEP_BLUR_PX)
         self.blur = np.minimum(np.maximum(self.blur + wider, _LEAST_BLUR_PX), _MOST_BLUR_PX)
         self.noise_grey = float(np.sqrt(upper_median(variance)))
-        return Round(step, cov, np.asarray(contrast, dtype=np.float64), np.asarray(np.sqrt(variance)))
+        self.contrast_grey, self.sigma_grey = contrast, np.sqrt(variance)
 
 
 def upper_median(values: FloatArray) -> float:
@@ -284,6 +266,7 @@ def _inverse_2x2(matrices: FloatArray) -> FloatArray:
     return inverse
 
 
+@np.errstate(all="ignore")  # a wrong grid gives arbitrary values, and `fitted` marks them
 def fit_corners(
     image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None = None
 ) -> FittedCorners:
@@ -299,18 +282,11 @@ def fit_corners(
         Corner index = row * columns + column. A corner keeps its initial position and is marked as not fitted
         if its fit does not converge, moves too far or has too few pixels.
     """
-    with np.errstate(all="ignore"):  # a wrong grid gives arbitrary values, and `fitted` marks them
-        return _fitted(image, grid, outer_whole, appearance)
-
-
-def _fitted(
-    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None
-) -> FittedCorners:
     fit = _Fit(image, grid, outer_whole, appearance or Appearance())
     for done in range(1, _MOST_ROUNDS + 1):
-        last = fit.round()
-        variance = (last.cov[:, 0, 0] + last.cov[:, 1, 1]) / 2
-        moved = (last.step[:, 0] ** 2 + last.step[:, 1] ** 2) / 2
+        fit.round()
+        variance = (fit.cov[:, 0, 0] + fit.cov[:, 1, 1]) / 2
+        moved = (fit.step[:, 0] ** 2 + fit.step[:, 1] ** 2) / 2
         far = np.count_nonzero(moved >= _FAR_PX**2)
         converged = upper_median(moved) < _CONVERGED**2 * upper_median(variance)
         if (appearance is not None or done > 1) and converged and not 0 < far <= _MOST_FAR * len(moved):
@@ -321,12 +297,12 @@ def _fitted(
     fitted = (
         (fit.used >= _LEAST_PIXELS) & (off[:, 0] ** 2 + off[:, 1] ** 2 < limit**2) & (variance < limit**2)
     )
-    fitted &= np.abs(last.contrast_grey) > np.maximum(_LEAST_CONTRAST_GREY, 2 * last.noise_grey)
+    fitted &= np.abs(fit.contrast_grey) > np.maximum(_LEAST_CONTRAST_GREY, 2 * fit.sigma_grey)
     poor = limit[:, None, None] ** 2 * np.eye(2)
     return FittedCorners(
         np.where(fitted[:, None], fit.pixels, start),
-        np.where(fitted[:, None, None], last.cov, poor),
-        last.contrast_grey,
+        np.where(fitted[:, None, None], fit.cov, poor),
+        fit.contrast_grey,
         fitted,
         upper_median(fit.blur),
         fit.noise_grey,

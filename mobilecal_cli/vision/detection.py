@@ -10,24 +10,33 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
-from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, check_grid, check_size, fit_board, off_grid
-from mobilecal_cli.vision.gate import check_polarity, check_sharpness, outer_squares_whole
+from mobilecal_cli.vision.acceptance import (
+    check_colors,
+    check_grid,
+    check_sharpness,
+    check_size,
+    fit_board,
+    off_grid,
+    outer_squares_whole,
+)
 from mobilecal_cli.vision.grid import canonical, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
-from mobilecal_cli.vision.growing import grow_any
+from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.refinement import refine, refine_widely
-from mobilecal_cli.vision.saddles import saddle_response
-from mobilecal_cli.vision.values import FLOOR_PX, Appearance, Detection, Miss
+from mobilecal_cli.vision.saddles import least_response, may_show_board
+from mobilecal_cli.vision.values import FLOOR_PX, LARGE_PX, OCCLUDED, Appearance, Detection, Miss
 
-_LARGE = 1280  # image width from which half size is tried first, which is three times as fast, px
-_SMALLEST_PICTURE = 64
+_SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 _ADAPTIVE = (
     cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 )  # for uneven light; slow in full images
-#: A saddle response below this share of the board's is not a second board in the same light.
-FAINTEST = 0.1
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
+_FINAL = (
+    "squares too small",
+    "board extends beyond the grid",
+    "blurred",
+)  # reasons that no other search changes
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 # Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)
@@ -42,21 +51,12 @@ def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float
         )
     if min(picture.shape) < _SMALLEST_PICTURE:
         return None
-    found, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
-    if not found:
+    complete, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
+    if not complete:
         return None
     ratio = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
     grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
     return np.asarray((grid + 0.5) * ratio - 0.5, dtype=np.float64)
-
-
-def _fast(image: GrayImage, columns: int, rows: int) -> FloatArray | None:
-    scales = (0.5, 1.0, 0.25) if image.shape[1] >= _LARGE else (1.0, 0.5)
-    for scale in scales:
-        grid = _classic(image, columns, rows, 0, scale)
-        if grid is not None:
-            return grid
-    return None
 
 
 def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
@@ -66,7 +66,7 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     for _ in range(2):
         if (small := check_size(grid)) is not None:
             return small
-        grid = refine(image, grid.reshape(-1, 2), smallest_edge_px(grid)).reshape(grid.shape)
+        grid = refine(image, grid, smallest_edge_px(grid))
         grid_map = fit_grid(grid, image.shape)
         bad = off_grid(grid_map, smallest_edge_px(grid))
         if not bad.any():
@@ -77,34 +77,20 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     outer_whole = outer_squares_whole(image, grid_map, columns, rows)
     grid = refine_widely(image, grid, smallest_edge_px(grid), outer_whole)
     fit, grid_map = fit_board(image, grid, outer_whole)
-    polarity = check_polarity(image, grid_map, columns, rows)
+    dark_at_origin = check_colors(image, grid_map, columns, rows)
     blurred = check_sharpness(image, grid_map, columns, rows)
-    if isinstance(polarity, Miss):
-        # Blur affects the outer squares first: if both checks fail, report the blur.
-        washed_out = polarity.reason == "board partly occluded or outside the image"
-        return blurred if blurred is not None and washed_out else polarity
-    if blurred is not None:
-        return blurred
-    if (rough := check_grid(fit, grid_map)) is not None:
-        return rough
-    order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), polarity.dark_at_origin)
-    contrast = fit.half_contrast_grey
-    appearance = Appearance(
-        fit.blur_px, fit.noise_grey, -contrast if dark_at_origin else contrast, outer_whole
-    )
+    # Blur affects the outer squares first: if both checks fail, report the blur.
+    if isinstance(dark_at_origin, Miss) and (blurred is None or dark_at_origin.reason != OCCLUDED):
+        return dark_at_origin
+    rejected = blurred or check_grid(fit, grid_map)
+    if rejected is not None:
+        return rejected
+    order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), bool(dark_at_origin))
+    contrast = -fit.half_contrast_grey if dark_at_origin else fit.half_contrast_grey
+    appearance = Appearance(fit.blur_px, fit.noise_grey, contrast, outer_whole)
     return Detection(
         fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], appearance=appearance
     )
-
-
-def _without(image: GrayImage, pixels: FloatArray, columns: int, rows: int) -> GrayImage:
-    """The image with a board, its outer squares and a margin painted over in the mean brightness."""
-    grid_map = fit_grid(pixels.reshape(rows, columns, 2), image.shape)
-    low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
-    hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
-    painted = np.array(image)
-    cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
-    return painted
 
 
 def detect(
@@ -128,7 +114,9 @@ def detect(
     """
     if min(image.shape) < _SMALLEST_PICTURE:
         return Miss("no board found", f"the image has only {image.shape[1]} x {image.shape[0]} px")
-    grid = _fast(image, columns, rows)
+    scales = (0.5, 1.0) if image.shape[1] >= LARGE_PX else (1.0, 0.5)
+    grids = (_classic(image, columns, rows, 0, scale) for scale in scales)
+    grid = next((grid for grid in grids if grid is not None), None)
     result = _judge(image, grid) if grid is not None else None
     if not isinstance(result, Detection) and thorough:
         result = _thorough(image, columns, rows, result)
@@ -146,13 +134,16 @@ def detect(
     return result
 
 
-def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> FloatArray | None:
+def _second(image: GrayImage, first: Detection, columns: int, rows: int) -> FloatArray | None:
     """Corners of a second board of the same size, (M, 2) px; None if there is none."""
-    painted = _without(image, found.pixels, columns, rows)
-    corners = columns * rows
-    if saddle_response(painted, corners) < FAINTEST * saddle_response(image, corners):
+    grid_map = fit_grid(first.pixels.reshape(rows, columns, 2), image.shape)
+    low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
+    hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
+    painted = np.array(image)
+    cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
+    if not may_show_board(painted, columns * rows, least_response(image, columns * rows)):
         return None
-    other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= _LARGE else 1.0)
+    other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= LARGE_PX else 1.0)
     if other is None or not isinstance(_judge(painted, other), Detection):
         return None
     return other.reshape(-1, 2)
@@ -160,53 +151,35 @@ def _second(image: GrayImage, found: Detection, columns: int, rows: int) -> Floa
 
 def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> Detection | Miss:
     """Search for the board after the fast search failed or its corners were rejected."""
-    if first is not None and first.reason in (
-        "squares too small",
-        "board extends beyond the grid",
-        "blurred",
-    ):
+    if first is not None and first.reason in _FINAL:
         return first
     grown = grow_any(image, columns * rows)
-    if grown is None or grown.grid.size < 2 * _TELLING * columns * rows:
-        for scale in (0.25, 0.125):
-            grid = _classic(image, columns, rows, _ADAPTIVE, scale)
-            if grid is not None:
-                return _judge(image, grid)
-        return first or Miss("no board found", f"no grid of {columns} x {rows} corners")
-    seen_rows, seen_columns = grown.grid.shape[:2]
-    grid = grown.grid
-    if (seen_columns, seen_rows) == (rows, columns) and rows != columns:
-        grid = np.rot90(grid)
-        seen_rows, seen_columns = seen_columns, seen_rows
-    if (seen_columns, seen_rows) == (columns, rows):
-        return _judge(image, grid)
-    if grown.open_sides == 0:
-        return first or _other_size(grown.grid, grown.open_sides, columns, rows)
-    again = _classic(image, columns, rows, _ADAPTIVE, 0.5 if image.shape[1] >= _LARGE else 1.0)
-    if again is not None:
-        judged = _judge(image, again)
-        if isinstance(judged, Detection):
-            return judged
-        first = first or judged
-    return first or _other_size(grown.grid, grown.open_sides, columns, rows)
+    scale, reason = 0.25, Miss("no board found", f"no grid of {columns} x {rows} corners")
+    if grown is not None and grown.grid.size >= 2 * _TELLING * columns * rows:
+        grid = grown.grid
+        if grid.shape[:2] == (columns, rows) != (rows, columns):
+            grid = np.rot90(grid)
+        if grid.shape[:2] == (rows, columns):
+            return _judge(image, grid)
+        scale, reason = 0.5 if image.shape[1] >= LARGE_PX else 1.0, _other_size(grown, columns, rows)
+        if grown.open_sides == 0:
+            return first or reason
+    again = _classic(image, columns, rows, _ADAPTIVE, scale)
+    judged = _judge(image, again) if again is not None else None
+    return judged if isinstance(judged, Detection) else first or judged or reason
 
 
-def _other_size(grid: FloatArray, open_sides: int, columns: int, rows: int) -> Miss:
-    seen = sorted(grid.shape[:2], reverse=True)
-    wanted = sorted((columns, rows), reverse=True)
-    edge = smallest_edge_px(grid)
-    numbers = f"found a grid of {seen[0]} x {seen[1]} corners, expected {columns} x {rows}"
-    if edge < MIN_EDGE_PX:
-        return Miss(
-            "squares too small", f"{numbers}; smallest square {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px"
-        )
-    if seen[0] >= wanted[0] and seen[1] >= wanted[1]:
+def _other_size(grown: Grown, columns: int, rows: int) -> Miss:
+    """Why a grid that was grown is not the board."""
+    size, wanted = sorted(grown.grid.shape[:2], reverse=True), sorted((columns, rows), reverse=True)
+    numbers = f"found a grid of {size[0]} x {size[1]} corners, expected {columns} x {rows}"
+    if (small := check_size(grown.grid)) is not None:
+        return Miss(small.reason, f"{numbers}; {small.detail}")
+    if size[0] >= wanted[0] and size[1] >= wanted[1]:
         return Miss("board extends beyond the grid", numbers)
-    if open_sides == 0:
+    if grown.open_sides == 0:
         return Miss("board of a different size", numbers)
-    return Miss(
-        "board partly occluded or outside the image", f"{numbers}; {open_sides} sides end inside the pattern"
-    )
+    return Miss(OCCLUDED, f"{numbers}; {grown.open_sides} sides end inside the pattern")
 
 
 def find_board(

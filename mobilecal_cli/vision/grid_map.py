@@ -68,16 +68,29 @@ def fisheyes(height: int, width: int) -> tuple[Fisheye, ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
-    """Grid coordinates prepared for repeated evaluation.
+class _Frame:
+    """The part of `fit_grid` that depends only on the board's size.
 
     Attributes:
-        w: (n, 2) centered and scaled coordinates.
-        terms: (n, terms) monomials of the polynomial.
+        w: (M, 2) centered and scaled grid coordinates.
+        products: (M, 9) see `_products`.
+        `centre`, `size`: offset and scale of the grid coordinates.
+        degree: of the polynomial.
+        solver: (terms, M) from the homography's residuals to the polynomial's coefficients.
+        finer: (M, k) orthonormal basis of the polynomials that residuals are computed against.
+        freedom: (rows, columns) share of a corner's own error that its residual shows.
+        unknowns: number of parameters of the homography and that polynomial.
     """
 
     w: FloatArray
-    terms: FloatArray
+    products: FloatArray
+    centre: FloatArray
+    size: float
+    degree: int
+    solver: FloatArray
+    finer: FloatArray
+    freedom: FloatArray
+    unknowns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,28 +98,25 @@ class GridMap:
     """Map from grid coordinates to pixels: a homography, a lens, and a polynomial for other distortion.
 
     Attributes:
+        frame: what depends only on the board's size.
         H: (3, 3) homography from centered grid coordinates to pixels, or to the rays of the lens.
         lens: of a fisheye camera; None for a perspective one.
         bend: (terms, 2) coefficients of the polynomial, px.
-        degree: of the polynomial; 0 for none.
-        `centre`, `size`: offset and scale of the grid coordinates.
         residual: (rows, columns, 2) corner minus smooth map, px.
         sigma_px: noise of one coordinate, from the residuals and their degrees of freedom.
     """
 
+    frame: _Frame
     H: FloatArray
     lens: Fisheye | None
     bend: FloatArray
-    degree: int
-    centre: FloatArray
-    size: float
     residual: FloatArray
     sigma_px: float
 
     def __call__(self, uv: FloatArray) -> FloatArray:
         """(..., 2) grid coordinates → (..., 2) px."""
-        w = (uv - self.centre) / self.size
-        return _through(self.H, w, self.lens) + _monomials(w, self.degree) @ self.bend
+        w = (uv - self.frame.centre) / self.frame.size
+        return _through(self.H, w, self.lens) + _monomials(w, self.frame.degree) @ self.bend
 
     @property
     def off_px(self) -> FloatArray:
@@ -114,21 +124,15 @@ class GridMap:
 
         A corner at the edge of the board draws the map to itself; its residual shows a small part of its error.
         """
-        frame = _frame(*self.residual.shape[:2])
-        return np.asarray(np.hypot(self.residual[..., 0], self.residual[..., 1]) / frame.freedom)
+        return np.asarray(np.hypot(self.residual[..., 0], self.residual[..., 1]) / self.frame.freedom)
 
     def predicted(self, grid: FloatArray, bad: BoolArray) -> FloatArray:
         """The corners (rows, columns, 2) this map was fitted to, px, the bad ones as the others predict them."""
-        frame = _frame(*grid.shape[:2])
-        chosen = frame.finer[bad.ravel()]
+        chosen = self.frame.finer[bad.ravel()]
         free = np.eye(len(chosen)) - chosen @ chosen.T
         better = grid.copy()
         better[bad] -= np.linalg.lstsq(free, self.residual[bad], rcond=1e-3)[0]
         return better
-
-    def at(self, places: Places) -> FloatArray:
-        """(n, 2) px at places prepared for the same board size."""
-        return _through(self.H, places.w, self.lens) + places.terms @ self.bend
 
 
 def _through(H: FloatArray, w: FloatArray, lens: Fisheye | None = None) -> FloatArray:
@@ -146,8 +150,8 @@ def _monomials(w: FloatArray, degree: int) -> FloatArray:
 
 def _products(w: FloatArray) -> FloatArray:
     """(M, 9) outer products of (w, 1) with itself, flattened."""
-    one = np.column_stack([w, np.ones(len(w))])
-    return np.asarray((one[:, :, None] * one[:, None, :]).reshape(-1, 9))
+    q = np.column_stack([w, np.ones(len(w))])
+    return np.asarray((q[:, :, None] * q[:, None, :]).reshape(-1, 9))
 
 
 def _homography(products: FloatArray, pixels: FloatArray) -> FloatArray:
@@ -193,32 +197,6 @@ def scatter_px(uv: FloatArray, pixels: FloatArray) -> FloatArray:
     return np.asarray(residual * np.sqrt(2 * len(w) / max(2 * len(w) - unknowns, 1)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Frame:
-    """The part of `fit_grid` that depends only on the board's size.
-
-    Attributes:
-        w: (M, 2) centered and scaled grid coordinates.
-        products: (M, 9) see `_products`.
-        `centre`, `size`: offset and scale of the grid coordinates.
-        degree: of the polynomial.
-        solver: (terms, M) from the homography's residuals to the polynomial's coefficients.
-        finer: (M, k) orthonormal basis of the polynomials that residuals are computed against.
-        freedom: (rows, columns) share of a corner's own error that its residual shows.
-        unknowns: number of parameters of the homography and that polynomial.
-    """
-
-    w: FloatArray
-    products: FloatArray
-    centre: FloatArray
-    size: float
-    degree: int
-    solver: FloatArray
-    finer: FloatArray
-    freedom: FloatArray
-    unknowns: int
-
-
 @lru_cache(maxsize=64)
 def _frame(rows: int, columns: int) -> _Frame:
     uv = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
@@ -238,13 +216,6 @@ def _frame(rows: int, columns: int) -> _Frame:
     unknowns = 2 * terms.shape[1] + 2
     solver = np.asarray(np.linalg.pinv(_monomials(w, degree)), dtype=np.float64)
     return _Frame(w, _products(w), centre, size, degree, solver, finer, freedom, unknowns)
-
-
-def places(uv: FloatArray, columns: int, rows: int) -> Places:
-    """Prepare (..., 2) grid coordinates of a board for `GridMap.at`, flattened."""
-    frame = _frame(rows, columns)
-    w = (uv.reshape(-1, 2) - frame.centre) / frame.size
-    return Places(w, _monomials(w, frame.degree))
 
 
 def fit_grid(grid: FloatArray, image_shape: tuple[int, int] | None = None) -> GridMap:
@@ -298,10 +269,7 @@ def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:
         H *= np.sign(np.sum(rays * (frame.w @ H[:, :2].T + H[:, 2])))  # toward the camera's front
     bent = pixels - _through(H, frame.w, lens)
     residual, sigma_px = _scatter(frame, bent)
-    bend = np.asarray(frame.solver @ bent)
-    return GridMap(
-        H, lens, bend, frame.degree, frame.centre, frame.size, residual.reshape(grid.shape), sigma_px
-    )
+    return GridMap(frame, H, lens, np.asarray(frame.solver @ bent), residual.reshape(grid.shape), sigma_px)
 
 
 def homography_px(grid: FloatArray) -> FloatArray:

@@ -8,17 +8,17 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
-from mobilecal_cli.vision.gate import sample
+from mobilecal_cli.vision.acceptance import sample
 from mobilecal_cli.vision.grid import right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.refinement import refine
+from mobilecal_cli.vision.values import LARGE_PX
 
-_SEEDS = ((3, 3), (5, 4))
-_MIN_EDGE_PX = 4.0
-_MIN_STRENGTH_GREY = 8.0
-_LARGE = 1280  # image width from which the seed is searched at half size, px
+_SEEDS = ((3, 3), (5, 4))  # corners that the seed must have: each finds boards that the other misses
+_MIN_EDGE_PX = 4.0  # below, nothing is left of a square's color in its quadrants
+_MIN_STRENGTH_GREY = 8.0  # least contrast between quadrants, a few times the noise
 _LARGEST = 60  # largest number of corners along one side
-_QUADRANT = 0.22
+_QUADRANT = 0.22  # distance of the samples from a corner along both sides, in squares
 _LEAST = 0.3  # least strength of a corner, as a share of the median
 
 
@@ -113,7 +113,7 @@ def grow(image: GrayImage, seed: FloatArray) -> Grown | None:
     grid = _trim(right_handed(seed), image)
     if grid is None:
         return None
-    grid = refine(image, grid.reshape(-1, 2), smallest_edge_px(grid)).reshape(grid.shape)
+    grid = refine(image, grid, smallest_edge_px(grid))
     grid = _trim(grid, image)
     if grid is None:
         return None
@@ -134,11 +134,11 @@ def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
 
     Its board size and its sub-pixel positions are unreliable; `grow` corrects both.
     """
-    half = image.shape[1] >= _LARGE
+    half = image.shape[1] >= LARGE_PX
     picture = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if half else image
     cv2.setRNGSeed(0)  # the detector draws random samples; a fixed seed makes it repeatable
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, smallest, cv2.CALIB_CB_LARGER)
-    if not found:
+    complete, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, smallest, cv2.CALIB_CB_LARGER)
+    if not complete:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2)
     scale = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])

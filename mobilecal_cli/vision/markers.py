@@ -6,16 +6,16 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.grid_map import scatter_px
-from mobilecal_cli.vision.values import Detection, Miss, rms
+from mobilecal_cli.vision.values import OCCLUDED, Detection, Miss, rms
 
 #: Fewer corners, or fewer tags, do not determine the board's pose.
 _LEAST_CORNERS = 8
 _LEAST_TAGS = 3
-_MIN_EDGE_PX = 7.0
 _FLOOR_PX = 0.02  # error of OpenCV's refinement on images without noise
-_OF_ROOM, _LEAST_WINDOW = 0.65, 3
-_GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5
+_OF_ROOM, _LEAST_WINDOW = 0.65, 3  # half window: share of the room to the next edge, and least, px
+_GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5  # a corner so far off the others is another one
 
 
 def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
@@ -31,15 +31,15 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     markers = board.markers
     assert markers is not None
     find = _charuco if markers.kind == "charuco" else _tags
-    found = find(np.ascontiguousarray(image), board, markers)
-    if isinstance(found, Miss):
-        return found
-    pixels, seen = found
+    corners = find(np.ascontiguousarray(image), board, markers)
+    if isinstance(corners, Miss):
+        return corners
+    pixels, seen = corners
     grid = board.grid()[:, :2]
     for _ in range(3):
         if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
             return Miss(
-                "board partly occluded or outside the image",
+                OCCLUDED,
                 f"{seen.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
             )
         off = np.linalg.norm(scatter_px(grid[seen], pixels[seen]), axis=1)
@@ -49,8 +49,8 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
             break
         seen[np.flatnonzero(seen)[gross]] = False
     edge = _edge_px(grid[seen], pixels[seen])
-    if edge < _MIN_EDGE_PX:
-        return Miss("squares too small", f"square side {edge:.1f} px, minimum {_MIN_EDGE_PX:.0f} px")
+    if edge < MIN_EDGE_PX:
+        return Miss("squares too small", f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
     sigma_px = max(rms(scatter_px(grid[seen], pixels[seen])), _FLOOR_PX)
     return Detection(np.where(seen[:, None], pixels, 0.0), sigma_px, seen)
 
@@ -92,7 +92,7 @@ def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArr
 def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray, BoolArray] | Miss:
     count = board.columns * board.rows
     detector = cv2.aruco.ArucoDetector(_dictionary(markers, count), _parameters(markers))
-    found, numbers, _ = detector.detectMarkers(image)
+    outlines, numbers, _ = detector.detectMarkers(image)
     tags: IntArray = np.zeros(0, dtype=np.int64)
     if numbers is not None and len(numbers):
         tags = np.asarray(numbers, dtype=np.int64).ravel()
@@ -102,7 +102,7 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray,
         return Miss(
             "no board found", f"{mine.sum()} tags of {markers.dictionary} visible, minimum {_LEAST_TAGS}"
         )
-    quads = np.asarray(found, dtype=np.float64).reshape(-1, 4, 2)[mine]
+    quads = np.asarray(outlines, dtype=np.float64).reshape(-1, 4, 2)[mine]
     grid = board.grid()[:, :2].reshape(-1, 4, 2)[tags[mine]]
     # Families differ in which corner of a tag is the first; the grid of tags determines it.
     options = [np.roll(quads, k, axis=1) for k in range(4)]

@@ -21,11 +21,11 @@ from mobilecal_cli.model import Board, FloatArray, IntArray, Observation, Reject
 from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
-_ROUNDS = 100
+_ROUNDS = 100  # a few more than the least are usual
 _LEAST_ROUNDS = 20  # least number of iterations, so that A and n can follow the turns
 _CLEAR_RAD = 0.15  # least difference in misfit between the best and the second-best numbering
 _CLEAR_FACTOR = 3.0  # the same, in units of the rms misfit
-_RIVAL_RAD = 0.02
+_RIVAL_RAD = 0.02  # misfit of another numbering that noise explains
 
 
 @dataclass(frozen=True, slots=True, eq=False)

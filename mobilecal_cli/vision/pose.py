@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
@@ -11,8 +12,8 @@ from mobilecal_cli.model import CameraRig, FloatArray
 from mobilecal_cli.vision.stereo import Noise, depths, reproject, whitening
 from mobilecal_cli.vision.values import BoardPose, Miss, rms
 
-_STEPS = 50
-_FACTOR = 10.0
+_STEPS = 50  # far more than any pose needs
+_FACTOR = 10.0  # of the damping after a good or a bad step, as usual
 _SMALL = 1e-6  # damping that hardly shortens a step
 _CONVERGED = 1e-10  # relative change of the sum of squares
 
@@ -151,8 +152,8 @@ def board_pose(
 def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, noise: Noise) -> BoardPose | Miss:
     """Board pose by a single camera, from corners in one plane with known distances.
 
-    The homography from the board to the image (Zhang, "A flexible new technique for camera calibration", 2000, section
-    3.1) gives one start. The board tilted the other way looks nearly the same, which gives the other.
+    A board tilted the other way looks nearly the same: both poses (Collins and Bartoli, "Infinitesimal plane-based pose
+    estimation", 2014, by OpenCV) are starts.
 
     Args:
         rig: one camera.
@@ -168,22 +169,13 @@ def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, nois
     if not good.all():
         detail = f"{int(np.sum(~good))} corners are outside the valid range of the camera's distortion model"
         return Miss("no pose of the board", detail)
-    middle, size = points_k.mean(axis=0), np.ptp(points_k, axis=0).max()
-    plane = np.column_stack([(points_k - middle)[:, :2] / size, np.ones(len(points_k))])
-    zeros = np.zeros_like(plane)
-    A = np.vstack(
-        [np.hstack([plane, zeros, -flat[:, :1] * plane]), np.hstack([zeros, plane, -flat[:, 1:] * plane])]
-    )
-    H = np.linalg.svd(A)[2][-1].reshape(3, 3)
-    H = H * np.sign(H[2, 2]) / np.sqrt(np.linalg.norm(H[:, 0]) * np.linalg.norm(H[:, 1]))
-    U, _, Vt = np.linalg.svd(np.column_stack([H[:, 0], H[:, 1], np.cross(H[:, 0], H[:, 1])]))
-    R, t = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt, size * H[:, 2]
-    view = t / np.linalg.norm(t)
-    about_view, about_normal = 2 * np.outer(view, view) - np.eye(3), np.diag([-1.0, -1.0, 1.0])
+    _, turns, places, _ = cv2.solvePnPGeneric(points_k, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     poses = []
-    for R_start in (R, about_view @ R @ about_normal):
-        start = T_c_camera @ se3.transform(R_start, t - R_start @ middle)
-        if np.all(depths(rig, points_k @ start[:3, :3].T + start[:3, 3]) > 0):
+    for turn, place in zip(np.reshape(turns, (-1, 3)), np.reshape(places, (-1, 3)), strict=True):
+        start = T_c_camera @ se3.transform(
+            se3.exp_so3(np.asarray(turn, np.float64)), np.asarray(place, np.float64)
+        )
+        if np.all(depths(rig, se3.act(start, points_k)) > 0):
             poses.append(board_pose(rig, points_k, [pixels], [noise], start))
     if not poses:
         return Miss("no pose of the board", "the corners are behind the camera")

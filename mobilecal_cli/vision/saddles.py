@@ -1,69 +1,53 @@
-"""Saddle response of an image: a fast test for a checkerboard before the search.
+"""Saddle points of an image: a fast test for a checkerboard before a search.
 
-A checkerboard corner is a saddle point of brightness: the determinant of the second derivatives is negative.
-All corners of a board have a similar response, and few images without a board have as many strong saddle
-points.
+A checkerboard corner is a saddle point of brightness: the determinant of the second derivatives is negative. All
+corners of a board have a similar response, and few images without a board have as many strong saddle points.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mobilecal_cli.model import GrayImage
-from mobilecal_cli.vision.values import Single
+from mobilecal_cli.vision.values import LARGE_PX, Single
 
-_LARGE = 1280  # image width from which a quarter of the size is enough, px
 _BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
+_NEIGHBORS = np.ones((3, 3), np.uint8)
 _WORTH = 0.02  # share of the strongest response; usually 1 % of the peaks exceed it, the others are noise
-_NEIGHBOURS = np.ones((3, 3), np.uint8)
+_FAINTEST = 0.1  # response of a corner in the same light, as a share of the board's weakest
 
 
-def saddle_response(image: GrayImage, count: int) -> float:
-    """Response of the count-th strongest saddle point, 0 if there are fewer.
+def may_show_board(image: GrayImage, corners: int, least: float) -> bool:
+    """Whether there are as many saddle points with at least this response as the board has corners."""
+    return least == 0 or len(_peaks(_responses(image), least)) >= corners
 
-    Args:
-        image: (height, width) gray.
-        count: number of corners of the board.
 
-    Returns:
-        Negative determinant of the second derivatives at reduced size, in arbitrary units: only for
-        comparison with other images.
-    """
-    saddle = _saddle(image)
-    peaks = _peaks(saddle, _WORTH * float(saddle.max()))
-    if len(peaks) < count:
-        peaks = _peaks(saddle, 0.0)
-    if len(peaks) < count:
+def least_response(image: GrayImage, corners: int) -> float:
+    """Response that the corners of a board have in the light of an image that shows one; 0 for any."""
+    responses = _responses(image)
+    peaks = _peaks(responses, _WORTH * float(responses.max()))
+    if len(peaks) < corners:
         return 0.0
-    return float(np.partition(peaks, len(peaks) - count)[len(peaks) - count])
+    return _FAINTEST * float(np.partition(peaks, len(peaks) - corners)[len(peaks) - corners])
 
 
-def has_saddle_points(image: GrayImage, count: int, least: float) -> bool:
-    """Whether `saddle_response` exceeds a limit; faster than computing it."""
-    saddle = _saddle(image)
-    return bool(np.count_nonzero(saddle > least) >= count) and len(_peaks(saddle, least)) >= count
-
-
-def _saddle(image: GrayImage) -> Single:
-    """Negative determinant of the second derivatives of an image at reduced size."""
-    scale = 0.25 if image.shape[1] >= _LARGE else 0.5
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    small = cv2.GaussianBlur(small, *_BLUR)
-    saddle = _derivative(small, 1, 1)
+def _responses(image: GrayImage) -> Single:
+    """Negative determinant of the second derivatives of an image at reduced size, in arbitrary units."""
+    scale = 0.25 if image.shape[1] >= LARGE_PX else 0.5
+    small = cv2.GaussianBlur(
+        cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), *_BLUR
+    )
+    saddle, by_xx, by_yy = (
+        np.asarray(cv2.Sobel(small, cv2.CV_32F, *by, ksize=3), np.float32) for by in ((1, 1), (2, 0), (0, 2))
+    )
     saddle *= saddle
-    straight = _derivative(small, 2, 0)
-    straight *= _derivative(small, 0, 2)
-    saddle -= straight
+    by_xx *= by_yy
+    saddle -= by_xx
     return saddle
 
 
-def _derivative(image: ArrayLike, by_x: int, by_y: int) -> Single:
-    return np.asarray(cv2.Sobel(np.asarray(image), cv2.CV_32F, by_x, by_y, ksize=3), dtype=np.float32)
-
-
-def _peaks(saddle: Single, least: float) -> Single:
+def _peaks(responses: Single, least: float) -> Single:
     """Local maxima above a limit."""
-    neighbours: Single = np.asarray(cv2.dilate(saddle, _NEIGHBOURS), dtype=np.float32)
-    return np.asarray(saddle[(saddle > least) & (saddle == neighbours)])
+    peaks: Single = responses[(responses > least) & (responses == cv2.dilate(responses, _NEIGHBORS))]
+    return peaks

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray
-from mobilecal_cli.model.arrays import freeze, freeze_corners, freeze_covariances
+from mobilecal_cli.model.arrays import freeze_corners, freeze_covariances
 
 Reason = Literal[
     "no board found",
@@ -24,8 +24,11 @@ Reason = Literal[
     "left and right images inconsistent",
     "no pose of the board",
 ]
+#: Also of the part of a board that is seen, where too little of it is.
+OCCLUDED: Final = "board partly occluded or outside the image"
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
+LARGE_PX = 1280  # image width from which detectors run at reduced size first, which is three times as fast
 FLOOR_PX = 0.003  # error of the corner model on images without noise
 
 
@@ -100,9 +103,6 @@ class StereoPoints:
     points_cov: FloatArray
     rms_px: float
 
-    def __post_init__(self) -> None:
-        freeze(self, points_c=("M", 3), points_cov=("M", 3, 3))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardPose:
@@ -121,9 +121,6 @@ class BoardPose:
     scale: float
     scale_sigma: float
     rms_px: float
-
-    def __post_init__(self) -> None:
-        freeze(self, T_c_k=(4, 4), T_c_k_cov=(6, 6))
 
 
 def rms(residuals: FloatArray) -> float:

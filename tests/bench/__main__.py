@@ -13,8 +13,7 @@ import cv2
 
 from tests.bench import commands, corners, effect, established, growth, reading
 from tests.bench.recordings import simulated, transcoded
-from tests.bench.simulated import conditions
-from tests.bench.tables import paragraph
+from tests.bench.study import conditions, paragraph
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "performance.md"
 _STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs

@@ -15,7 +15,7 @@ from mobilecal_cli.readers.pixels import decode_image
 from mobilecal_cli.vision import Detection, detect
 from mobilecal_cli.vision.grid_map import fit_grid
 from tests.bench.pictures import BOARD, View, view
-from tests.bench.tables import paragraph, table
+from tests.bench.study import paragraph, table
 
 _DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 _LEAST_EDGE_PX = 7.0

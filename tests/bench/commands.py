@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from statistics import median
 
-from tests.bench.tables import table
+from tests.bench.study import table
 
 REPEATS = 7
 _IMPORTS = "import numpy, scipy.optimize, cv2"

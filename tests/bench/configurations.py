@@ -27,8 +27,8 @@ from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.imperfect import USUAL
-from tests.bench.simulated import conditions, map_runs
+from tests.bench.imperfect import LEVELS, USUAL
+from tests.bench.study import Study, conditions, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
 from tests.robots import CONFIGURATIONS
 
@@ -71,8 +71,7 @@ _CONTAINERS = ("mcap", "bag", "rosbag2", "mcap-ros1", "rosbag2-mcap")
 def recordings() -> None:
     """One recording of each robot."""
     print(conditions())
-    print("\n| cameras | chain | wheels | container | verdict | NEES / n | largest error (sigma) |")
-    print("| --- " * 7 + "|")
+    head("cameras", "chain", "wheels", "container", "verdict", "NEES / n", "largest error (sigma)")
     containers = itertools.cycle(_CONTAINERS)
     for (cameras, chain), (wheels, signal) in itertools.product(CONFIGURATIONS, _WHEELS.items()):
         robot, container = replace(CONFIGURATIONS[cameras, chain](), wheel_signal=signal), next(containers)
@@ -89,12 +88,11 @@ def recordings() -> None:
             try:
                 report, _ = calibrate([log], Path(folder) / "result", flags=flags)
             except MobilecalError as error:
-                print("| " + " | ".join(map(str, cells)) + f" | {error.message} | | |", flush=True)
+                line(*cells, error.message, "", "")
                 continue
             found = replace(robot, wheels=report.fit.parameters.wheels) if signal == "odometry" else robot
             nees, worst = _against(report.fit, found)
-            cells += [report.verdict.level, f"{nees:.2f}", f"{worst:.1f}"]
-            print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+            line(*cells, report.verdict.level, f"{nees:.2f}", f"{worst:.1f}")
 
 
 def _counted(robot: SimulatedRobot) -> dict[str, object]:
@@ -115,18 +113,15 @@ def main() -> None:
     if sys.argv[1:] == ["recordings"]:
         recordings()
         return
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    print(conditions())
-    print(f"\n{runs} runs each\n")
-    print("| cameras | chain | NEES / n | PASS | FAIL | NOT ENOUGH | refused | false PASS |")
-    print("| --- " * 8 + "|")
+    runs = Study.begun(100).runs
+    head("cameras", "chain", "NEES / n", *LEVELS, "false PASS", title=f"{runs} runs each")
     for cameras, chain in CONFIGURATIONS:
-        found = list(map_runs(one_run, [(cameras, chain, seed) for seed in range(runs)], 2))
-        nees, worst, levels = (list(column) for column in zip(*found, strict=True))
-        counts = [levels.count(level) for level in ("PASS", "FAIL", "NOT ENOUGH")]
+        nees, worst, levels = zip(
+            *results_of(one_run, cameras, chain, seeds=range(runs), together=2), strict=True
+        )
+        counts = [levels.count(level) for level in LEVELS[:3]]
         false = sum(w > _FALSE for w, level in zip(worst, levels, strict=True) if level == "PASS")
-        cells = [cameras, chain, f"{np.nanmean(nees):.2f}", *counts, runs - sum(counts), false]
-        print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+        line(cameras, chain, f"{np.nanmean(nees):.2f}", *counts, runs - sum(counts), false)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench import cameras
 from tests.bench.pictures import BOARD, View, bound_px, empty, view
-from tests.bench.tables import paragraph, table
+from tests.bench.study import paragraph, table
 
 VIEWS = 120
 EMPTY = 40

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
 
-from tests.bench.imperfect import ROBOTS, USUAL, Case, Run, all_kinds, level_counts, run_of_case, summary
-from tests.bench.simulated import conditions, map_runs
+from tests.bench.imperfect import (
+    LEVELS,
+    ROBOTS,
+    USUAL,
+    Case,
+    Run,
+    all_kinds,
+    level_counts,
+    run_of_case,
+    summary,
+)
+from tests.bench.study import Study, head, line, results_of, rms
 
 #: Correlation length of the floor and distance over which a wheel's scale error is constant, m.
 LENGTHS = ((0.1, 0.3), (0.3, 1.0), (1.0, 3.0))
@@ -36,43 +45,38 @@ def one_run(name: str, floor_m: float, wheel_m: float, seed: int) -> Run:
     return run_of_case(correlated(name, floor_m, wheel_m), seed)
 
 
-def study(name: str, floor_m: float, wheel_m: float, runs: int) -> None:
-    """Print one row."""
-    seeds = [k * max(_SEEDS // runs, 1) for k in range(runs)]
-    results = list(map_runs(one_run, [(name, floor_m, wheel_m, seed) for seed in seeds]))
-    error, std, nees = (np.array([getattr(r, part) for r in results]) for part in ("error", "std", "nees"))
-    ratio = np.sqrt(np.nanmean((error / std) ** 2, axis=0))
-    cells = [
-        f"{np.nanmean(nees[:, 3]):.2f}",
-        f"{np.sqrt(np.mean(ratio**2)):.2f} ({ratio.max():.2f})",
-        *level_counts(results),
-        sum(r.false_pass for r in results),
-        summary(std, ROBOTS["pan-tilt"]()),
-        f"{np.mean([r.seconds for r in results]):.1f}",
-    ]
-    print(f"| {name} | {floor_m:g}, {wheel_m:g} | {runs} | " + " | ".join(map(str, cells)) + " |")
-    for seed, r in zip(seeds, results, strict=True):
-        if r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE:
-            parts = [jump.part for jump in r.jumps]
-            print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.2f}, {r.named}, {parts}")
-    sys.stdout.flush()
-
-
 def main() -> None:
     """All cells; runs as an argument (100 by default; fewer for many images), then parts of names of recordings."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    print(conditions())
-    print(
-        "\nEvery constant is drawn from its prior, noise levels are estimated.\n\n"
-        "| | floor, wheels (m) | runs | mean NEES / 9 | rms error over sigma (worst of nine) | PASS | FAIL | NOT ENOUGH | "
-        "refused | false PASS | sigma: rotation (deg) | translation (mm) | wheels (%) | processor time (s) |\n"
-        + "| --- " * 14
-        + "|"
-    )
-    for name, (_, share) in RECORDINGS.items():
-        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
-            for floor_m, wheel_m in LENGTHS:
-                study(name, floor_m, wheel_m, max(round(share * runs), 1))
+    asked = Study.begun(100)
+    head(
+        "", "floor, wheels (m)", "runs", "mean NEES / 9", "rms error over sigma (worst of nine)", *LEVELS, "false PASS",
+        "sigma: rotation (deg)", "translation (mm)", "wheels (%)", "processor time (s)",
+        title="Every constant is drawn from its prior, noise levels are estimated.",
+    )  # fmt: skip
+    for name in asked.chosen(RECORDINGS):
+        runs = max(round(RECORDINGS[name][1] * asked.runs), 1)
+        seeds = [k * max(_SEEDS // runs, 1) for k in range(runs)]
+        for floor_m, wheel_m in LENGTHS:
+            results = results_of(one_run, name, floor_m, wheel_m, seeds=seeds)
+            error, std, nees = (
+                np.array([getattr(r, part) for r in results]) for part in ("error", "std", "nees")
+            )
+            ratio = rms(error / std)
+            line(
+                name,
+                f"{floor_m:g}, {wheel_m:g}",
+                runs,
+                f"{np.nanmean(nees[:, 3]):.2f}",
+                f"{np.sqrt(np.mean(ratio**2)):.2f} ({ratio.max():.2f})",
+                *level_counts(results),
+                sum(r.false_pass for r in results),
+                *summary(std, ROBOTS["pan-tilt"]()),
+                f"{np.mean([r.seconds for r in results]):.1f}",
+            )
+            for seed, r in zip(seeds, results, strict=True):
+                if r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE:
+                    parts = [jump.part for jump in r.jumps]
+                    print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.2f}, {r.named}, {parts}")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,6 @@ Nominal values are drawn from their priors, so that an unobservable parameter is
 from __future__ import annotations
 
 import math
-import sys
 from collections import Counter
 from dataclasses import replace
 
@@ -18,15 +17,8 @@ from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve
-from tests.bench.simulated import (
-    DISTURBED,
-    GIVEN,
-    RUNS_PER_ROUTE,
-    as_described,
-    conditions,
-    map_runs,
-    route_of,
-)
+from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of
+from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
 from tests.extractions import ideal_extraction
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
@@ -90,24 +82,20 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
 
 def main() -> None:
     """All cases; runs of each as an argument, 200 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    print(conditions())
-    print(
-        f"\nN = {_STATIONS}, {runs} runs each, noise levels given, nominal values drawn from their priors: rms error "
-        "over the stated sigma.\n"
+    asked = Study.begun(200)
+    title = (
+        f"N = {_STATIONS}, {asked.runs} runs each, noise levels given, nominal values drawn from their priors: rms error "
+        "over the stated sigma."
     )
-    names = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "rR", "rL", "b", *_DERIVED)
-    print(f"| | {' | '.join(names)} | unobservable |\n{'| --- ' * (len(names) + 2)}|")
+    head("", *NINE_RATIOS, *_DERIVED, "unobservable", title=title)
     for motion, fix in _CASES:
-        results = list(map_runs(one_run, [(motion, fix, seed) for seed in range(runs)]))
-        marked = Counter(", ".join(r[1]) or "none" for r in results)
-        values = np.array([r[0] for r in results])
-        shown = np.isfinite(values).sum(axis=0)
-        rms = np.sqrt(np.nansum(values**2, axis=0) / np.maximum(shown, 1))
-        cells = " | ".join(f"{v:.2f}" if n > runs / 2 else "fixed" for v, n in zip(rms, shown, strict=True))
-        says = "; ".join(f"{names}: {count}" for names, count in marked.most_common())
-        print(f"| {motion}{f', {fix} fixed' if fix else ''} | {cells} | {says} |")
-        sys.stdout.flush()
+        ratios, hidden = zip(*results_of(one_run, motion, fix, seeds=range(asked.runs)), strict=True)
+        shown = np.isfinite(ratios).sum(axis=0)
+        size = np.sqrt(np.nansum(np.square(ratios), axis=0) / np.maximum(shown, 1))
+        cells = [f"{v:.2f}" if n > asked.runs / 2 else "fixed" for v, n in zip(size, shown, strict=True)]
+        marked = Counter(", ".join(names) or "none" for names in hidden).most_common()
+        says = "; ".join(f"{names}: {count}" for names, count in marked)
+        line(f"{motion}{f', {fix} fixed' if fix else ''}", *cells, says)
 
 
 if __name__ == "__main__":

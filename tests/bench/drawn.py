@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.imperfect import (
     ROBOTS,
     USUAL,
+    VERDICTS,
     Case,
     Run,
     all_kinds,
@@ -19,9 +19,11 @@ from tests.bench.imperfect import (
     given,
     run_of,
     true_robot,
+    verdict_cells,
     with_noise,
 )
-from tests.bench.simulated import HEADER, RUNS_PER_ROUTE, as_described, conditions, errors, map_runs, row
+from tests.bench.simulated import RUNS_PER_ROUTE, as_described, errors
+from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 
 CASES = {
     "paper's robot, N = 12": Case("paper", 12),
@@ -31,7 +33,6 @@ CASES = {
     "skid-steered robot with four wheel joints, N = 20": Case("skid-steer", 20),
     "odometry alone, N = 20": Case("odometry", 20),
 }
-_SHORT = HEADER.replace(" (deg)", "").replace(" (mm)", "")
 
 
 def drawn(name: str) -> Case:
@@ -57,52 +58,42 @@ def price_of(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     return uncertain, exact
 
 
+LEVELS_OF = ("levels given", "levels estimated")
+
+
 def study(name: str, runs: int) -> None:
     """Print the table of one case."""
     case = CASES[name]
-    tasks = [(name, seed) for seed in range(runs)]
-    results = list(map_runs(one_run, tasks))
-    numbers = [seed // RUNS_PER_ROUTE for seed in range(runs)]
+    results = results_of(one_run, name, seeds=range(runs))
+    numbers_of_routes = [seed // RUNS_PER_ROUTE for seed in range(runs)]
     bound = np.array(
-        [np.sqrt(np.diag(bound_of(case.robot, case.motion, case.stations, number))) for number in numbers]
+        [np.sqrt(np.diag(bound_of(case.robot, case.motion, case.stations, n))) for n in numbers_of_routes]
     )
-    print(f"\n### {name}, {runs} runs, drawn from the priors\n\n{_SHORT}")
-    for which, label in enumerate(("levels given", "levels estimated")):
-        error = np.array([r[which].error for r in results])
-        print(row(f"rms error over the bound, {label}", np.sqrt(np.nanmean((error / bound) ** 2, axis=0))))
-    for which, label in enumerate(("levels given", "levels estimated")):
-        error, std = (np.array([getattr(r[which], n) for r in results]) for n in ("error", "std"))
-        print(row(f"rms error over sigma, {label}", np.sqrt(np.nanmean((error / std) ** 2, axis=0))))
-    print(
-        "\n| | mean NEES / 9 | median | PASS | FAIL | NOT ENOUGH | refused | false PASS | runs with outliers | "
-        "with contradictions |\n" + "| --- " * 10 + "|"
-    )
-    for which, label in enumerate(("levels given", "levels estimated")):
-        mine = [r[which] for r in results]
-        nees, levels = np.array([r.nees[3] for r in mine]), [r.level for r in mine]
-        counts = [sum(level == wanted for level in levels) for wanted in ("PASS", "FAIL", "NOT ENOUGH")]
-        refused = sum(level.startswith("refused") for level in levels)
-        false, spoilt = sum(r.false_pass for r in mine), sum(r.outliers > 0 for r in mine)
-        cells = [f"{np.nanmean(nees):.3f}", f"{np.nanmedian(nees):.2f}", *counts, refused, false, spoilt]
-        print(f"| {label} | " + " | ".join(map(str, [*cells, sum(bool(r.named) for r in mine)])) + " |")
+    head("", *NINE_RATIOS, title=f"### {name}, {runs} runs, drawn from the priors")
+    each = {label: [r[which] for r in results] for which, label in enumerate(LEVELS_OF)}
+    for label, mine in each.items():
+        line(f"rms error over the bound, {label}", *numbers(rms([r.error for r in mine] / bound)))
+    for label, mine in each.items():
+        ratio = np.array([r.error for r in mine]) / [r.std for r in mine]
+        line(f"rms error over sigma, {label}", *numbers(rms(ratio)))
+    head("", *VERDICTS, "runs with outliers", "with contradictions")
+    for label, mine in each.items():
+        spoilt, named = sum(r.outliers > 0 for r in mine), sum(bool(r.named) for r in mine)
+        line(label, *verdict_cells(mine), spoilt, named)
         for seed, r in enumerate(mine):
             if r.false_pass or r.level.startswith("refused"):
                 print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.1f}, {r.named}")
-    paid = list(map_runs(price_of, tasks[: max(runs // 5, 20)]))
+    paid = results_of(price_of, name, seeds=range(min(runs, max(runs // 5, 20))))
     uncertain, exact = (np.array([p[k] for p in paid]) for k in (0, 1))
-    ratio = np.sqrt(np.mean(uncertain**2, axis=0) / np.mean(exact**2, axis=0))
-    print(f"\nThe price, {len(paid)} runs of a robot exactly as described\n\n{_SHORT}")
-    print(row("rms error over that of the exact model", ratio))
-    sys.stdout.flush()
+    head("", *NINE_RATIOS, title=f"The price, {len(paid)} runs of a robot exactly as described")
+    line("rms error over that of the exact model", *numbers(rms(uncertain) / rms(exact)))
 
 
 def main() -> None:
     """All cases; runs as an argument (1,000 by default, moving ones 300 at most), then names of cases."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    print(conditions())
-    for name in CASES:
-        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
-            study(name, min(runs, 300) if CASES[name].motion == "moving" else runs)
+    asked = Study.begun(1000)
+    for name in asked.chosen(CASES):
+        study(name, min(asked.runs, 300) if CASES[name].motion == "moving" else asked.runs)
 
 
 if __name__ == "__main__":

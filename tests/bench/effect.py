@@ -19,8 +19,8 @@ from mobilecal_cli.vision import Miss
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.refinement import refine_widely
 from tests.bench.corners import sub_pix
-from tests.bench.simulated import DEGREES_MM, HEADER, JOINT_RAD, WHEEL, errors, map_runs, route_of, row
-from tests.bench.tables import paragraph
+from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
+from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import board_pose, triangulate, with_views
 
@@ -118,15 +118,15 @@ def main(runs: int = RUNS) -> str:
             else "as in the [results](results.md#maximum-likelihood-against-the-truth)"
         )
         title = f"Wheel and joint noise {noise}, {runs} runs of N = {STATIONS}; root-mean-square errors."
-        text.append(paragraph(title) + HEADER)
-        rms = {}
+        rows, size = [], {}
         for how in ("cornerSubPix", "mobilecal"):
             error = np.array([f[how][0] for f in found])
-            rms[how] = np.sqrt(np.nanmean(error**2, axis=0)) * DEGREES_MM
-            text.append(row(how, rms[how], 4))
-        text.append(row("mobilecal / cornerSubPix", rms["mobilecal"] / rms["cornerSubPix"]))
+            size[how] = rms(error) * DEGREES_MM
+            rows.append([how, *numbers(size[how], 4)])
+        rows.append(["mobilecal / cornerSubPix", *numbers(size["mobilecal"] / size["cornerSubPix"])])
+        text.append(paragraph(title) + table(["", *NINE_COLUMNS], rows).rstrip("\n"))
         figures = [
-            f"{how}: corners {np.sqrt(np.mean([f[how][2] ** 2 for f in found])):.4f} px, mean NEES / 9 "
+            f"{how}: corners {rms([f[how][2] for f in found]):.4f} px, mean NEES / 9 "
             f"{np.nanmean([f[how][1] for f in found]):.3f}, {sum(not np.isfinite(f[how][1]) for f in found)} runs refused"
             for how in ("cornerSubPix", "mobilecal")
         ]

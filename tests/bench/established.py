@@ -22,7 +22,8 @@ from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
-from tests.bench.simulated import DISTURBED, TRUE_NOISE, conditions, route_of
+from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
+from tests.bench.study import conditions
 from tests.extractions import ideal_extraction
 
 SIZES = (12, 200, 2000)

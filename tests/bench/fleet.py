@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import signal
-import sys
 import tempfile
 import time
 from collections import Counter
@@ -20,7 +19,7 @@ from mobilecal_cli.calibrate import batch as fleet
 from mobilecal_cli.calibrate.batch import RECORDS
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.simulated import conditions
+from tests.bench.study import Study
 from tests.commands.dask_cluster import local_cluster
 
 _CUT = 6  # every so many robots
@@ -39,8 +38,7 @@ def _records(out: Path) -> dict[str, int]:
 
 def main() -> None:
     """Both runs, compared."""
-    robots = int(sys.argv[1]) if len(sys.argv) > 1 else 24
-    print(conditions())
+    robots = Study.begun(24).runs
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         logs = folder / "logs"

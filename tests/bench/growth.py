@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 
 from tests.bench.recordings import stretched
-from tests.bench.tables import paragraph, table
+from tests.bench.study import paragraph, table
 
 MINUTES = (1, 10, 60)
 _LENGTHS = {"auto": MINUTES, "all": (1, 10)}

@@ -45,6 +45,7 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
+from tests.bench.study import rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
 
 ROBOTS = {
@@ -310,12 +311,24 @@ def judged(solution: Solution, extraction: Extraction, robot: SimulatedRobot) ->
 def level_counts(runs: Sequence[Run]) -> list[int]:
     """Number of PASS, FAIL, NOT ENOUGH, and of refused recordings."""
     counts = Counter(run.level.partition(":")[0] for run in runs)
-    return [counts[level] for level in ("PASS", "FAIL", "NOT ENOUGH", "refused")]
+    return [counts[level] for level in LEVELS]
 
 
-def summary(error: FloatArray, robot: SimulatedRobot) -> str:
+#: Heads of `verdict_cells`.
+LEVELS = ("PASS", "FAIL", "NOT ENOUGH", "refused")
+VERDICTS = ("mean NEES / 9", "median", *LEVELS, "false PASS")
+
+
+def verdict_cells(runs: Sequence[Run]) -> list[object]:
+    """NEES and verdicts of some runs."""
+    nees = np.array([run.nees[3] for run in runs])
+    false = sum(run.false_pass for run in runs)
+    return [f"{np.nanmean(nees):.2f}", f"{np.nanmedian(nees):.2f}", *level_counts(runs), false]
+
+
+def summary(error: FloatArray, robot: SimulatedRobot) -> list[str]:
     """Root-mean-square errors (n, 9) of rotation (deg), translation (mm) and wheels (%), as three cells."""
-    rms = np.sqrt(np.nanmean(error**2, axis=0))
-    rotation, translation = np.degrees(np.linalg.norm(rms[:3])), 1e3 * np.linalg.norm(rms[3:6])
-    wheels = 100 * float(np.max(rms[6:] / robot.wheels.vector))
-    return f"{rotation:.3f} | {translation:.2f} | {wheels:.3f}"
+    size = rms(error)
+    rotation, translation = np.degrees(np.linalg.norm(size[:3])), 1e3 * np.linalg.norm(size[3:6])
+    wheels = 100 * float(np.max(size[6:] / robot.wheels.vector))
+    return [f"{rotation:.3f}", f"{translation:.2f}", f"{wheels:.3f}"]

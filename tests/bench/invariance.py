@@ -19,7 +19,7 @@ from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import USUAL, Case, all_kinds
-from tests.bench.simulated import conditions
+from tests.bench.study import conditions, head, line
 from tests.pairs import with_views
 
 _NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
@@ -49,12 +49,7 @@ def shaken(extraction: Extraction) -> Extraction:
     seen = [
         with_views(
             o,
-            left=replace(
-                o.views[0], pixels=o.views[0].pixels + _NOISE_PX * random.normal(size=o.views[0].pixels.shape)
-            ),
-            right=replace(
-                o.views[1], pixels=o.views[1].pixels + _NOISE_PX * random.normal(size=o.views[1].pixels.shape)
-            ),
+            *(replace(v, pixels=v.pixels + _NOISE_PX * random.normal(size=v.pixels.shape)) for v in o.views),
         )
         for o in extraction.observations
     ]
@@ -168,15 +163,12 @@ def main() -> None:
         "the two parts in the other order": [(a["cut in two"], a["cut in two, exchanged"]) for a in one],
         "cut in two and pooled": [(a["as recorded"], a["cut in two"]) for a in one],
     }
-    print(
-        f"\n{len(made)} recordings.\n\n| | other verdict | largest difference (sigma) | beyond {_LIMIT:g} sigma |\n"
-        + "| --- " * 4
-        + "|"
-    )
+    title = f"{len(made)} recordings."
+    head("", "other verdict", "largest difference (sigma)", f"beyond {_LIMIT:g} sigma", title=title)
     for label, pairs in rows.items():
         differences = np.array([apart(a, b) for a, b in pairs])
         others = sum(a["level"] != b["level"] for a, b in pairs)
-        print(f"| {label} | {others} | {np.nanmax(differences):.2g} | {int(np.sum(differences > _LIMIT))} |")
+        line(label, others, f"{np.nanmax(differences):.2g}", int(np.sum(differences > _LIMIT)))
         for (name, _), (a, b), difference in zip(made, pairs, differences, strict=True):
             if a["level"] != b["level"] or difference > _LIMIT:
                 missing = f", the leg explains {lost(a, b):.2f} sigma" if label.startswith("cut") else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -16,9 +15,9 @@ from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTr
 from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.solvers import solve
-from tests.bench.imperfect import FIVE_SIGMA, USUAL, Case, all_kinds, judged, level_counts, refused
+from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case, all_kinds, judged, level_counts, refused
 from tests.bench.imperfect import Run as Result
-from tests.bench.simulated import conditions, map_runs
+from tests.bench.study import Study, head, line, results_of
 from tests.extractions import OutsideRobot, extraction_of
 
 _NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
@@ -200,33 +199,32 @@ def one_run(name: str, seed: int) -> tuple[Run, dict[tuple[str, float], Run]]:
     }
 
 
-def _line(label: str, part: str, runs: list[Run]) -> str:
+def _line(label: str, part: str, runs: list[Run]) -> None:
     named = [run.named for run in runs]
     near = [n for n in named if n and abs(n[1]) <= 1]
     right = sum(n[0] == part for n in near)
-    cells = [
+    line(
+        label,
         f"{right} of {len(runs)}",
         len(near) - right,
         sum(n is not None for n in named) - len(near),
         *level_counts([run.result for run in runs]),
         sum(run.beyond and run.result.level == "PASS" for run in runs),
-    ]
-    return f"| {label} | " + " | ".join(map(str, cells)) + " |"
+    )
 
 
 def study(name: str, runs: int) -> None:
     """Print the table of one recording."""
-    results = list(map_runs(one_run, [(name, seed) for seed in range(runs)], together=1))
-    print(
-        f"\n### {name}, {runs} runs\n\n"
-        "| change | named: part and time | another part, time right | another time | PASS | FAIL | NOT ENOUGH | refused | "
-        "PASS beyond five sigmas |\n" + "| --- " * 9 + "|"
-    )
-    print(_line("none", "", [still for still, _ in results]))
+    results = results_of(one_run, name, seeds=range(runs), together=1)
+    head(
+        "change", "named: part and time", "another part, time right", "another time", *LEVELS, "PASS beyond five sigmas",
+        title=f"### {name}, {runs} runs",
+    )  # fmt: skip
+    _line("none", "", [still for still, _ in results])
     for part in CHANGES:
         for factor in FACTORS:
             each = [found[part, factor] for _, found in results]
-            print(_line(f"{part}, {factor:g} sigma", part, each))
+            _line(f"{part}, {factor:g} sigma", part, each)
             others = Counter(run.named for run in each if run.named and run.named != (part, 0))
             passed = [k for k, run in enumerate(each) if run.beyond and run.result.level == "PASS"]
             missed = [k for k, run in enumerate(each) if run.named is None] if factor == FACTORS[-1] else []
@@ -239,17 +237,14 @@ def study(name: str, runs: int) -> None:
             ):
                 if found:
                     print(f"  {what} {found}")
-    sys.stdout.flush()
 
 
 def main() -> None:
     """All recordings; runs as an argument, 30 by default, then parts of names of recordings."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 30
-    print(conditions())
+    asked = Study.begun(30)
     print("\nChanges at 25, 50 and 75 % of the recording, in turn; every constant is drawn from its prior.")
-    for name in RECORDINGS:
-        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
-            study(name, runs)
+    for name in asked.chosen(RECORDINGS):
+        study(name, asked.runs)
 
 
 if __name__ == "__main__":

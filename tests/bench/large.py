@@ -17,7 +17,7 @@ from typing import Any
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from tests.bench.tables import table
+from tests.bench.study import table
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.simulated import conditions
+from tests.bench.study import conditions, head, line
 
 #: Stops and stereo pairs per stop, with mono8 images of 640 x 480: about 0.1, 1 and 5 GB.
 SIZES = ((6, 28), (20, 82), (40, 204))
@@ -48,8 +48,8 @@ def spent(*arguments: str) -> Spent:
     return Spent(time.perf_counter() - start, int(done.stderr.split("VmHWM:")[1].split()[0]) / 1024)
 
 
-def row(container: str, stations: int, pairs: int, folder: Path) -> str:
-    """One line of the table: a recording is made, measured and removed."""
+def measured(container: str, stations: int, pairs: int, folder: Path) -> None:
+    """Print one line of the table: a recording is made, measured and removed."""
     suffix = {"mcap": ".mcap", "mcap-lz4": ".mcap", "bag": ".bag"}.get(container, "")
     log = folder / f"log{suffix}"
     scenario = Scenario(stations=stations, pictures_per_rest=pairs, pictures="mono8", container=container)  # type: ignore[arg-type]
@@ -57,21 +57,19 @@ def row(container: str, stations: int, pairs: int, folder: Path) -> str:
     size = sum(p.stat().st_size for p in ([log] if log.is_file() else log.iterdir())) / 1e9
     calibrate = spent("calibrate", str(log), "--output", str(folder / "out"), "--force")
     inspect = spent("inspect", str(log))
-    return (
-        f"| {container} | {size:.2f} | {2 * stations * pairs} | {calibrate.peak_mb:.0f} | {calibrate.seconds:.0f} "
-        f"| {inspect.peak_mb:.0f} | {inspect.seconds:.0f} |"
-    )
+    used = (f"{value:.0f}" for each in (calibrate, inspect) for value in (each.peak_mb, each.seconds))
+    line(container, f"{size:.2f}", 2 * stations * pairs, *used)
 
 
 def main() -> None:
     """All sizes as MCAP, one as the other containers."""
-    print(f"{conditions()}\n")
-    print("| container | GB | images | calibrate: MB | s | inspect: MB | s |\n" + "| --- " * 7 + "|")
+    print(conditions())
+    head("container", "GB", "images", "calibrate: MB", "s", "inspect: MB", "s")
     cases = [("mcap", *size) for size in SIZES]
     cases += [(container, *SIZES[1]) for container in ("mcap-lz4", "rosbag2", "bag")]
     with tempfile.TemporaryDirectory() as folder:
-        for container, stations, pairs in cases:
-            print(row(container, stations, pairs, Path(folder)), flush=True)
+        for case in cases:
+            measured(*case, Path(folder))
 
 
 if __name__ == "__main__":

@@ -12,19 +12,17 @@ from mobilecal_cli.model import KnownNoise, Method
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.bench.simulated import (
+from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, errors, route_of
+from tests.bench.study import (
     DEGREES_MM,
-    DISTURBED,
-    GIVEN,
-    HEADER,
-    RUNS_PER_ROUTE,
-    as_described,
-    both_sizes,
-    bound_of,
-    errors,
-    map_runs,
-    route_of,
-    row,
+    NINE_COLUMNS,
+    NINE_RATIOS,
+    Study,
+    head,
+    line,
+    numbers,
+    results_of,
+    rms,
 )
 from tests.extractions import ideal_extraction
 
@@ -59,10 +57,10 @@ def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool
 
 def study(stations: int, runs: int) -> None:
     """Print one table."""
-    found = list(map_runs(one_run, [(stations, seed) for seed in range(runs)]))
+    found = results_of(one_run, stations, seeds=range(runs))
     sigma = np.array([np.sqrt(np.diag(bound_of(stations, seed // RUNS_PER_ROUTE))) for seed in range(runs)])
-    print(f"\n### N = {stations}, {runs} runs\n\nRoot-mean-square errors\n\n{HEADER}")
-    print(row("Cramer-Rao bound", np.sqrt(np.mean(sigma**2, axis=0)) * DEGREES_MM, 3))
+    head("", *NINE_COLUMNS, title=f"### N = {stations}, {runs} runs\n\nRoot-mean-square errors")
+    line("Cramer-Rao bound", *numbers(rms(sigma) * DEGREES_MM, 3))
     rows = {}
     for name in found[0]:
         error = np.array([f.get(name, _NOTHING)[0] for f in found])
@@ -70,21 +68,22 @@ def study(stations: int, runs: int) -> None:
         failed = tried - int(np.isfinite(error[:, 0]).sum())
         name += f" (every {_PAPER_EVERY}th run)" if tried < runs else ""
         rows[name] = error
-        rms = np.sqrt(np.nanmean(error**2, axis=0)) * DEGREES_MM
-        print(row(name + (f" ({failed} runs refused)" if failed else ""), rms, 3))
-    print("\nDivided by the bound of each run\n\n" + HEADER.replace(" (deg)", "").replace(" (mm)", ""))
+        line(name + (f" ({failed} runs refused)" if failed else ""), *numbers(rms(error) * DEGREES_MM, 3))
+    head("", *NINE_RATIOS, title="Divided by the bound of each run")
     for name, error in rows.items():
-        print(row(name, np.sqrt(np.nanmean((error / sigma) ** 2, axis=0))))
-    print("\n| | mean NEES / 9 | median | runs with outliers |\n| --- | --- | --- | --- |")
+        line(name, *numbers(rms(error / sigma)))
+    head("", "mean NEES / 9", "median", "runs with outliers")
     for name in _LEVELS:
         nees = np.array([f[name][1] for f in found])
         left_out = sum(f[name][2] for f in found)
-        print(f"| {name} | {np.nanmean(nees):.3f} | {np.nanmedian(nees):.3f} | {left_out} |")
+        line(name, f"{np.nanmean(nees):.3f}", f"{np.nanmedian(nees):.3f}", left_out)
 
 
 def main() -> None:
-    """Both sizes."""
-    both_sizes(study)
+    """N = 12 and N = 40; runs as an argument, 1,000 by default."""
+    runs = Study.begun(1000).runs
+    for stations in (12, 40):
+        study(stations, runs)
 
 
 if __name__ == "__main__":

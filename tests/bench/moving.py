@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import DISTURBED, HEADER, as_described, conditions, errors, map_runs, route_of, row
+from tests.bench.simulated import DISTURBED, as_described, errors, route_of
+from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 from tests.extractions import ideal_extraction
 
 _LATE_S = 0.025
@@ -24,31 +23,24 @@ def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.nd
     assert found is not None
     error = errors(solution.parameters, robot)
     nees = float(error @ np.linalg.solve(found.covariance, error)) / 9
-    offsets = np.array([solution.constants[name] for name in _CLOCKS])
+    offsets = np.array([[solution.constants[name].value, solution.constants[name].std] for name in _CLOCKS])
     return error, found.std, nees, offsets[:, 0] + _LATE_S, offsets[:, 1], len(solution.outliers)
 
 
 def main() -> None:
     """Runs, each with a route of its own, as an argument; 100 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    print(conditions())
-    results = list(map_runs(one_run, [(seed,) for seed in range(runs)]))
-    error, std = np.array([r[0] for r in results]), np.array([r[1] for r in results])
-    offset, offset_std = np.array([r[3] for r in results]), np.array([r[4] for r in results])
-    header = HEADER.replace(" (deg)", "").replace(" (mm)", "")
-    print(
-        f"\nRecordings without stops, 40 images, {runs} runs, noise levels estimated, cameras 25 ms late.\n\n{header}"
-    )
-    print(row("rms error divided by the stated sigma", np.sqrt(np.mean((error / std) ** 2, axis=0))))
-    print(
-        "\n| offset | rms error (ms) | mean stated sigma (ms) | rms error over sigma |\n| --- | --- | --- | --- |"
-    )
-    for k, name in enumerate(_CLOCKS):
-        ratio = np.sqrt(np.mean((offset[:, k] / offset_std[:, k]) ** 2))
-        rms, mean = np.sqrt(np.mean(offset[:, k] ** 2)), np.mean(offset_std[:, k])
-        print(f"| {name} | {1e3 * rms:.2f} | {1e3 * mean:.2f} | {ratio:.2f} |")
-    left_out = sum(r[5] > 0 for r in results)
-    print(f"\nMean NEES / 9: {np.mean([r[2] for r in results]):.2f}. Runs with outliers: {left_out}.")
+    runs = Study.begun(100).runs
+    error, std, nees, offset, offset_std, left_out = zip(*results_of(one_run, seeds=range(runs)), strict=True)
+    title = f"Recordings without stops, 40 images, {runs} runs, noise levels estimated, cameras 25 ms late."
+    head("", *NINE_RATIOS, title=title)
+    line("rms error divided by the stated sigma", *numbers(rms(np.array(error) / std)))
+    head("offset", "rms error (ms)", "mean stated sigma (ms)", "rms error over sigma")
+    off, sigma = np.array(offset), np.array(offset_std)
+    for name, *values in zip(
+        _CLOCKS, 1e3 * rms(off), 1e3 * sigma.mean(axis=0), rms(off / sigma), strict=True
+    ):
+        line(name, *numbers(values))
+    print(f"\nMean NEES / 9: {np.mean(nees):.2f}. Runs with outliers: {sum(n > 0 for n in left_out)}.")
 
 
 if __name__ == "__main__":

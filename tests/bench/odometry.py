@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +17,8 @@ from mobilecal_cli.solvers import solve
 from tests import extractions
 from tests.bench.drawn import drawn
 from tests.bench.imperfect import ROBOTS, Case, route_of
-from tests.bench.simulated import RUNS_PER_ROUTE, conditions, map_runs
+from tests.bench.simulated import RUNS_PER_ROUTE
+from tests.bench.study import Study, head, line, results_of
 
 RATE_HZ, SPEED_MPS = 50.0, 0.3
 #: 95 % of chi-squared with 1 and 3 degrees of freedom.
@@ -156,39 +156,36 @@ def one_robot(name: str, seed: int) -> tuple[dict[str, FloatArray], FloatArray] 
     return result, np.array([found.path_m, found.widening, *found.systematic])
 
 
-def row(label: str, each: list[FloatArray]) -> str:
-    """Coverage over all legs, with its standard error from the spread between the robots."""
+def row(label: str, each: list[FloatArray]) -> None:
+    """Print coverage over all legs, with its standard error from the spread between the robots."""
     rows = np.concatenate(each)
     between = np.std([r.mean(axis=0) for r in each], axis=0) / np.sqrt(len(each))
     cells = [f"{mean:.3f} ± {error:.3f}" for mean, error in zip(rows.mean(axis=0), between, strict=True)]
     if label == FIVE:
         cells[4:] = ["", ""]  # the pose applies to one leg
-    return f"| {label} | {len(rows)} | " + " | ".join(cells) + " |"
+    line(label, len(rows), *cells)
 
 
 def study(name: str, robots: int) -> None:
     """Print the table of one case."""
-    results = list(map_runs(one_robot, [(name, seed) for seed in range(robots)]))
+    results = results_of(one_robot, name, seeds=range(robots))
     solved = [result for result in results if not isinstance(result, str)]
-    print(f"\n### {name}: {len(solved)} robots, {robots - len(solved)} refused\n")
-    print(f"| drive | errors | {' | '.join(QUANTITIES)} |\n" + "| --- " * (len(QUANTITIES) + 2) + "|")
+    title = f"### {name}: {len(solved)} robots, {robots - len(solved)} refused"
+    head("drive", "errors", *QUANTITIES, title=title)
     for label in solved[0][0]:
-        print(row(label, [inside[label] for inside, _ in solved]))
+        row(label, [inside[label] for inside, _ in solved])
     path, widening, length, heading = np.mean([values for _, values in solved], axis=0)
     print(
         f"\nmean leg {path:.2f} m; variances times {widening:.3f}; systematic share: length {length:.2f}, "
         f"heading {heading:.2f}"
     )
-    sys.stdout.flush()
 
 
 def main() -> None:
     """Robots as an argument, 200 by default; then names of cases."""
-    robots = int(sys.argv[1]) if len(sys.argv) > 1 else 200
-    print(conditions())
-    for name in STUDIED:
-        if len(sys.argv) < 3 or name in sys.argv[2:]:
-            study(name, robots)
+    asked = Study.begun(200)
+    for name in asked.chosen(STUDIED):
+        study(name, asked.runs)
 
 
 if __name__ == "__main__":

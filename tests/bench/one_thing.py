@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from mobilecal_cli.simulate.imperfect import PRIORS
 from mobilecal_cli.simulate.route import Motion
 from tests.bench.imperfect import (
+    LEVELS,
     PERFECT,
     ROBOTS,
     USUAL,
@@ -20,7 +20,7 @@ from tests.bench.imperfect import (
     run_of_case,
     summary,
 )
-from tests.bench.simulated import conditions, map_runs
+from tests.bench.study import Study, head, line, numbers, results_of
 from tests.extractions import STATION_NOISE, Outside
 
 _FLOOR = {"floor_rad": float(np.radians(0.05)), "floor_m": 0.0005}
@@ -121,52 +121,34 @@ def one_run(name: str, seed: int) -> Run:
     return run_of_case(CASES[name][0], seed)
 
 
-def study(name: str, runs: int) -> None:
-    """Print one row."""
-    case, right = CASES[name]
-    results = list(map_runs(one_run, [(name, seed) for seed in range(runs)]))
-    error = np.array([r.error for r in results])
-    nees = np.nanmedian(np.array([r.nees for r in results]), axis=0)
-    false = sum(r.false_pass for r in results)
-    first = sum(bool(r.named) and r.named[0] in right for r in results)
-    named = f"{first} of {sum(bool(r.named) for r in results)}" if right else "-"
-    others = (
-        sum(bool(r.named) for r in results)
-        if not right
-        else sum(bool(set(r.named) - set(right)) for r in results)
-    )
-    cells = [
-        summary(error, ROBOTS[case.robot]()),
-        *(f"{value:.2f}" for value in nees[:3]),
-        *level_counts(results),
-        sum(r.beyond for r in results),
-        false,
-        named,
-        others,
-        sum(bool(r.jumps) for r in results),
-    ]
-    print(f"| {name} | " + " | ".join(map(str, cells)) + " |")
-    for seed, r in enumerate(results):
-        if r.beyond or r.jumps or r.level != "PASS":
-            print(
-                f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.1f}, {r.named}, {[j.part for j in r.jumps]}"
-            )
-    sys.stdout.flush()
-
-
 def main() -> None:
     """All cases; runs as an argument, 100 by default, then parts of names."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 100
-    print(conditions())
-    print(
-        f"\n{runs} runs each, 20 stations or 40 images in motion, pan-tilt robot; all else as described.\n\n"
-        "| not as described | rotation (deg) | translation (mm) | wheels (%) | median NEES / 3: rotation | translation | "
-        "wheels | PASS | FAIL | NOT ENOUGH | refused | beyond five sigmas | false PASS | named first, of runs with a contradiction | other causes "
-        "named | changes named |\n" + "| --- " * 16 + "|"
-    )
-    for name in CASES:
-        if len(sys.argv) < 3 or any(part in name for part in sys.argv[2:]):
-            study(name, runs)
+    asked = Study.begun(100)
+    head(
+        "not as described", "rotation (deg)", "translation (mm)", "wheels (%)", "median NEES / 3: rotation", "translation",
+        "wheels", *LEVELS, "beyond five sigmas", "false PASS", "named first, of runs with a contradiction",
+        "other causes named", "changes named",
+        title=f"{asked.runs} runs each, 20 stations or 40 images in motion, pan-tilt robot; all else as described.",
+    )  # fmt: skip
+    for name in asked.chosen(CASES):
+        case, right = CASES[name]
+        results = results_of(one_run, name, seeds=range(asked.runs))
+        named = [r.named for r in results if r.named]
+        line(
+            name,
+            *summary(np.array([r.error for r in results]), ROBOTS[case.robot]()),
+            *numbers(np.nanmedian(np.array([r.nees[:3] for r in results]), axis=0)),
+            *level_counts(results),
+            sum(r.beyond for r in results),
+            sum(r.false_pass for r in results),
+            f"{sum(kinds[0] in right for kinds in named)} of {len(named)}" if right else "-",
+            sum(bool(set(kinds) - set(right)) for kinds in named),
+            sum(bool(r.jumps) for r in results),
+        )
+        for seed, r in enumerate(results):
+            if r.beyond or r.jumps or r.level != "PASS":
+                changed = [jump.part for jump in r.jumps]
+                print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.1f}, {r.named}, {changed}")
 
 
 if __name__ == "__main__":

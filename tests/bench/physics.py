@@ -6,7 +6,6 @@ pan-tilt head driven by position controllers. Only the cameras are simulated her
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 
 import mujoco
@@ -18,8 +17,8 @@ from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTr
 from mobilecal_cli.simulate.robot import pixels, tick_robot
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
 from mobilecal_cli.vision import board_pose, square_from_points, triangulate
-from tests.bench.imperfect import level_counts, run_of
-from tests.bench.simulated import conditions
+from tests.bench.imperfect import LEVELS, level_counts, run_of
+from tests.bench.study import Study, head, line
 
 _STEP_S = 0.002
 _EVERY = 5  # steps for one row of the log
@@ -169,22 +168,24 @@ def _observed(route, T_c_k, random):
 
 def main() -> None:
     """All worlds, at rest and in motion; runs as an argument, 10 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 10
-    print(conditions(), "MuJoCo", mujoco.__version__)
-    print(
-        "\n| | runs | mean NEES / 6 of the camera | mean error of the separation (%) | in its sigmas | PASS | FAIL | NOT "
-        "ENOUGH | refused | beyond five sigmas |\n" + "| --- " * 10 + "|"
-    )
+    asked = Study.begun(10)
+    head(
+        "", "runs", "mean NEES / 6 of the camera", "mean error of the separation (%)", "in its sigmas", *LEVELS,
+        "beyond five sigmas", title=f"MuJoCo {mujoco.__version__}",
+    )  # fmt: skip
     robot = tick_robot()
-    for name, world in WORLDS.items():
+    for name in asked.chosen(WORLDS):
         for motion, stations in (("standard", 20), ("moving", 27)):
-            results = [run_of(recorded(world, motion, stations, seed), robot) for seed in range(runs)]
+            worlds = (recorded(WORLDS[name], motion, stations, seed) for seed in range(asked.runs))
+            results = [run_of(extraction, robot) for extraction in worlds]
             camera = np.nanmean([(r.nees[0] + r.nees[1]) / 2 for r in results])
             wide = np.nanmean([100 * r.error[8] / robot.wheels.separation_m for r in results])
-            sigmas = np.nanmean([r.error[8] / r.std[8] for r in results])
-            cells = [runs, f"{camera:.2f}", f"{wide:+.2f}", f"{sigmas:+.1f}", *level_counts(results)]
-            cells.append(sum(r.beyond for r in results))
-            print(f"| {name}, {motion} | " + " | ".join(map(str, cells)) + " |", flush=True)
+            sigmas, beyond = (
+                np.nanmean([r.error[8] / r.std[8] for r in results]),
+                sum(r.beyond for r in results),
+            )
+            cells = (f"{camera:.2f}", f"{wide:+.2f}", f"{sigmas:+.1f}", *level_counts(results), beyond)
+            line(f"{name}, {motion}", asked.runs, *cells)
 
 
 if __name__ == "__main__":

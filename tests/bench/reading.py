@@ -12,7 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 
-from tests.bench.tables import table
+from tests.bench.study import table
 
 REPEATS = 5
 _JPEG, _CORES = "jpeg", 2

@@ -48,8 +48,8 @@ from mobilecal_cli.vision import (
     square_from_points,
 )
 from mobilecal_cli.vision.averaging import StationCorners
-from tests.bench import tables
-from tests.bench.simulated import conditions
+from tests.bench import study
+from tests.bench.study import conditions
 from tests.pairs import board_pose, measure, triangulate, with_pair
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -475,11 +475,11 @@ def _study(true: CameraRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> 
     causes = ("refused stations", "corners left out", "contradictions named")
     return "\n".join(
         [
-            tables.table(["wrong", *FIGURES], board),
-            tables.table(
+            study.table(["wrong", *FIGURES], board),
+            study.table(
                 ["wrong", "constant", "to be found", "found with nothing wrong", "found", "sigma"], found
             ),
-            tables.table(["wrong", *causes, *(f"{cause}, {_BIG} times as wrong" for cause in causes)], named),
+            study.table(["wrong", *causes, *(f"{cause}, {_BIG} times as wrong" for cause in causes)], named),
         ]
     )
 

@@ -16,17 +16,14 @@ from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import extractions
 from tests.bench.simulated import (
     DISTURBED,
-    HEADER,
     RUNS_PER_ROUTE,
     as_described,
-    both_sizes,
     errors,
     information_of,
-    map_runs,
     route_of,
-    row,
     spoiled,
 )
+from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 
 _FALSE = float(chi2.isf(1e-6, 9)) / 9
 
@@ -65,29 +62,23 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
 
 def study(stations: int, runs: int) -> None:
     """Print one table."""
-    results = list(map_runs(one_run, [(stations, seed) for seed in range(runs)]))
-    error, sigma = np.array([r[0] for r in results]), np.array([r[1] for r in results])
-    nees = np.array([r[2] for r in results])
-    header = HEADER.replace(" (deg)", "").replace(" (mm)", "")
-    print(f"\n### N = {stations}, {runs} runs, noise levels estimated\n\n{header}")
-    print(
-        row(
-            "rms error divided by the bound of the good data",
-            np.sqrt(np.nanmean((error / sigma) ** 2, axis=0)),
-        )
-    )
-    counts = {name: sum(r[3] == name for r in results) for name in sorted({r[3] for r in results})}
-    print("\nOutliers: " + ", ".join(f"{name} {count}" for name, count in counts.items()) + ".")
+    error, sigma, nees, found, seconds = zip(*results_of(one_run, stations, seeds=range(runs)), strict=True)
+    head("", *NINE_RATIOS, title=f"### N = {stations}, {runs} runs, noise levels estimated")
+    line("rms error divided by the bound of the good data", *numbers(rms(np.array(error) / sigma)))
+    false = np.flatnonzero(np.array(nees) > _FALSE)
+    print("\nOutliers: " + ", ".join(f"{name} {found.count(name)}" for name in sorted(set(found))) + ".")
     print(
         f"NEES / 9: mean {np.nanmean(nees):.2f}, median {np.nanmedian(nees):.2f}, maximum {np.nanmax(nees):.2f}; "
-        f"false results (above {_FALSE:.1f}): {int(np.sum(nees > _FALSE))}, seeds "
-        f"{np.flatnonzero(nees > _FALSE).tolist()}. {np.mean([r[4] for r in results]):.1f} s per run."
+        f"false results (above {_FALSE:.1f}): {len(false)}, seeds {false.tolist()}. "
+        f"{np.mean(seconds):.1f} s per run."
     )
 
 
 def main() -> None:
-    """Both sizes."""
-    both_sizes(study)
+    """N = 12 and N = 40; runs as an argument, 1,000 by default."""
+    runs = Study.begun(1000).runs
+    for stations in (12, 40):
+        study(stations, runs)
 
 
 if __name__ == "__main__":

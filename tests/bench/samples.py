@@ -12,7 +12,7 @@ from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.model import Parameters, WheelGeometry
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import DEGREES_MM, HEADER, conditions, row
+from tests.bench.study import DEGREES_MM, NINE_COLUMNS, conditions, head, line, numbers
 
 _LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
 
@@ -34,19 +34,12 @@ def main() -> None:
         solution = solve(extraction)
         found, truth = solution.uncertainty, _truth(_LOGS / f"{name}.truth.yaml")
         assert found is not None
-        turn = se3.log_so3(solution.parameters.T_h_c[:3, :3] @ truth.T_h_c[:3, :3].T)
-        a, b = solution.parameters.wheels, truth.wheels
-        wheels = [
-            a.radius_right_m - b.radius_right_m,
-            a.radius_left_m - b.radius_left_m,
-            a.separation_m - b.separation_m,
-        ]
-        error = np.concatenate([turn, solution.parameters.T_h_c[:3, 3] - truth.T_h_c[:3, 3], wheels])
-        print(f"\n### {name}\n\n{HEADER}")
-        print(row("error", error * DEGREES_MM, 3))
-        print(row("sigma", found.std * DEGREES_MM, 3))
-        print(row("jackknife sigma", found.jackknife_std * DEGREES_MM, 3))
-        print(row("jackknife / covariance", found.jackknife_std / found.std))
+        error = solution.parameters.minus(truth)
+        head("", *NINE_COLUMNS, title=f"### {name}")
+        line("error", *numbers(error * DEGREES_MM, 3))
+        line("sigma", *numbers(found.std * DEGREES_MM, 3))
+        line("jackknife sigma", *numbers(found.jackknife_std * DEGREES_MM, 3))
+        line("jackknife / covariance", *numbers(found.jackknife_std / found.std))
 
 
 if __name__ == "__main__":

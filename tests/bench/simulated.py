@@ -2,21 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import platform
-import sys
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from datetime import UTC, datetime
 from functools import cache
-from typing import Any
 
 import numpy as np
-import scipy
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli import __version__, se3
+from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -43,21 +35,6 @@ DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
 TRUE_NOISE = Noise.exact(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 GIVEN = KnownNoise(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
 RUNS_PER_ROUTE = 10
-DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])
-HEADER = "| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |\n" + "| --- " * 10 + "|"
-
-
-def conditions() -> str:
-    """Versions and machine, in one line."""
-    versions = f"numpy {np.__version__}, scipy {scipy.__version__}"
-    cores = f"{os.cpu_count()} cores, {platform.machine()}"
-    when = f"{datetime.now(UTC):%Y-%m-%d}"
-    return f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {cores}, {when}"
-
-
-def row(name: str, values: FloatArray, digits: int = 2) -> str:
-    """One line of a table."""
-    return f"| {name} | " + " | ".join(f"{value:.{digits}f}" for value in values) + " |"
 
 
 @cache
@@ -134,18 +111,3 @@ def spoiled(
         right[wheels.time_ns > middle] += random.choice([-1, 1]) * random.uniform(0.08, 0.4)
         wheels = WheelTrack.at_same_times(wheels.time_ns, right, wheels.left_rad)
     return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
-
-
-def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: int = 5) -> Iterator[Any]:
-    """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
-    with ProcessPoolExecutor() as pool:
-        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
-
-
-def both_sizes(study: Callable[[int, int], None]) -> None:
-    """A study of N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    runs = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
-    print(conditions())
-    for stations in (12, 40):
-        study(stations, runs)
-        sys.stdout.flush()

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import platform
-import sys
-from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
 import numpy as np
-import scipy
 
-from mobilecal_cli import __version__
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.model import Parameters
 from mobilecal_cli.rig.config import load_rig
@@ -19,6 +14,7 @@ from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import errors
+from tests.bench.study import NINE_COLUMNS, conditions, head, line, numbers, rms
 from tests.extractions import Noise, ideal_extraction
 
 _RUNS = 40
@@ -31,16 +27,9 @@ def in_camera(parameters: Parameters, robot: SimulatedRobot) -> np.ndarray:
     return np.concatenate([np.degrees(robot.T_h_c[:3, :3].T @ off[:3]), 1e3 * off[3:]])
 
 
-def row(name: str, values: np.ndarray, extra: str = "") -> str:
-    """One line of the table."""
-    return f"| {name} | " + " | ".join(f"{value:.2f}" for value in values) + f" |{extra}"
-
-
 def wheel_rounds(history: tuple[Parameters, ...]) -> int:
     """The round after which neither radius nor the separation had moved by more than 0.1 %."""
-    wheels = np.array(
-        [[p.wheels.radius_right_m, p.wheels.radius_left_m, p.wheels.separation_m] for p in history]
-    )
+    wheels = np.array([p.wheels.vector for p in history])
     steps = np.max(np.abs(np.diff(wheels, axis=0) / wheels[1:]), axis=1)
     return int(np.argmax(steps < 1e-3)) + 2
 
@@ -57,10 +46,10 @@ def sample() -> None:
     print(
         f"{wheel_rounds(linear.history)}, all parameters after {linear.rounds_to_tolerance}; fixed after {linear.rounds}.\n"
     )
-    print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) | Error (mm) |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    head("", *NINE_COLUMNS, "Error (mm)")
     for method, solution in solutions.items():
-        print(row(method, in_camera(solution.parameters, robot), f" {1e3 * solution.point_rms_m:.2f} |"))
+        off = in_camera(solution.parameters, robot)
+        line(method, *numbers(off), f"{1e3 * solution.point_rms_m:.2f}")
 
 
 def monte_carlo() -> None:
@@ -78,20 +67,14 @@ def monte_carlo() -> None:
     print(
         f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, maximum {max(rounds)}.\n"
     )
-    print("| | r_x | r_y | r_z (deg) | t_x | t_y | t_z | rR | rL | b (mm) |")
-    print("| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |")
+    head("", *NINE_COLUMNS)
     for method, results in found.items():
-        print(row(method, np.sqrt(np.mean(np.square(results), axis=0))))
+        line(method, *numbers(rms(np.array(results))))
 
 
 def main() -> None:
     """Print both."""
-    versions = f"numpy {np.__version__}, scipy {scipy.__version__}, opencv {cv2.__version__}"
-    print(
-        f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {platform.machine()}, ",
-        end="",
-    )
-    print(f"{datetime.now(UTC):%Y-%m-%d}\n")
+    print(f"{conditions()}, OpenCV {cv2.__version__}\n")
     sample()
     monte_carlo()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +13,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import FloatArray, SensorMotion
 from mobilecal_cli.solvers import solve
+from tests.bench.study import head, line
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "wheels_alone"
 #: Recording → nominal heading of the laser, deg. It is mounted turned for one of the recordings.
@@ -42,8 +42,8 @@ def published(run: str) -> tuple[FloatArray, FloatArray]:
     return np.array([result["r_diam"] / 2, result["l_diam"] / 2, result["axle"]]), std
 
 
-def row(run: str, what: str, legs: Sequence[SensorMotion]) -> str:
-    """A row of the table: one solution."""
+def solved(run: str, what: str, legs: Sequence[SensorMotion]) -> None:
+    """Print a row of the table: one solution."""
     T_v_c = se3.transform(se3.rotation_z(np.radians(RUNS[run])), np.zeros(3))
     start = time.perf_counter()
     solution = solve(from_motions(legs, NOMINAL, T_v_c))
@@ -51,19 +51,19 @@ def row(run: str, what: str, legs: Sequence[SensorMotion]) -> str:
     assert solution.uncertainty is not None
     value, std = solution.parameters.wheels.vector, np.sqrt(np.diag(solution.uncertainty.covariance))[6:]
     truth, sigma = published(run)
-    cells = [
+    line(
+        run,
+        f"{what}: {len(legs):,}",
         "{:.3f} ± {:.3f}, {:.3f} ± {:.3f}, {:.2f} ± {:.2f}".format(*np.stack((value, std), 1).ravel() * 1e3),
         ", ".join(f"{off:+.2f}" for off in (value - truth) / sigma),
         f"{len(solution.outliers)}",
         f"{seconds:.0f} s",
-    ]
-    return f"| {run} | {what}: {len(legs):,} | " + " | ".join(cells) + " |"
+    )
 
 
 def main() -> None:
     """Print the table."""
-    print("| run | legs | radii and separation, mm | off, published sigmas | outliers | time |")
-    print("| --- | --- | --- | --- | --- | --- |")
+    head("run", "legs", "radii and separation, mm", "off, published sigmas", "outliers", "time")
     for run in RUNS:
         legs = legs_of(run)
         parts = {
@@ -74,8 +74,7 @@ def main() -> None:
             "a tenth": legs[::10],
         }
         for what, part in parts.items():
-            print(row(run, what, part))
-            sys.stdout.flush()
+            solved(run, what, part)
 
 
 if __name__ == "__main__":

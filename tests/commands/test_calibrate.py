@@ -198,9 +198,9 @@ def test_a_wrong_square_is_said(workplace, sample_logs):
     assert float(measured) == pytest.approx(80.0, abs=0.1)
 
 
-def test_noise_that_the_configuration_knows(workplace, sample_logs):
-    log, known = sample_logs / "paper_robot.mcap", ["--set", "noise.joint_rad=0.0002"]
-    result = run("calibrate", log, *known, "-o", "known", cwd=workplace)
+def test_noise_that_the_configuration_knows(first, workplace):
+    npz, known = workplace / "paper_robot_calibration/extraction.npz", ["--set", "noise.joint_rad=0.0002"]
+    result = run("calibrate", npz, *known, "-o", "known", cwd=workplace)
     assert result.code == 0, result.err
     params = load(workplace / "known/params.yaml")
     assert params["uncertainty"]["noise"]["joint_rad"] == 0.0002
@@ -303,17 +303,10 @@ def test_a_recording_in_two_files_is_one(first, workplace, sample_logs):
     assert run("calibrate", "split/extraction.npz", "--output", "resolved", cwd=workplace).code == 0
 
 
-def test_the_right_camera_as_reference(first, workplace, sample_logs):
-    npz_run = run(
-        "calibrate",
-        sample_logs / "paper_robot.mcap",
-        "--set",
-        "cameras.reference=right",
-        "-o",
-        "right",
-        cwd=workplace,
-    )
-    assert npz_run.code == 0, npz_run.err
+def test_the_right_camera_as_reference(first, workplace):
+    npz = workplace / "paper_robot_calibration/extraction.npz"
+    result = run("calibrate", npz, "--set", "cameras.reference=right", "-o", "right", cwd=workplace)
+    assert result.code == 0, result.err
     right, left = (
         load(workplace / "right/params.yaml"),
         load(workplace / "paper_robot_calibration/params.yaml"),

@@ -4,20 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run
 from tests.commands.edited import edited
 from tests.golden import assert_golden
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Few images are enough where the board does not matter."""
-    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)
 
 
 def keys(draft):

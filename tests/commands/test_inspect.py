@@ -34,7 +34,7 @@ def test_sample_log(sample_logs, name):
     assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
 
 
-def test_motion_that_does_not_show_everything(sample_logs):
+def test_motion_that_does_not_show_everything(sample_logs, few):
     found = inspect.inspect([sample_logs / "straight.mcap"])
     assert found.missing == ()
     (lack,) = found.weak
@@ -83,7 +83,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     assert all(lack.cure for lack in found.missing)
 
 
-def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
+def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch, few):
     monkeypatch.setattr("mobilecal_cli.calibrate.inspect.MOTION_BYTES", 2**20)
     found = inspect.inspect([sample_logs / "paper_robot.mcap"])
     assert 0 < found.motion.share_read < 1
@@ -92,7 +92,7 @@ def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch):
     assert found.missing == ()
 
 
-def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
+def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path, few):
     whole = (sample_logs / "paper_robot.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 6 // 10])
@@ -105,7 +105,7 @@ def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path):
 @pytest.mark.parametrize(
     ("name", "code"), [("head_fixed.mcap", 5), ("tick_robot.mcap", 3), ("nothing.mcap", 3), ("board.mcap", 4)]
 )
-def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code):
+def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code, few):
     """`inspect` prints all it found, and ends as `calibrate` does."""
     log = sample_logs / name
     if name == "nothing.mcap":
@@ -145,7 +145,7 @@ def test_empty_recording(tmp_path):
     assert json.loads(inspection_json(found))["recording"]["duration_s"] is None
 
 
-def test_names_cannot_steer_the_terminal(sample_logs):
+def test_names_cannot_steer_the_terminal(sample_logs, few):
     found = inspect.inspect([sample_logs / "head_fixed.mcap"])
     evil = replace(found.topics[0], name="/evil\x1b[2J\u202e")
     text = inspection_text(replace(found, topics=(evil,), notes=("a note\r\x07 on it",)))

@@ -134,6 +134,10 @@ def test_ros2_control(nominal):
     assert data["wheel_radius"] * data["right_wheel_radius_multiplier"] == pytest.approx(0.101)
     assert data["wheel_radius"] == pytest.approx(0.1 if nominal else 0.1015)
     assert (data["left_wheel_names"], data["right_wheel_names"]) == (["l"], ["r"])
+    several = replace(ROBOT, side_joints={"left": ("a", "b"), "right": ("c", "d")})
+    named = yaml.safe_load(diff_drive_yaml(several, {"left": "l"}, nominal))["diff_drive_controller"]
+    names = (named["ros__parameters"][f"{side}_wheel_names"] for side in ("left", "right"))
+    assert list(names) == [["l"], ["c", "d"]]  # a joint that the user names stands for its whole side
 
 
 def test_camchain_projects_as_the_cameras_do():

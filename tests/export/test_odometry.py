@@ -70,6 +70,7 @@ def test_the_variances_are_those_of_simulated_drives(extraction):
     assert y > 5 * x
     assert np.corrcoef(np.array(ends).T) == pytest.approx(found.correlation, abs=4 / np.sqrt(drives))
     assert found.motion == "4 m straight ahead"
+    assert found.path_m == pytest.approx(DISTANCE_M)
     assert heading == pytest.approx(found.pose[5], rel=of_variance)
     messages = found.moving_s * RATE_HZ
     assert x == pytest.approx(found.twist[0] * messages / RATE_HZ**2, rel=of_variance)

@@ -221,7 +221,7 @@ def test_read_back(extraction, solution):
         (("translation_m: [", "translation_m: [1e200, 0, 0] #"), "must be from -20 to 20 m (got 1e+200)"),
         (('{"x": -87.', '{"x": -79.'), "euler_zyx_deg and quaternion_xyzw are 8 degrees apart"),
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
-        (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "the norm is 2.64"),
+        (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "quaternion_xyzw has norm 2.64"),
         (("head_eye:", "head_eye: ["), "not valid YAML"),
         (("head_eye:", "head_ey:"), "head_eye: Field required"),
     ],

@@ -21,7 +21,7 @@ main()
 """
 
 
-@pytest.mark.parametrize("megabytes", [1, 4])
+@pytest.mark.parametrize("megabytes", [pytest.param(1, marks=pytest.mark.long), 4])
 def test_out_of_memory(sample_logs, tmp_path, megabytes):
     arguments = ["calibrate", sample_logs / "paper_robot.mcap", "-o", "out", "--jobs", "1"]
     result = subprocess.run(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -90,6 +91,8 @@ def test_figures_of_an_evaluation():
     assert figures["translation_rms_mm"] == pytest.approx(np.sqrt(50))
     assert figures["drift_mm_per_m"] == pytest.approx(4.0)
     assert figures["drift_deg_per_turn"] is None
+    turned = evaluated_figures(replace(EVALUATION, after=Drift(None, 0.01)))
+    assert turned["drift_deg_per_turn"] == pytest.approx(3.6)
     data = json.loads(json_text(evaluation_data(EVALUATION)))
     assert data["drift_before"] == {"mm_per_m": pytest.approx(50), "deg_per_turn": None}
     assert data["per_leg"][1]["translation_mm"] == pytest.approx(8)

@@ -121,19 +121,11 @@ MISTAKES = {
 
 MISTAKES |= {
     "pan stuck": (lambda e: stuck_from(e, 6, PAN), "the reading of joint pan_joint does not change between"),
-    "tilt stuck": (
-        lambda e: stuck_from(e, 5, TILT),
-        "the reading of joint tilt_joint does not change between",
-    ),
     "both unplugged": (lambda e: parked_from(e, 6), "the readings of both wheels do not change between"),
     "no wheels": (lambda e: with_wheels(e, 0, 0), "the readings of both wheels never change"),
     "pan in degrees": (
         lambda e: with_joints(e, lambda q: q * [180 / np.pi, 1]),
         "the readings of pan_joint are in degrees",
-    ),
-    "tilt in degrees": (
-        lambda e: with_joints(e, lambda q: q * [1, 180 / np.pi]),
-        "the readings of tilt_joint are in degrees",
     ),
     "unplugged": (lambda e: unplugged_from(e, 6), "the reading of the right wheel does not change between"),
 }
@@ -190,7 +182,7 @@ MISTAKES |= {
 SLOW = (
     "pan in degrees", "pan frozen", "both unplugged", "radians", "old images", "old joints", "left late",
     "exchanged", "wheels late", "no wheels", "tilt frozen", "unplugged", "tilt sign", "both signs", "left", "both wheels",
-    "tilt stuck", "tilt in degrees", "swapped", "pan sign", "pan stuck",
+    "swapped", "pan sign", "pan stuck", "reversed",
 )  # fmt: skip
 #: One of each kind of them, named by the diagnosis in every run.
 QUICK = (
@@ -292,7 +284,7 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
 
 
-@pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 0.0), (3.0, 3.0)])
+@pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 3.0)])
 def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left_s):
     """A delay longer than the recording left no time that both wheels cover, and an IndexError."""
     short = ideal_extraction(ROBOT, plan_route(ROBOT, stations=5, seed=0), Noise(0.2, 0.003, 0.0, 1e-3))
@@ -335,8 +327,6 @@ def of_torso():
     ("name", "spoil", "cause"),
     [
         ("tick", unsigned, "the readings of both wheels never decrease"),
-        ("paper", unsigned, "the readings of both wheels never decrease"),
-        ("tick", lambda e: joints_late(e, 2.0), "the joint readings are about 2."),
         ("paper", lambda e: joints_late(e, 3.0), "the joint readings are about 3."),
         (
             "paper",
@@ -379,10 +369,10 @@ def test_a_change_that_jumps_name_has_no_other_cause(change):
     "name",
     [
         "images of two stations exchanged",
-        "images of half the resolution",
-        "infos of left and right exchanged",
+        pytest.param("images of half the resolution", marks=pytest.mark.long),
+        pytest.param("infos of left and right exchanged", marks=pytest.mark.long),
         "right images of the previous station",
-        "right images of the next station",
+        pytest.param("right images of the next station", marks=pytest.mark.long),
         "joints in steps of 5 degrees",
         "board held in a hand",
     ],
@@ -392,7 +382,12 @@ def test_nothing_is_named_for_what_no_hypothesis_explains(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["right wheel in steps of 1 rad", "wheels of another drive", "wheels wrapped at one turn"]
+    "name",
+    [
+        pytest.param("right wheel in steps of 1 rad", marks=pytest.mark.long),
+        "wheels of another drive",
+        "wheels wrapped at one turn",
+    ],
 )
 def test_wheels_that_do_not_belong_to_the_recording(name):
     found = explain(WRONG[name].change(recorded_twenty()))

@@ -176,8 +176,9 @@ def test_corners_nine_times_noisier_than_claimed_in_one_recording():
     assert nees(found) < 3
 
 
-@pytest.mark.parametrize("method", ["ml", "linear", "lm"])
-@pytest.mark.parametrize(("recordings", "stations"), [(4, 1), (2, 2)])
+@pytest.mark.parametrize(
+    ("recordings", "stations", "method"), [(4, 1, "ml"), (2, 2, "ml"), (2, 2, "linear"), (2, 2, "lm")]
+)
 def test_too_few_legs(recordings, stations, method):
     extraction = joined(*(recorded("standard", seed, stations=stations) for seed in range(recordings)))
     with pytest.raises(SolveError, match=rf"with {recordings * (stations - 1)} legs .* \(at least 3 legs"):

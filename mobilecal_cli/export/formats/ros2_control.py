@@ -28,7 +28,6 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     Unobservable sizes are left out, so that the controller keeps its own.
 
     Args:
-        robot: the calibration.
         joints: names of the wheel joints, as far as they are known.
         nominal: sizes that the multipliers refer to; the mean of their radii is used.
 

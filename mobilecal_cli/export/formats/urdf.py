@@ -126,7 +126,6 @@ def patched_urdf(
 
     Args:
         content: the URDF, UTF-8.
-        robot: the calibration.
         wheel_joints: names of the wheel joints; the numbers of a missing side stay.
         chain: the head chain to write; None to leave it as it is.
 

@@ -127,15 +127,9 @@ class McapStorage(BlockStorage):
             return data
         if data[:1] != bytes([Opcode.CHUNK]):
             raise ValueError("no chunk begins there")
-        at = _HEAD.size
-        _, _, full_size, checksum = _CHUNK.unpack_from(data, at)
-        at += _CHUNK.size
-        (length,) = struct.unpack_from("<I", data, at)
-        method = data[at + 4 : at + 4 + length].decode()
-        at += 4 + length
-        (stored,) = struct.unpack_from("<Q", data, at)
-        whole = decompress(data[at + 8 : at + 8 + stored], method, full_size)
-        if checksum and zlib.crc32(whole) != checksum:
+        chunk = records.Chunk.read(_stream(data[_HEAD.size :]))
+        whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
+        if chunk.uncompressed_crc and zlib.crc32(whole) != chunk.uncompressed_crc:
             raise ValueError("wrong checksum")
         return whole
 

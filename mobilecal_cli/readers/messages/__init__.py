@@ -17,7 +17,7 @@ from mobilecal_cli.model import JOINT_STATE, listed
 from mobilecal_cli.readers.messages.types import (
     Decoder,
     DefinitionFormat,
-    fields_of,
+    leaves_of,
     like_ros,
     ros_decoder,
     ros_type,
@@ -232,7 +232,6 @@ class FieldPath:
         """The number at the path.
 
         Args:
-            message: any decoded message.
             topic, setting: topic of the message and key in rig.yaml, for error messages.
 
         Raises:
@@ -259,15 +258,12 @@ class FieldPath:
         )
 
 
-def _field_names(value: Any, prefix: str = "") -> list[str]:  # noqa: ANN401
+def _field_names(message: Any) -> list[str]:  # noqa: ANN401
     """Paths to the numbers and lists in a message."""
     paths: list[str] = []
-    for item, inner in fields_of(value).items():
-        name = f"{prefix}{item}"
-        if fields_of(inner):
-            paths += _field_names(inner, f"{name}.")
-        elif isinstance(inner, (list, np.ndarray)):
-            paths.append(f"{name}[0..{len(inner) - 1}]" if len(inner) else f"{name}[] (empty)")
-        elif isinstance(inner, (int, float, np.number)):
-            paths.append(name)
+    for path, value in leaves_of(message):
+        if isinstance(value, (list, np.ndarray)):
+            paths.append(f"{path}[0..{len(value) - 1}]" if len(value) else f"{path}[] (empty)")
+        elif isinstance(value, (int, float, np.number)):
+            paths.append(path)
     return paths

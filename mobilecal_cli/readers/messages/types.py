@@ -6,7 +6,7 @@ import base64
 import binascii
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
@@ -29,6 +29,15 @@ def fields_of(message: Any) -> dict[str, Any]:  # noqa: ANN401 - the type is the
         return vars(message)
     names = getattr(message, "__dataclass_fields__", {})
     return {name: getattr(message, name) for name in names if not name.startswith("__")}
+
+
+def leaves_of(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+    """Path and value of all fields of a message and of the messages in it."""
+    for name, inner in fields_of(message).items():
+        if fields_of(inner):
+            yield from leaves_of(inner, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", inner
 
 
 def _header(message: Any) -> dict[str, Any]:  # noqa: ANN401

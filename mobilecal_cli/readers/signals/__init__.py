@@ -315,9 +315,7 @@ def read_signals(
     Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
 
     Args:
-        recording: the open recording.
         sources: the topics to read; without image topics, no images are read.
-        joints: names of the head's joints.
         extent: how much of the recording is read.
         clocks: clocks of topics that are read elsewhere, to be compared with the others.
 

@@ -222,7 +222,6 @@ class InfoChanges:
     """Compares the camera infos of some topics with one another.
 
     Args:
-        recording: the open recording.
         topics: camera-info topics; those that the recording does not contain are ignored.
     """
 

@@ -174,7 +174,6 @@ class Transforms:
     """Joints in the transforms of one topic.
 
     Args:
-        topic: the topic.
         joints: name → its transform.
 
     Attributes:
@@ -292,7 +291,6 @@ class FieldSeries:
     """The number at a field path of each message on a topic.
 
     Args:
-        path: the field path.
         setting: key of the path in rig.yaml, for error messages.
         series: receives the readings.
         scaled: value that is added to the series for a number.

@@ -179,7 +179,6 @@ class Odometry:
     """Poses of nav_msgs/Odometry on one topic.
 
     Args:
-        topic: the topic.
         baked_in: the wheels that the driver computed its poses with.
         assumed: these are assumed.
 
@@ -270,7 +269,6 @@ def rotations(
     Args:
         xy_m: (n, 2) positions.
         heading_rad: (n,) headings, wrapped or not.
-        wheels: their sizes.
 
     Returns:
         (n,) right and left rotation starting at zero, rad, and the number of jumps.

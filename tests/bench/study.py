@@ -1,0 +1,94 @@
+"""What the studies share: their arguments, many runs on all cores, and tables in Markdown."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import scipy
+
+from mobilecal_cli import __version__
+from mobilecal_cli.model import FloatArray
+
+DEGREES_MM = np.concatenate([np.full(3, 180 / np.pi), np.full(6, 1e3)])
+NINE_COLUMNS = ("r_x", "r_y", "r_z (deg)", "t_x", "t_y", "t_z", "rR", "rL", "b (mm)")
+#: The same for ratios, which have no units.
+NINE_RATIOS = tuple(name.partition(" ")[0] for name in NINE_COLUMNS)
+
+
+def conditions() -> str:
+    """Versions and machine, in one line."""
+    versions = f"numpy {np.__version__}, scipy {scipy.__version__}"
+    cores = f"{os.cpu_count()} cores, {platform.machine()}"
+    when = f"{datetime.now(UTC):%Y-%m-%d}"
+    return f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {cores}, {when}"
+
+
+@dataclass(frozen=True)
+class Study:
+    """Arguments of a study: the number of runs, then parts of the names of cases."""
+
+    runs: int
+    parts: tuple[str, ...] = ()
+
+    @classmethod
+    def begun(cls, runs: int) -> Study:
+        """Those of the command line; `runs` by default. The conditions are printed first."""
+        print(conditions())
+        return cls(int(sys.argv[1]) if len(sys.argv) > 1 else runs, tuple(sys.argv[2:]))
+
+    def chosen(self, names: Iterable[str]) -> list[str]:
+        """The names that contain one of the parts; all without parts."""
+        return [name for name in names if not self.parts or any(part in name for part in self.parts)]
+
+
+def results_of(run: Callable[..., Any], *case: Any, seeds: Iterable[int], together: int = 5) -> list[Any]:
+    """`run(*case, seed)` for each seed."""
+    return list(map_runs(run, [(*case, seed) for seed in seeds], together))
+
+
+def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: int = 5) -> Iterator[Any]:
+    """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
+    with ProcessPoolExecutor() as pool:
+        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
+
+
+def head(*columns: str, title: str = "") -> None:
+    """Print the head of a table, below a title."""
+    print(f"\n{title}\n" if title else "")
+    line(*columns)
+    line(*["---"] * len(columns))
+
+
+def line(*cells: object) -> None:
+    """Print one line of a table, at once."""
+    print("| " + " | ".join(map(str, cells)) + " |", flush=True)
+
+
+def numbers(values: FloatArray, digits: int = 2) -> list[str]:
+    """Cells of a table."""
+    return [f"{value:.{digits}f}" for value in values]
+
+
+def rms(values: FloatArray) -> FloatArray:
+    """Root mean square over the runs, (n, k) → (k,); runs without a result have NaN."""
+    return np.asarray(np.sqrt(np.nanmean(np.square(values), axis=0)))
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)
+
+
+def paragraph(text: str) -> str:
+    """A paragraph, wrapped at 100 columns, with an empty line after it."""
+    return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n\n"
