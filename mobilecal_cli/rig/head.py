@@ -106,7 +106,8 @@ def _head_of_transforms(
         raise RecordingError(
             f"the head chain is unknown: no robot_description in the recording, {to}and no head.urdf or head.chain in "
             "the configuration",
-            "set head.urdf or head.chain in rig.yaml; mobilecal init LOG --urdf FILE drafts it",
+            "set head.urdf or head.chain in rig.yaml (a camera on the base: chain: []); mobilecal init LOG --urdf FILE "
+            "drafts it",
         )
     base = _base_of(config, urdf)
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
