@@ -357,6 +357,8 @@ def extraction_of(
         T_c_k = seen.T_c_k[i]
         pixels = [at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels]
         shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
+        if not shown:
+            continue
         own, own_pixels, sigmas = rig.some(shown), [pixels[k] for k in shown], [sigma] * len(shown)
         found = board_pose(own, corners_k, own_pixels, sigmas, T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
