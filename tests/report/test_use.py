@@ -72,19 +72,6 @@ def test_a_gate_on_an_unknown_expected_error_fails():
     )
 
 
-@pytest.mark.parametrize(
-    ("motion", "fixed"),
-    [
-        ("base_fixed", "wheels"),
-        ("head_fixed", "head_eye"),
-    ],
-)
-def test_fixed_parameters_need_no_motion(motion, fixed):
-    solution, extraction = solved(motion=motion, fixed=(fixed,))
-    verdict = judge(solution, extraction)
-    assert verdict.level == "PASS", verdict.reason
-
-
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     narrow = gates_of(["predicted.camera_deg=0.2"], {})
     verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
