@@ -158,11 +158,12 @@ def plot(
                 titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
             if corners and extraction.measured:
                 titles = {}
-            parts = []
+            parts: list[tuple[str, str, str]] = []
             for more, title in titles.items():
                 drawn = draw(solution, extraction, *more)
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
-                parts += [(title, element, caption)] if element else []
+                said = {earlier for _, _, earlier in parts}
+                parts += [(title, element, "" if caption in said else caption)] if element else []
             return Figure(section, tuple(parts), half)
 
         _PLOTS.append(figure)
