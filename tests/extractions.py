@@ -34,6 +34,7 @@ from mobilecal_cli.simulate.imperfect import (
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
+from tests.robots import corners_of, rig_of
 
 _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
@@ -339,7 +340,7 @@ def extraction_of(
     """
     # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
     random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
-    robot, corners_k = actual.stated, route.corners_k()
+    robot, corners_k = actual.stated, corners_of(route)
     rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
     times_s = station_times_s(route, images)
     stamps_s = times_s + camera_late_s
@@ -356,6 +357,8 @@ def extraction_of(
         T_c_k = seen.T_c_k[i]
         pixels = [at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels]
         shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
+        if not shown:
+            continue
         own, own_pixels, sigmas = rig.some(shown), [pixels[k] for k in shown], [sigma] * len(shown)
         found = board_pose(own, corners_k, own_pixels, sigmas, T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
@@ -392,7 +395,7 @@ def extraction_of(
             )
         )
     return Extraction(
-        rig=robot.rig(nominal),
+        rig=rig_of(robot, nominal),
         board=route.board,
         observations=tuple(observations),
         wheels=(_wheel_track(actual, route, stamps_s, noise, random),),

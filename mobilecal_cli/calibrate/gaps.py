@@ -21,6 +21,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.vision import SQUARES_UNKNOWN
 
 FEWEST_STATIONS = 4
 
@@ -134,6 +135,8 @@ def require_stations(extraction: Extraction) -> None:
         cure = (
             f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
         )
+        if reasons and reasons[0][0] == SQUARES_UNKNOWN:
+            cure += "; or set board.square_m in rig.yaml: one camera alone needs it"
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

@@ -268,7 +268,9 @@ def _info_topic(name: str, image: str, config: RigConfig, description: RobotDesc
     raise RecordingError(
         f"no camera info for the {name} images on {image}: expected "
         + (f"one topic named {name}" if both else beside),
-        f"set cameras.{name}.info; camera-info topics present: {listed(sorted(present))}",
+        f"set cameras.{name}.info; camera-info topics present: {listed(sorted(present))}"
+        if present
+        else "calibrate the camera (camera_calibration), and record its camera_info with the images",
     )
 
 

@@ -245,6 +245,12 @@ def _board(page: _Page) -> None:
 
 def _square(page: _Page, board: BoardView) -> None:
     """The size of the squares is only suggested: the stereo baseline that it is measured with may be wrong."""
+    images = page.survey.images
+    if images is not None and tuple(images) != SIDES:
+        page.add(
+            "  # square_m: 0.08  # measured with a ruler: cameras that are no stereo pair do not show it"
+        )
+        return
     why = "measure ten squares with a ruler; until then, the stereo pair gives the scale"
     sides = board.squares_m
     if board.square_m is None or len(sides) < _ENOUGH_SQUARES or np.ptp(sides) > _SQUARE_SPREAD * min(sides):
@@ -492,12 +498,13 @@ def _nominal(page: _Page) -> None:
         T = drawn.T_h_reference
         quaternion = se3.quaternion_xyzw(T[:3, :3])
         value = f"translation_m: {_numbers(T[:3, 3])}, quaternion_xyzw: {_numbers(quaternion)}"
-        source = "URDF: fixed joints from the head to the left camera's frame"
+        source = "URDF: fixed joints from the head to the camera's frame"
         page.fill("nominal.head_eye", f"{{{value}}}", source, value)
     else:
         page.ask(
             "nominal.head_eye",
-            "pose of the left optical frame in the head frame, by a ruler; only needed if the motion does not show it",
+            "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not show "
+            "it",
             f"{inner}head_eye: {HeadEyeNominal.example}",
             needed=False,
             indent=indent,

@@ -106,7 +106,8 @@ def _head_of_transforms(
         raise RecordingError(
             f"the head chain is unknown: no robot_description in the recording, {to}and no head.urdf or head.chain in "
             "the configuration",
-            "set head.urdf or head.chain in rig.yaml; mobilecal init LOG --urdf FILE drafts it",
+            "set head.urdf or head.chain in rig.yaml (a camera on the base: chain: []); mobilecal init LOG --urdf FILE "
+            "drafts it",
         )
     base = _base_of(config, urdf)
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
@@ -180,9 +181,11 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
         ):
             return head
     if tilt not in urdf.joints:
+        camera = f"the camera's frame {camera_frame!r} is not in it, and " if camera_frame else ""
         raise ConfigError(
-            f"URDF {urdf.name!r}: no joint is named tilt, so the link that carries the camera is unknown",
-            f"set joints.tilt or head.head_frame in rig.yaml; joints present: {listed(urdf.joints)}",
+            f"URDF {urdf.name!r}: {camera}no joint is named tilt, so the link that carries the camera is unknown",
+            "set head.head_frame in rig.yaml to the link that carries the camera (the base link for a camera on the "
+            f"base), or joints.tilt; links present: {listed(urdf.links)}; joints present: {listed(urdf.joints)}",
         )
     carried = urdf.joints[tilt].child
     if "head_link" in urdf.links and carried != "head_link":

@@ -189,6 +189,10 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
     frame = infos[reference].frame_id if reference in infos else ""
     lacks_of_cameras = len(lacks)
     head = tried("head chain", lambda: head_of(config, description, urdf_text, wheels or {}, frame))
+    if images is not None and not frame:  # which link carries a camera without a frame is no error of its own
+        lacks[lacks_of_cameras:] = [
+            own for own in lacks[lacks_of_cameras:] if isinstance(own[1], RecordingError)
+        ]
     if whole:
         urdf = None if head is None else head.urdf
         own, lacks[lacks_of_cameras:] = lacks[lacks_of_cameras:], []

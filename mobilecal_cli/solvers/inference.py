@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import MotionSeen, motion_seen
+from mobilecal_cli.kinematics import MotionSeen, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
@@ -237,7 +237,8 @@ class Inference:
             raise SolveError(
                 f"no nominal value ({', '.join(missing)}) for unobservable parameters: "
                 f"{', '.join(n for n in names if n in needed)}",
-                f"set {' and '.join(missing)} in rig.yaml{other}, or record the missing motion",
+                f"set {' and '.join(missing)} in rig.yaml{other}"
+                + (", or record the missing motion" if unseen_height(self.data.chain) is None else ""),
             )
 
     # -- fits ---------------------------------------------------------------------------------------

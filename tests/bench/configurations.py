@@ -27,19 +27,19 @@ from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.imperfect import LEVELS, USUAL
+from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case
 from tests.bench.study import Study, conditions, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
-from tests.robots import CONFIGURATIONS
+from tests.robots import CONFIGURATIONS, chain_of
 
 _ROUTES = 10  # that the runs share
-_FALSE = 5.0  # sigmas: a PASS with a larger error of any parameter is wrong
 
 
 def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
     """NEES / n, the largest error in sigmas, and the verdict."""
     robot = CONFIGURATIONS[cameras, chain]()
-    what = Imperfection(draw(robot, np.random.default_rng([seed, 7])), USUAL)
+    noise = Case(noise=USUAL, levels_drawn=True).noise_of(seed)
+    what = Imperfection(draw(robot, np.random.default_rng([seed, 7])), noise)
     extraction = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed % _ROUTES), what, seed)
     try:
         found = fitted(extraction)
@@ -51,7 +51,7 @@ def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
 
 def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
     """NEES / n, and the largest error in sigmas."""
-    hidden = unseen_height(robot.chain) is not None
+    hidden = unseen_height(chain_of(robot)) is not None
     kept = [k for k, name in enumerate(NINE) if not (hidden and name == "t_z")]
     error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[kept]
     covariance = found.solution.uncertainty.covariance[np.ix_(kept, kept)]
@@ -120,7 +120,7 @@ def main() -> None:
             *results_of(one_run, cameras, chain, seeds=range(runs), together=2), strict=True
         )
         counts = [levels.count(level) for level in LEVELS[:3]]
-        false = sum(w > _FALSE for w, level in zip(worst, levels, strict=True) if level == "PASS")
+        false = sum(w > FIVE_SIGMA for w, level in zip(worst, levels, strict=True) if level == "PASS")
         line(cameras, chain, f"{np.nanmean(nees):.2f}", *counts, runs - sum(counts), false)
 
 

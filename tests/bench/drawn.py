@@ -32,21 +32,29 @@ CASES = {
     "pan-tilt robot, moving, 40 images": Case("pan-tilt", 20, "moving"),
     "skid-steered robot with four wheel joints, N = 20": Case("skid-steer", 20),
     "odometry alone, N = 20": Case("odometry", 20),
+    "stereo pair on the base, N = 20": Case("pair on the base", 20),
+    "one camera on the base, N = 20": Case("camera on the base", 20),
+    "one camera on a pan-tilt head, N = 12": Case("camera on pan-tilt", 12),
+    "one camera on a pan-tilt head, N = 40": Case("camera on pan-tilt", 40),
+    "one camera on a pan-tilt head, moving, 40 images": Case("camera on pan-tilt", 20, "moving"),
+    "three cameras on a pan-tilt head, N = 20": Case("three cameras", 20),
 }
 
 
 def drawn(name: str) -> Case:
-    """A case with every constant drawn from its prior and every noise at its level."""
+    """A case with every constant drawn from its prior, and every noise level around the estimator's guess."""
     case = CASES[name]
-    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=USUAL, lengths_drawn=True)
+    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=USUAL, levels_drawn=True)
 
 
-def one_run(name: str, seed: int) -> tuple[Run, Run]:
-    """Noise levels given, and estimated."""
+def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
+    """Noise levels given, and estimated; and the bound, (9,) standard deviations."""
     case = drawn(name)
-    extraction = case.extraction(seed)
+    extraction, noise = case.extraction(seed), case.noise_of(seed)
     robot = true_robot(ROBOTS[case.robot](), extraction, case.route(seed))
-    return run_of(with_noise(extraction, given(USUAL)), robot), run_of(extraction, robot)
+    bound = bound_of(case.robot, case.motion, case.stations, seed // RUNS_PER_ROUTE, noise)
+    known = run_of(with_noise(extraction, given(noise)), robot)
+    return known, run_of(extraction, robot), np.sqrt(np.diag(bound))
 
 
 def price_of(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
@@ -63,12 +71,8 @@ LEVELS_OF = ("levels given", "levels estimated")
 
 def study(name: str, runs: int) -> None:
     """Print the table of one case."""
-    case = CASES[name]
     results = results_of(one_run, name, seeds=range(runs))
-    numbers_of_routes = [seed // RUNS_PER_ROUTE for seed in range(runs)]
-    bound = np.array(
-        [np.sqrt(np.diag(bound_of(case.robot, case.motion, case.stations, n))) for n in numbers_of_routes]
-    )
+    bound = np.array([r[2] for r in results])
     head("", *NINE_RATIOS, title=f"### {name}, {runs} runs, drawn from the priors")
     each = {label: [r[which] for r in results] for which, label in enumerate(LEVELS_OF)}
     for label, mine in each.items():
@@ -82,7 +86,11 @@ def study(name: str, runs: int) -> None:
         line(label, *verdict_cells(mine), spoilt, named)
         for seed, r in enumerate(mine):
             if r.false_pass or r.level.startswith("refused"):
-                print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.1f}, {r.named}")
+                print(f"  seed {seed}: {r.level}, NEES / n {r.nees[3]:.1f}, {r.named}")
+
+
+def price(name: str, runs: int) -> None:
+    """Print what uncertain constants cost in one case."""
     paid = results_of(price_of, name, seeds=range(min(runs, max(runs // 5, 20))))
     uncertain, exact = (np.array([p[k] for p in paid]) for k in (0, 1))
     head("", *NINE_RATIOS, title=f"The price, {len(paid)} runs of a robot exactly as described")
@@ -94,6 +102,8 @@ def main() -> None:
     asked = Study.begun(1000)
     for name in asked.chosen(CASES):
         study(name, min(asked.runs, 300) if CASES[name].motion == "moving" else asked.runs)
+        if not asked.parts:
+            price(name, asked.runs)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run
 from tests.commands.edited import edited
 from tests.golden import assert_golden
@@ -81,6 +82,28 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     ]
     assert any("the head chain is unknown" in text for text in said)
     assert all(lack.cure for lack in found.missing)
+
+
+def test_a_camera_without_camera_info_is_the_only_thing_that_is_missing(tmp_path):
+    """Which link carries it follows from its frame: that is no error of its own."""
+
+    def described(store):
+        return store.types["std_msgs/msg/String"](urdf_text(ROBOTS["rgbd"]()))
+
+    items = [
+        r.Item("/robot_description", "std_msgs/msg/String", r.START_NS, described),
+        r.Item(
+            "/joint_states",
+            "sensor_msgs/msg/JointState",
+            r.START_NS,
+            r.joint_state(["wheel_left_joint", "wheel_right_joint"], [0.1, 0.2]),
+        ),
+        r.Item("/camera/image_raw", "sensor_msgs/msg/Image", r.START_NS, r.image(r.picture(0), "mono8")),
+    ]
+    found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
+    (lack,) = [lack for lack in found.missing if "checkerboard" not in lack.what]
+    assert lack.what.startswith("no camera info for the camera images on /camera/image_raw")
+    assert "record its camera_info" in lack.cure
 
 
 def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch, few):

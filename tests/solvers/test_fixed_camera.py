@@ -13,7 +13,7 @@ from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
 from mobilecal_cli.simulate.route import plan_route
 from tests.extractions import Noise, ideal_extraction, in_view
-from tests.robots import CONFIGURATIONS
+from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees
 
 ROBOT = fixed_camera_robot()
@@ -67,7 +67,7 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
         for turn, drive in ((suggestion.turn_rad, suggestion.drive_m), (suggestion.face_rad, 0.0)):
             T = T @ se3.transform(se3.rotation_z(np.array(turn)), np.zeros(3))
             T = T @ se3.transform(np.eye(3), np.array([drive, 0.0, 0.0]))
-        T_w_c = T @ head_pose(robot.chain, suggestion.joints) @ robot.T_h_c
+        T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
         points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
         assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
 
