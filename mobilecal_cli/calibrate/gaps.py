@@ -21,6 +21,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.vision.observing import SQUARES_UNKNOWN
 
 FEWEST_STATIONS = 4
 
@@ -134,6 +135,10 @@ def require_stations(extraction: Extraction) -> None:
         cure = (
             f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
         )
+        if reasons and reasons[0][0] == SQUARES_UNKNOWN:
+            cure = (
+                f"measure ten squares with a ruler and add to rig.yaml: board: {{square_m: 0.08}}; or {cure}"
+            )
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

@@ -34,9 +34,9 @@ SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
 #: Reason of stations whose images contradict each other.
 INCONSISTENT: Reason = "left and right images inconsistent"
-_LEAST = (
-    8  # corners in an image, or in those of all cameras: for boards with markers, which may be partly visible
-)
+#: Reason of stations at which one camera of a pair sees a board with squares of unknown size.
+SQUARES_UNKNOWN = "size of the squares unknown"
+_LEAST = 8  # corners in an image, or in all of them: for boards with markers, which may be partly visible
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -264,7 +264,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
     if m.points is None and square_m != m.rough_m:
         if square_m is None:
             return m.rejected(
-                "size of the squares unknown",
+                SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
         from_one = _pose_from_one(own, square_m * m.board.grid()[common], views)
