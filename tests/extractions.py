@@ -34,6 +34,7 @@ from mobilecal_cli.simulate.imperfect import (
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
+from tests.robots import corners_of, rig_of
 
 _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
@@ -339,7 +340,7 @@ def extraction_of(
     """
     # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
     random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
-    robot, corners_k = actual.stated, route.corners_k()
+    robot, corners_k = actual.stated, corners_of(route)
     rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
     times_s = station_times_s(route, images)
     stamps_s = times_s + camera_late_s
@@ -394,7 +395,7 @@ def extraction_of(
             )
         )
     return Extraction(
-        rig=robot.rig(nominal),
+        rig=rig_of(robot, nominal),
         board=route.board,
         observations=tuple(observations),
         wheels=(_wheel_track(actual, route, stamps_s, noise, random),),

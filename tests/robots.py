@@ -1,4 +1,4 @@
-"""Robots with other cameras than a stereo pair, and a stereo recording seen with one of its cameras alone."""
+"""Robots with other cameras than a stereo pair, their descriptions, and a stereo recording seen with one camera."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import CameraRig, Corners, Extraction
+from mobilecal_cli.model import (
+    CameraRig,
+    Corners,
+    Extraction,
+    FixedLink,
+    FloatArray,
+    HeadChain,
+    JointLink,
+    Nominal,
+    Rig,
+)
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
     fixed_camera_robot,
@@ -19,7 +29,30 @@ from mobilecal_cli.simulate.robot import (
     skid_steer_robot,
     tick_robot,
 )
+from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.vision import Miss, pose_from_one
+
+
+def chain_of(robot: SimulatedRobot) -> HeadChain:
+    """The head chain of a simulated robot as the solver has it."""
+    links: list[FixedLink | JointLink] = []
+    for joint in robot.joints:
+        links.append(FixedLink(pose(joint.xyz_m, Rotation.from_euler("xyz", joint.rpy_rad))))
+        if joint.name:
+            links.append(JointLink(joint.name, np.array(joint.axis)))
+    return HeadChain(robot.base_frame, robot.head_frame, tuple(links), robot.pan, robot.tilt)
+
+
+def rig_of(robot: SimulatedRobot, nominal: bool = True) -> Rig:
+    """The description of a simulated robot for a calibration; `nominal`: with its nominal values."""
+    prior = Nominal(robot.T_h_c_nominal, robot.nominal_wheels) if nominal else Nominal()
+    resolved = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
+    return Rig(robot.rig_cameras, chain_of(robot), prior, robot.topics(), resolved)
+
+
+def corners_of(route: Route) -> FloatArray:
+    """(M, 3) the board's corners in the board frame, m."""
+    return route.board.grid() * (route.board.square_m or 0.0)
 
 
 @cache

@@ -39,7 +39,9 @@ def read(path: Path) -> tuple[int, tuple[str, ...]]:
         RecordingError: the recording is refused.
     """
     with open_recording([path]) as recording:
-        count = sum(1 for part in recording.parts for _ in part.raw({info.name for info in recording.topics}))
+        count = sum(
+            1 for part in recording.parts for _ in part.messages({info.name for info in recording.topics})
+        )
         return count, recording.damage
 
 

@@ -21,7 +21,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
-from mobilecal_cli.vision.observing import SQUARES_UNKNOWN
+from mobilecal_cli.vision import SQUARES_UNKNOWN
 
 FEWEST_STATIONS = 4
 
@@ -131,11 +131,12 @@ def require_stations(extraction: Extraction) -> None:
         counted = ", ".join(f"{n} x {reason}" for reason, n in reasons)
         rejected = f"; rejected: {counted}" if counted else ""
         where = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
-        size = ""
+        where_kept = extraction.rig.cameras.images_words
+        cure = (
+            f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
+        )
         if reasons and reasons[0][0] == SQUARES_UNKNOWN:
-            size = "measure ten squares with a ruler and add to rig.yaml: board: {square_m: 0.08}; or "
-        whole = f"{size}keep the whole board in {extraction.rig.cameras.images_words}"
-        cure = f"{whole}, at rest, in good light, with squares of 7 pixels or more"
+            cure += "; or set board.square_m in rig.yaml: one camera alone needs it"
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

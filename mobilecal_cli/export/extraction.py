@@ -1,4 +1,4 @@
-"""extraction.npz: all measurements needed to solve, without images and without pickle."""
+"""extraction.npz: all measurements needed to solve, and thumbnails of the stations; without pickle."""
 
 from __future__ import annotations
 

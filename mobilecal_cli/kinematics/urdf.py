@@ -110,10 +110,8 @@ def _checked(joint: UrdfJoint) -> UrdfJoint:
 def _numbers(text: str, count: int, where: str) -> FloatArray:
     try:
         values = np.array([float(word) for word in text.split()])
-    except ValueError as error:
-        raise ConfigError(
-            f"URDF: {where}: expected {count} number(s), got {text!r}", "correct the URDF"
-        ) from error
+    except ValueError:
+        values = np.zeros(0)
     if values.shape != (count,) or not np.all(np.isfinite(values)):
         raise ConfigError(
             f"URDF: {where}: expected {count} finite number(s), got {text!r}", "correct the URDF"

@@ -268,8 +268,7 @@ class Residuals:
     Attributes:
         legs: (L, 2) indices of the two observations of each leg.
         leg_point_rms_m: (L,) square root of eq. 19 of that leg alone, m.
-        predicted_left_px, predicted_right_px: (L, M, 2) predicted corners projected into the first station's
-            images, px.
+        predicted_px: (C, L, M, 2) predicted corners projected into the first station's images, px.
         leg_reprojection_px: (L,) rms distance to the detected corners, both cameras, px.
         T_w_v: (N, 4, 4) base in the world (the base at the recording's first observation), by dead reckoning.
         T_w_k: (N, 4, 4) board in the world as each observation measures it.

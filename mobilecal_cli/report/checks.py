@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, FACTORS, NINE, AssumedOdometry, Extraction
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, FACTORS, NINE, AssumedOdometry, Extraction, camera_words
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
 from mobilecal_cli.report.decomposition import error_parts
@@ -32,17 +32,17 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     advice,
-    error_of,
     limiting_sentence,
     missing_motion,
     next_step_of,
-    shares_of,
     small_motion,
     uses,
 )
 
 #: Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
 MIN_STATIONS = 8
+#: Stations that show whether a camera is where the description says: its pose has six unknowns.
+FEWEST_OF_A_CAMERA = 4
 #: Reprojection error as an angle: depth noise does not affect it, so the limit is the same share as that of the point
 #: error.
 PIXEL_ERROR_BAD = 0.015
@@ -74,14 +74,36 @@ def stations(made: Calibration) -> Iterator[Check]:
     """Number of stations."""
     have, least = len(made.extraction.observations), MIN_STATIONS
     cameras = made.extraction.rig.cameras
+    everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
+    where = cameras.images_words if everywhere else "an image"
     yield Check(
         "stations", have, least, enough(have, least),
-        f"stations with the board in {cameras.images_words}",
+        f"stations with the board in {where}",
         f"{have:g}",
         f"at least {least:g}",
-        f"The board is in {cameras.images_words} at {have:g} stations only (limit {least:g}, recommended 12).",
+        f"The board is in {where} at {have:g} stations only (limit {least:g}, recommended 12).",
         f"Record again with more stops where {cameras.cameras_words} the whole board.",
     )  # fmt: skip
+
+
+@criterion(Metric("camera", at_least=True), gated=False)
+def blind_camera(made: Calibration) -> Iterator[Check]:
+    """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none."""
+    cameras, observations = made.extraction.rig.cameras, made.extraction.observations
+    if not any(o.shown for o in observations):
+        return  # measured poses
+    for k, name in enumerate(cameras.names):
+        have = sum(bool(o.views[k].seen.any()) for o in observations)
+        words = camera_words(name)
+        if have < FEWEST_OF_A_CAMERA and have < len(observations):
+            yield Check(
+                f"camera.{name}", have, FEWEST_OF_A_CAMERA, "not_enough" if cameras.calibrated else "warning",
+                f"stations with the board in the {words}'s images",
+                f"{have:g} of {len(observations)}",
+                f"at least {FEWEST_OF_A_CAMERA:g}",
+                f"The {words} shows the board at {have:g} of {len(observations)} stations: nothing tests its pose.",
+                f"Check the {words}'s images, and record again; or leave the {words} out of cameras in rig.yaml.",
+            )  # fmt: skip
 
 
 @criterion(Metric("legs", at_least=True))
@@ -699,7 +721,7 @@ def noise(made: Calibration) -> Iterator[Check]:
 def expected_errors(made: Calibration) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
     for use in sorted(uses(made.solution, made.limits), key=lambda use: -use.share):
-        figure, shares = use.figure, shares_of(made.solution, use.figure.field)
+        figure, shares = use.figure, use.shares
         value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
         yield Check(
             figure.name, use.value, use.limit, "pass" if use.within else "not_enough",
@@ -710,7 +732,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             f"{limiting_sentence(shares, figure.meaning)}",
             " ".join(
                 tuple(small_motion(made.solution, figure))
-                or (next_step_of(error_of(use, made.solution), made.solution, made.extraction) or advice(shares),)
+                or (next_step_of(use, made.solution, made.extraction) or advice(shares),)
             ),
         )  # fmt: skip
 

@@ -47,7 +47,6 @@ class Parameter:
     Attributes:
         name: as in params.yaml.
         label: in a summary.
-        meaning: what its standard deviation is of.
         unit: "rad" or "m".
         shown_unit, factor: unit for people, and how many of it one `unit` is.
         digits: decimals to show where no standard deviation is known.
@@ -56,7 +55,6 @@ class Parameter:
 
     name: str
     label: str
-    meaning: str
     unit: str
     shown_unit: str
     factor: float
@@ -79,15 +77,9 @@ class Parameter:
 _ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
 _WHEELS = ("right wheel radius", "left wheel radius", "wheel separation")
 PARAMETERS = (
-    *(
-        Parameter(f"r_{axis}", f"rotation {axis}", f"small rotation about the head's {axis} axis", *_ANGLE)
-        for axis in "xyz"
-    ),
-    *(
-        Parameter(f"t_{axis}", f"translation {axis}", f"camera position in the head frame, {axis}", *_LENGTH)
-        for axis in "xyz"
-    ),
-    *(Parameter(name, label, label, *_LENGTH) for name, label in zip(NINE[6:], _WHEELS, strict=True)),
+    *(Parameter(f"r_{axis}", f"rotation {axis}", *_ANGLE) for axis in "xyz"),
+    *(Parameter(f"t_{axis}", f"translation {axis}", *_LENGTH) for axis in "xyz"),
+    *(Parameter(name, label, *_LENGTH) for name, label in zip(NINE[6:], _WHEELS, strict=True)),
 )
 
 
@@ -104,7 +96,7 @@ def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
         *PARAMETERS[:6],
         *(
             replace(
-                p, label=name.replace("_", " "), meaning=name.replace("_", " "), unit="1", shown_unit="",
+                p, label=name.replace("_", " "), unit="1", shown_unit="",
                 factor=1 / size, digits=5, factor_name=name,
             )
             for p, name, size in sizes
@@ -231,14 +223,6 @@ def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
 def reference_frame(cameras: CameraRig) -> str:
     """Name of the optical frame of the reference camera."""
     return cameras.of_reference.frame_id
-
-
-def shown_lengths(
-    parameters: Parameters, cameras: CameraRig, shown: Sequence[Parameter] = PARAMETERS
-) -> FloatArray:
-    """Translation of the reference camera, radii and separation, (6,), in the units of `shown`: mm, or factors."""
-    lengths = np.concatenate([reference_pose(parameters, cameras)[:3, 3], parameters.wheels.vector])
-    return np.asarray(lengths * [parameter.factor for parameter in shown[3:]])
 
 
 def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:

@@ -41,7 +41,7 @@ _MOST_STOPS = 3
 #: Kind of criterion → the section that shows it; "checks" for others.
 _SECTIONS = {
     **dict.fromkeys(
-        ("stations", "legs", "observable", "motion", "rejected", "leg_outlier", "jump"), "stations"
+        ("stations", "camera", "legs", "observable", "motion", "rejected", "leg_outlier", "jump"), "stations"
     ),
     **dict.fromkeys(("point_error", "reprojection_error", "outliers", "outliers_as_noise"), "stations"),
     **dict.fromkeys(

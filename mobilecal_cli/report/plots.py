@@ -37,7 +37,7 @@ from mobilecal_cli.report.numbers import (
     std_text,
 )
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, Use, families, uses
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, families, family_shares, worst_error
 
 #: An SVG element, or one with its caption.
 Drawn: TypeAlias = str | tuple[str, str]
@@ -86,7 +86,6 @@ class LegView:
     rank: str
     from_station: str
     to_station: str
-    error_mm: float
     error_px: float
     pictures: tuple[Overlay, ...]
 
@@ -180,11 +179,11 @@ def draw_all(
 ) -> Drawings:
     """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
     drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
-    worst = max(uses(solution, limits or {}), key=lambda use: use.share, default=None)
+    worst = worst_error(solution, limits or {})
     bar = None
-    if worst is not None and worst.share > 0:
+    if worst is not None:
         value = f"{std_text(worst.value)} of {worst.limit:g} {worst.figure.unit}"
-        bar = budget_bar(solution, worst, f"What limits the {worst.figure.short} ({value})")
+        bar = budget_bar(worst, f"What limits the {worst.figure.short} ({value})")
     views = leg_views(solution, extraction, snapshots)
     figures = tuple(figure for figure in drawn if figure.parts)
     small = thumbnails(solution, extraction, snapshots)
@@ -556,17 +555,10 @@ def error_budget(solution: Solution, _: Extraction) -> Drawn:
     return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
 
 
-def budget_bar(solution: Solution, use: Use, title: str) -> Bar:
+def budget_bar(error: Error, title: str) -> Bar:
     """What the variance of one expected error consists of."""
-    names, shares = families(solution)
-    column = (
-        len(NINE) + [*solution.uncertainty.budget.at_work].index(use.figure.field)
-        if solution.uncertainty
-        else 0
-    )
-    largest = sorted(((float(shares[k, column]), name) for k, name in enumerate(names)), reverse=True)
-    used = [(share, name) for share, name in largest[:4] if share > _LABELED_SHARE / 2]
-    canvas = Canvas(WIDE, 24.0, f"error budget of the {use.figure.meaning}")
+    used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
+    canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
     x = 0.0
     for share, name in used:
         canvas.shape(
@@ -603,7 +595,6 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                 rank=ranks.get(leg, ""),
                 from_station=names[i],
                 to_station=names[j],
-                error_mm=float(residuals.leg_point_rms_m[leg] * 1e3),
                 error_px=float(residuals.leg_reprojection_px[leg]),
                 pictures=tuple(
                     _overlay(

@@ -71,12 +71,13 @@ FIGURES = (
 
 
 @dataclass(frozen=True, slots=True)
-class Use:
-    """An expected error and its limit, in the unit of the figure."""
+class Error:
+    """An error (1 sigma) and its limit, in the unit of the figure, and its (share, source), largest first."""
 
     figure: Figure
     value: float
     limit: float
+    shares: Sequence[tuple[float, str]]
 
     @property
     def within(self) -> bool:
@@ -89,13 +90,17 @@ class Use:
         return self.value / self.limit if self.limit > 0 else math.inf if self.value > 0 else 0.0
 
 
-def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Use, ...]:
+def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     """All expected errors that have a limit, the default or that of a gate in `limits`; none without deviations."""
     found = solution.uncertainty
     if found is None:
         return ()
     pairs = [(figure, limits.get(figure.name, figure.limit)) for figure in FIGURES]
-    return tuple(Use(f, f.of(found.at_work), limit) for f, limit in pairs if limit is not None)
+    return tuple(
+        Error(f, f.of(found.at_work), limit, shares_of(solution, f.field))
+        for f, limit in pairs
+        if limit is not None
+    )
 
 
 def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
@@ -150,16 +155,6 @@ _BETTER = 2.0
 _MOST_STOPS = 4  # times as many; more are not practical
 
 
-class Error(NamedTuple):
-    """An error (1 sigma) that has a limit, and its (share, source), largest first."""
-
-    meaning: str
-    value: float
-    limit: float
-    unit: str
-    shares: Sequence[tuple[float, str]]
-
-
 class Cure(NamedTuple):
     """What to do about an error, and the share of its variance that this removes, to first order."""
 
@@ -168,19 +163,13 @@ class Cure(NamedTuple):
 
     def text(self, error: Error) -> str:
         """The command and what it gives, as a sentence."""
-        then = f"{std_text(error.value)} to {std_text(error.value * self.left)} {error.unit}"
-        return f"{self.command}: the {error.meaning} improves from {then}."
+        then = f"{std_text(error.value)} to {std_text(error.value * self.left)} {error.figure.unit}"
+        return f"{self.command}: the {error.figure.meaning} improves from {then}."
 
     @property
     def left(self) -> float:
         """The error afterwards, as a share of what it is."""
         return math.sqrt(max(1 - self.removed, 0.0))
-
-
-def error_of(use: Use, solution: Solution) -> Error:
-    """An expected error with its error budget."""
-    figure = use.figure
-    return Error(figure.meaning, use.value, use.limit, figure.unit, shares_of(solution, figure.field))
 
 
 def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[Cure, ...]:
@@ -228,7 +217,7 @@ def next_step_of(error: Error, solution: Solution, extraction: Extraction) -> st
 def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None:
     """The expected error that is nearest to its limit, or furthest beyond; None where nothing is known."""
     worst = max(uses(solution, limits), key=lambda use: use.share, default=None)
-    return None if worst is None or not worst.share > 0 else error_of(worst, solution)
+    return worst if worst is not None and worst.share > 0 else None
 
 
 #: Families that more stops of the same kind do not reduce.
@@ -243,7 +232,7 @@ def recommendation(
     if error is None:
         return ()
     cure = next_step_of(error, solution, extraction) or advice(error.shares)
-    return limiting_sentence(error.shares, error.meaning), cure
+    return limiting_sentence(error.shares, error.figure.meaning), cure
 
 
 def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:
@@ -404,15 +393,19 @@ def source(name: str) -> Source:
     return SOURCES.get(name, SOURCES["other"])
 
 
-def limiting_sentence(shares: Sequence[tuple[float, str]], meaning: str) -> str:
-    """Which group of sources contributes most to an expected error with these (share, source); "" without any."""
+def family_shares(shares: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
+    """(share, group of sources) of an expected error with these (share, source), largest first; none is zero."""
     sums = dict.fromkeys(FAMILIES, 0.0)
     for share, name in shares:
         sums[source(name).family] += share
-    family = max(sums, key=lambda name: sums[name])
-    if not sums[family]:
-        return ""
-    return f"{FAMILIES[family].limits} the {meaning}: {100 * sums[family]:.0f} % of its variance."
+    return sorted(((share, name) for name, share in sums.items() if share), key=lambda pair: -pair[0])
+
+
+def limiting_sentence(shares: Sequence[tuple[float, str]], meaning: str) -> str:
+    """Which group of sources contributes most to an expected error with these (share, source); "" without any."""
+    for share, family in family_shares(shares):
+        return f"{FAMILIES[family].limits} the {meaning}: {100 * share:.0f} % of its variance."
+    return ""
 
 
 def advice(shares: Sequence[tuple[float, str]]) -> str:

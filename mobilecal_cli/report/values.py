@@ -67,7 +67,6 @@ from mobilecal_cli.report.numbers import (
     reference_pose,
     rejection_counts,
     rotation_std_deg,
-    shown_lengths,
     square_size_mm,
     stated_priors,
     stations_looked_at,
@@ -575,10 +574,10 @@ def build_report(case: Case) -> ReportData:
 
 
 def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) -> dict[str, Any]:
-    T, lengths = reference_pose(parameters, cameras), shown_lengths(parameters, cameras)
+    T = reference_pose(parameters, cameras)
     lock_deg = se3.gimbal_margin_deg(T[:3, :3])
     names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
-    shown: list[float | None] = lengths.tolist()
+    shown: list[float | None] = (np.concatenate([T[:3, 3], parameters.wheels.vector]) * 1e3).tolist()
     if odometry:  # nobody measured these wheels
         shown[3:] = [None] * 3
     return {

@@ -21,7 +21,7 @@ from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRIT
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
-from mobilecal_cli.report.use import FIGURES, MOTION, Error, advice, next_step_of, use_sentence
+from mobilecal_cli.report.use import FIGURES, MOTION, Error, Figure, advice, next_step_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
@@ -276,8 +276,9 @@ def _gate_cure(gate: Gate, made: Calibration) -> str:
     k = names.index(gate.name)
     pairs = zip(found.budget.nine[:, k].tolist(), found.budget.sources, strict=True)
     shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
-    value, unit = float(reference_std(made.solution)[k] or 0.0), PARAMETERS[k].unit
-    error = Error(f"sigma of the {PARAMETERS[k].label}", value, gate.limit, unit, shares)
+    label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
+    value = float(reference_std(made.solution)[k] or 0.0)
+    error = Error(Figure("", gate.name, label, label, unit, 1.0), value, gate.limit, shares)
     return next_step_of(error, made.solution, made.extraction) or advice(shares)
 
 

@@ -1,7 +1,7 @@
 """Simulated robots with known parameters, and their stereo pairs.
 
-Each robot is defined once, by its joints in order. The head chain, the URDF and the simulator's own forward
-kinematics are derived from that definition independently.
+Each robot is defined once, by its joints in order. The URDF and the simulator's own forward kinematics
+are derived from that definition independently.
 """
 
 from __future__ import annotations
@@ -20,12 +20,7 @@ from mobilecal_cli.model import (
     Camera,
     CameraInfo,
     CameraRig,
-    FixedLink,
     FloatArray,
-    HeadChain,
-    JointLink,
-    Nominal,
-    Rig,
     Side,
     Sources,
     WheelGeometry,
@@ -258,16 +253,6 @@ class SimulatedRobot:
         """The cameras, for raw images."""
         return camera_rig(self.infos, self.mounted)
 
-    @property
-    def chain(self) -> HeadChain:
-        """The head chain in the solver's format."""
-        links: list[FixedLink | JointLink] = []
-        for joint in self.joints:
-            links.append(FixedLink(pose(joint.xyz_m, Rotation.from_euler("xyz", joint.rpy_rad))))
-            if joint.name:
-                links.append(JointLink(joint.name, np.array(joint.axis)))
-        return HeadChain(self.base_frame, self.head_frame, tuple(links), self.pan, self.tilt)
-
     def head_pose(self, joints_rad: FloatArray) -> FloatArray:
         """T_v_h from the simulator's own forward kinematics: (J,) → (4, 4)."""
         T_v_h = np.eye(4)
@@ -306,16 +291,6 @@ class SimulatedRobot:
         if self.wheel_signal == "four_joints":
             return {side: (f"front_{side}_wheel_joint", f"rear_{side}_wheel_joint") for side in SIDES}
         return {side: (f"wheel_{side}_joint",) for side in SIDES}
-
-    def rig(self, nominal: bool = True) -> Rig:
-        """Robot description for a calibration.
-
-        Args:
-            nominal: whether to include nominal values as priors.
-        """
-        prior = Nominal(self.T_h_c_nominal, self.nominal_wheels) if nominal else Nominal()
-        resolved = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
-        return Rig(self.rig_cameras, self.chain, prior, self.topics(), resolved)
 
 
 #: From the true head-eye transform to the nominal one: a few degrees and centimeters.

@@ -169,10 +169,6 @@ class Route:
         smooth = (share**2 * (3 - 2 * share))[:, None]
         return np.asarray((1 - smooth) * self.knots_rad[index] + smooth * self.knots_rad[index + 1])
 
-    def corners_k(self) -> FloatArray:
-        """(M, 3) the board's corners in the board frame, m."""
-        return self.board.grid() * (self.board.square_m or 0.0)
-
 
 def board_in_world(board: Board, distance_m: float, height_m: float) -> FloatArray:
     """T_w_k of an upright board that faces the robot with a small rotation, (4, 4)."""

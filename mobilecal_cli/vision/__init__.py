@@ -4,22 +4,21 @@ Other packages use only the names exported here.
 """
 
 from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square, square_cure
-from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identify_size
+from mobilecal_cli.vision.detection import detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering
-from mobilecal_cli.vision.observing import Measured, measure, resolve_square
+from mobilecal_cli.vision.observing import SQUARES_UNKNOWN, Measured, measure, resolve_square
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
 from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
 from mobilecal_cli.vision.stereo import triangulate
-from mobilecal_cli.vision.values import BoardPose, Detection, Miss, StereoPoints
+from mobilecal_cli.vision.values import Detection, Miss, StereoPoints
 
 __all__ = [
+    "SQUARES_UNKNOWN",
     "BoardFollower",
-    "BoardPose",
     "Detection",
     "Measured",
     "Miss",
-    "SizeVote",
     "StereoPoints",
     "absolute_orientation",
     "agreeing",

@@ -223,12 +223,12 @@ def check_colors(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -
                 f"{int(np.sum(~good))} of {good.size} pairs of outer squares on the {side} side do not alternate",
             )
     for side, (beyond, *_) in sides.items():
-        seen = np.isfinite(beyond)
-        goes_on = int(np.sum(flip * beyond[seen] > _BEYOND * contrast))
-        if np.sum(seen) >= 3 and goes_on >= 0.6 * np.sum(seen):
+        pairs = flip * beyond[np.isfinite(beyond)]
+        goes_on = int(np.sum(pairs > _BEYOND * contrast))
+        if len(pairs) >= 3 and goes_on >= 0.6 * len(pairs):
             return Miss(
                 "board extends beyond the grid",
-                f"{goes_on} of {int(np.sum(seen))} pairs of squares beyond the {columns} x {rows} grid on the {side} "
+                f"{goes_on} of {len(pairs)} pairs of squares beyond the {columns} x {rows} grid on the {side} "
                 "side alternate",
             )
     return flip < 0

@@ -52,7 +52,7 @@ def follow(
     grid = expected.reshape(rows, columns, 2)
     if (small := check_size(grid)) is not None:
         return small
-    grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole)
+    grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole, tracked=True)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
     fit, grid_map = fit_board(image, grid, appearance.outer_whole, appearance)
@@ -92,6 +92,7 @@ class BoardFollower:
 
     def __init__(self, board: Board, thorough: bool) -> None:
         self._board, self._thorough = board, thorough
+        self._nothing = Miss("no board found", f"fewer than {board.corners} possible corners in the image")
         self._last_two: deque[tuple[int, Detection]] = deque(maxlen=2)
         self._last_image: GrayImage = np.zeros((0, 0), dtype=np.uint8)
         self._least_response = 0.0  # of a saddle point that may be a corner of the board
@@ -108,7 +109,7 @@ class BoardFollower:
         if self._board.markers is not None:
             return find_board(image, self._board)
         if self._lost and not may_show_board(image, self._board.corners, self._least_response):
-            return self._nothing()
+            return self._nothing
         detection = self._followed(image, time_ns)
         if not isinstance(detection, Detection):
             detection = self._searched(image, time_ns, detection)
@@ -132,13 +133,11 @@ class BoardFollower:
 
     def _expected(self, time_ns: int) -> FloatArray:
         """Corners extrapolated at constant velocity; the last ones after a long gap, as robots often rest."""
-        last_ns, last = self._last_two[-1]
-        if not 0 <= time_ns - last_ns <= _LONGEST_GAP_NS:
+        (before_ns, before), (last_ns, last) = self._last_two[0], self._last_two[-1]
+        gap_ns = last_ns - before_ns
+        if not (0 <= time_ns - last_ns <= _LONGEST_GAP_NS and 0 < gap_ns <= _LONGEST_GAP_NS):
             return last.pixels
-        if len(self._last_two) < 2 or last_ns - self._last_two[0][0] > _LONGEST_GAP_NS:
-            return last.pixels
-        before_ns, before = self._last_two[0]
-        share = (time_ns - last_ns) / max(last_ns - before_ns, 1)
+        share = (time_ns - last_ns) / gap_ns
         return np.asarray(last.pixels + share * (last.pixels - before.pixels))
 
     def _carried(self, image: GrayImage) -> FloatArray:
@@ -153,13 +152,10 @@ class BoardFollower:
         )[0]
         return np.asarray(moved.reshape(-1, 2) + first, dtype=np.float64)
 
-    def _nothing(self) -> Miss:
-        return Miss("no board found", f"fewer than {self._board.corners} possible corners in the image")
-
     def _searched(self, image: GrayImage, time_ns: int, lost: Miss | None) -> Detection | Miss:
         """Search the whole image, after tracking failed."""
         if not self._lost and not may_show_board(image, self._board.corners, self._least_response):
-            return lost or self._nothing()
+            return lost or self._nothing
         since_ns = None if self._failed_ns is None else time_ns - self._failed_ns
         if since_ns is not None and not self._thorough and 0 <= since_ns < _AGAIN_NS:
             return lost or Miss(

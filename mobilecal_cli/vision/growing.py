@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
-from mobilecal_cli.vision.acceptance import sample
+from mobilecal_cli.vision.acceptance import colors, sample
 from mobilecal_cli.vision.grid import right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.refinement import refine
@@ -53,12 +53,8 @@ def _strength(image: GrayImage, corners: FloatArray, du: FloatArray, dv: FloatAr
 def _alternating(grid: FloatArray, image: GrayImage) -> FloatArray:
     """Strength of every corner of (rows, columns, 2), with the expected sign removed."""
     dv, du = np.gradient(grid, axis=(0, 1))
-    rows, columns = grid.shape[:2]
-    strength = _strength(image, grid.reshape(-1, 2), du.reshape(-1, 2), dv.reshape(-1, 2)).reshape(
-        rows, columns
-    )
-    j, i = np.indices(strength.shape)
-    return np.where((i + j) % 2 == 0, strength, -strength)
+    strength = _strength(image, grid.reshape(-1, 2), du.reshape(-1, 2), dv.reshape(-1, 2))
+    return colors(*grid.shape[:2]) * strength.reshape(grid.shape[:2])
 
 
 def _trim(grid: FloatArray, image: GrayImage) -> FloatArray | None:

@@ -14,7 +14,7 @@ from mobilecal_cli.vision.values import OCCLUDED, Detection, Miss, rms
 _LEAST_CORNERS = 8
 _LEAST_TAGS = 3
 _FLOOR_PX = 0.02  # error of OpenCV's refinement on images without noise
-_OF_ROOM, _LEAST_WINDOW = 0.65, 3  # half window: share of the room to the next edge, and least, px
+_OF_ROOM, _LEAST_WINDOW = 0.65, 3  # half window: share of the distance to the next edge, and least, px
 _GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5  # a corner so far off the others is another one
 
 

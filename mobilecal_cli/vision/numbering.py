@@ -119,12 +119,12 @@ def resolve_numbering(
         absolute_orientation(turned(board.grid(), board.columns, board.rows, k), board.grid())[:3, :3]
         for k in possible
     ]
-    seen = np.stack([o.T_c_k[:3, :3] for o in observations])
-    R_c_k = np.stack([seen @ R for R in R_k_turned])
+    R_c_k_found = np.stack([o.T_c_k[:3, :3] for o in observations])
+    R_c_k = np.stack([R_c_k_found @ R for R in R_k_turned])
     vertical_h = np.asarray(R_v_h)[:, 2, :]
     # Initial estimate: the numbering of each station that rotates the board least against the first station's
     # view.
-    relative = np.einsum("ji,tnjk->tnik", seen[0], R_c_k)
+    relative = np.einsum("ji,tnjk->tnik", R_c_k_found[0], R_c_k)
     nearest = np.argmax(np.trace(relative, axis1=2, axis2=3), axis=0)
     starts = [np.array(s, dtype=np.float64) for s in product((-1, 0, 1), repeat=3) if any(s)]
     fits = [_fit(R_c_k, vertical_h, nearest, s / np.linalg.norm(s)) for s in starts]

@@ -34,9 +34,11 @@ SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
 #: Reason of stations whose images contradict each other.
 INCONSISTENT: Reason = "left and right images inconsistent"
-#: Reason of stations at which one camera of a pair sees a board with squares of unknown size.
+#: Reason of a station that one camera alone shows, of a board whose squares are not known.
 SQUARES_UNKNOWN = "size of the squares unknown"
-_LEAST = 8  # corners in an image, or in all of them: for boards with markers, which may be partly visible
+_LEAST = (
+    8  # corners in an image, or in those of all cameras: for boards with markers, which may be partly visible
+)
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:

@@ -109,44 +109,38 @@ def board_pose(
     measured = np.hstack(pixels)
     root = whitening(noises, len(points_k))
 
-    def whitened(residual: FloatArray) -> FloatArray:
-        return np.asarray((root @ residual[..., None])[..., 0])
-
     unknowns = 7 if free_scale else 6
-    T_c_k, scale, damping = start, 1.0, _SMALL
-    residual, J = pose_residuals(rig, T_c_k, points_k, measured)
-    cost = float(np.sum(whitened(residual) ** 2))
-    for _ in range(_STEPS):
+
+    def at(T_c_k: FloatArray, scale: float) -> tuple[float, float, FloatArray, FloatArray]:
+        """Cost, rms of the residuals in px, normal matrix and gradient at a pose."""
+        residual, J = pose_residuals(rig, T_c_k, scale * points_k, measured)
         A = (root @ J[..., :unknowns]).reshape(-1, unknowns)
-        normal = A.T @ A
-        gradient = A.T @ whitened(residual).ravel()
-        step = np.asarray(
-            np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), dtype=np.float64
-        )
+        r = (root @ residual[..., None]).ravel()
+        return float(r @ r), rms(residual), A.T @ A, A.T @ r
+
+    T_c_k, scale, damping = start, 1.0, _SMALL
+    cost, rms_px, normal, gradient = at(T_c_k, scale)
+    for _ in range(_STEPS):
+        step = np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), np.float64)
         if damping <= _SMALL and step @ gradient <= _CONVERGED * cost:
             break
         trial_T = se3.exp(step[:6]) @ T_c_k
         trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
-        trial_points = trial_scale * points_k
-        ahead = np.all(depths(rig, trial_points @ trial_T[:3, :3].T + trial_T[:3, 3]) > 0)
-        trial_cost = np.inf
-        if ahead:
-            trial_residual, trial_J = pose_residuals(rig, trial_T, trial_points, measured)
-            trial_cost = float(np.sum(whitened(trial_residual) ** 2))
-        if trial_cost <= cost:
-            T_c_k, scale, residual, J = trial_T, trial_scale, trial_residual, trial_J
-            done = cost - trial_cost <= _CONVERGED * cost or cost < 1e-20
-            cost, damping = trial_cost, max(damping / _FACTOR, 1e-12)
+        ahead = np.all(depths(rig, se3.act(trial_T, trial_scale * points_k)) > 0)
+        trial = at(trial_T, trial_scale) if ahead else None
+        if trial is not None and trial[0] <= cost:
+            done = cost - trial[0] <= _CONVERGED * cost or cost < 1e-20
+            T_c_k, scale, damping = trial_T, trial_scale, max(damping / _FACTOR, 1e-12)
+            cost, rms_px, normal, gradient = trial
             if done:
                 break
         elif damping > 1e6:
             break
         else:
             damping *= _FACTOR
-    A = (root @ J[..., :unknowns]).reshape(-1, unknowns)
-    covariance = np.asarray(np.linalg.inv(A.T @ A), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     scale_sigma = float(np.sqrt(covariance[6, 6])) * scale if free_scale else 0.0
-    return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms(residual))
+    return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms_px)
 
 
 def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, noise: Noise) -> BoardPose | Miss:

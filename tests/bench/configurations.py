@@ -30,7 +30,7 @@ from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case
 from tests.bench.study import Study, conditions, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
-from tests.robots import CONFIGURATIONS
+from tests.robots import CONFIGURATIONS, chain_of
 
 _ROUTES = 10  # that the runs share
 
@@ -51,7 +51,7 @@ def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
 
 def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
     """NEES / n, and the largest error in sigmas."""
-    hidden = unseen_height(robot.chain) is not None
+    hidden = unseen_height(chain_of(robot)) is not None
     kept = [k for k, name in enumerate(NINE) if not (hidden and name == "t_z")]
     error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[kept]
     covariance = found.solution.uncertainty.covariance[np.ix_(kept, kept)]

@@ -23,6 +23,7 @@ from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import board_pose, triangulate, with_views
+from tests.robots import corners_of
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
@@ -43,7 +44,7 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
         for i, joints in enumerate(route.joints(times_s)):
             T_c_k = se3.inverse(T_w_v[i] @ robot.head_pose(joints) @ robot.T_h_c) @ route.T_w_k
             T = T_c_k if k == 0 else se3.inverse(rig.T_c_each[1]) @ T_c_k
-            corners = pixels(camera, route.corners_k() @ T[:3, :3].T + T[:3, 3])
+            corners = pixels(camera, corners_of(route) @ T[:3, :3].T + T[:3, 3])
             made.append((renderer.picture(T).copy(), corners.reshape(_SHAPE)))
     return tuple(made)
 

@@ -170,8 +170,7 @@ class Terms:
         dx, dy = second[:2] - first[:2]
         x, y = cos * dx + sin * dy, -sin * dx + cos * dy
         arcs = integrate(steps, WheelGeometry(*(float(size) for size in sizes)))
-        motion = arcs.motion()
-        off = [motion.t_m[0, 0] - x, motion.t_m[0, 1] - y, motion.psi_rad[0] - (second[2] - first[2])]
+        off = [arcs.t_m[0, 0] - x, arcs.t_m[0, 1] - y, arcs.psi_rad[0] - (second[2] - first[2])]
         if not derivatives:
             return root @ off, ()
         by_second = np.array([[-cos, -sin, 0.0], [sin, -cos, 0.0], [0.0, 0.0, -1.0]])

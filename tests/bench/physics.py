@@ -19,6 +19,7 @@ from mobilecal_cli.simulate.route import plan_route, wheel_speeds
 from mobilecal_cli.vision import board_pose, square_from_points, triangulate
 from tests.bench.imperfect import LEVELS, level_counts, run_of
 from tests.bench.study import Study, head, line
+from tests.robots import corners_of, rig_of
 
 _STEP_S = 0.002
 _EVERY = 5  # steps for one row of the log
@@ -137,7 +138,7 @@ def recorded(world: World, motion: str, stations: int, seed: int) -> Extraction:
     stamps = np.round(np.array(times[::2]) * 1e9).astype(np.int64)
     ticks = np.floor(np.array(wheels[::2]) / robot.encoder_step_rad) * robot.encoder_step_rad
     return Extraction(
-        rig=robot.rig(True),
+        rig=rig_of(robot, True),
         board=route.board,
         observations=tuple(observations),
         wheels=(WheelTrack.at_same_times(stamps, ticks[:, 0], ticks[:, 1]),),
@@ -151,7 +152,7 @@ def recorded(world: World, motion: str, stations: int, seed: int) -> Extraction:
 
 def _observed(route, T_c_k, random):
     """Views, points, board pose, square and misfit of one station; None if a camera does not show the whole board."""
-    rig, corners_k = tick_robot().rig_cameras, route.corners_k()
+    rig, corners_k = tick_robot().rig_cameras, corners_of(route)
     seen = []
     for camera, T_x_c in zip(rig.each, (np.eye(4), np.linalg.inv(rig.T_c_each[1])), strict=True):
         T = T_x_c @ T_c_k

@@ -51,6 +51,7 @@ from mobilecal_cli.vision.averaging import StationCorners
 from tests.bench import study
 from tests.bench.study import conditions
 from tests.pairs import board_pose, measure, triangulate, with_pair
+from tests.robots import chain_of, rig_of
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 _SQUARE_M = 0.03  # stated with Bouguet's pictures; assumed for MRPT's
@@ -140,7 +141,7 @@ class Case:
 
     def of(self, true: CameraRig) -> CameraRig:
         """The wrong stereo pair."""
-        rig = camera_change(true, table(true, tick_robot().chain), self.constants).apply(true)
+        rig = camera_change(true, table(true, chain_of(tick_robot())), self.constants).apply(true)
         sides: dict[Side, Camera] = {"left": rig.each[0], "right": rig.each[1]}
         for side, k1 in self.k1.items():
             sides[side] = replace(sides[side], D=sides[side].D + k1 * np.eye(len(sides[side].D))[0])
@@ -258,7 +259,7 @@ def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
     """A recording of one station for each pair, of a robot whose head and base are exact and do not move."""
     seen = tuple(_observation(rig, number, pair) for number, pair in enumerate(pairs))
     robot = replace(
-        tick_robot().rig(),
+        rig_of(tick_robot()),
         cameras=rig,
         prior_sigmas=dict.fromkeys(_CHAIN, 0.0),
         noise=KnownNoise(**dict.fromkeys(_LEVELS, EXACT)),
@@ -442,7 +443,7 @@ def _named(result: Result, right: Sequence[str]) -> list[str]:
 def _found_rows(name: str, case: Case, true: CameraRig, both: tuple[Result, Result]) -> Iterator[list[str]]:
     """Rows of the constants that were made wrong; both: with nothing wrong, and of the case."""
     nothing, result = both
-    rows = {row.name: row for row in table(true, tick_robot().chain)}
+    rows = {row.name: row for row in table(true, chain_of(tick_robot()))}
     for constant, expected in case.expected(true).items():
         of_kind = rows[constant].of_kind
         value, std = (of_kind.shown * v for v in result.found[constant])

@@ -29,6 +29,7 @@ from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.vision import Miss
 from tests import extractions
 from tests.pairs import board_pose, triangulate, with_views
+from tests.robots import corners_of
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -80,7 +81,7 @@ def spoiled(
     """
     count, seen = len(extraction.observations), list(extraction.observations)
     bad = np.sort(random.choice(count, max(1, round(share * count)), replace=False))
-    rig, corners_k = extraction.rig.cameras, route.corners_k()
+    rig, corners_k = extraction.rig.cameras, corners_of(route)
     for i in bad:
         way = random.normal(size=3)
         displaced = np.eye(4)

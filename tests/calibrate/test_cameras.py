@@ -107,7 +107,7 @@ def test_one_camera_needs_the_squares(rgbd):
 
 def test_three_cameras_from_a_recording(tmp_path):
     robot = three_on_pan_tilt()
-    scenario = Scenario(stations=14, seed=6, pictures="png")
+    scenario = Scenario(stations=10, seed=6, pictures="png")
     route = plan_route(robot, stations=scenario.stations, board=scenario.board, seed=scenario.seed)
     path, publisher = tmp_path / "three.mcap", Publisher(ros_of("mcap"))
     messages = published(scenario, robot, route, publisher, lambda done, total: None)
@@ -128,7 +128,7 @@ def test_three_cameras_from_a_recording(tmp_path):
     extraction = data.extraction
     assert extraction.rig.cameras.names == ("front", "beside", "aside")
     shown = np.array([[view.pictures > 0 for view in o.views] for o in extraction.observations])
-    assert len(shown) >= 12
+    assert len(shown) >= 8
     assert shown.any(axis=0).all()
     assert not shown.all()
     report = Report(data, solve(data))

@@ -9,7 +9,7 @@ from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Rejection
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.vision.observing import SQUARES_UNKNOWN
+from mobilecal_cli.vision import SQUARES_UNKNOWN
 from tests.extractions import Noise, ideal_extraction
 
 
@@ -62,7 +62,7 @@ def test_too_few_stations_count_the_reasons():
     lost += [Rejection("vision", SQUARES_UNKNOWN, "only the left camera sees the board", 0)] * 6
     with pytest.raises(ObservationError) as caught:
         require_stations(replace(few, rejections=tuple(lost)))
-    assert caught.value.hint.startswith("measure ten squares with a ruler")
+    assert caught.value.hint.endswith("or set board.square_m in rig.yaml: one camera alone needs it")
 
 
 def recordings(count, stations):

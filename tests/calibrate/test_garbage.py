@@ -190,7 +190,3 @@ def test_garbage(right, monkeypatch, function, argument, value):
     if isinstance(caught.value, MobilecalError):
         assert caught.value.hint
     assert sorted(right.folder.iterdir()) == before
-
-
-def test_there_are_many():
-    assert len(CALLS) > 150

@@ -190,11 +190,6 @@ def test_no_baseline(make, tmp_path):
     refused(run("calibrate", make(flat), cwd=tmp_path), 3, "no baseline")
 
 
-def test_pictures_of_another_size_than_the_camera_info(make, tmp_path):
-    log = make(lambda topic, m: replace(m, width=1280, height=960) if topic.endswith("camera_info") else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "640 x 480 pixels")
-
-
 def test_no_robot_description(make, tmp_path):
     log = make(lambda topic, m: None if topic == "/robot_description" else m)
     refused(run("calibrate", log, cwd=tmp_path), 3, "the head chain is unknown", "head.urdf")
@@ -247,14 +242,6 @@ def test_swapped_wheels(make, tmp_path):
     )
 
 
-def test_unknown_key(paper, tmp_path, tmp_path_factory):
-    rig = tmp_path_factory.mktemp("rig") / "rig.yaml"
-    rig.write_text("bord: {columns: 9, rows: 6}\n")
-    refused(
-        run("calibrate", paper, "--config", rig, cwd=tmp_path), 2, "bord: unknown key", "did you mean board?"
-    )
-
-
 def test_bad_flags(paper, tmp_path):
     refused(run("calibrate", paper, "--board", "nine", cwd=tmp_path), 2, "--board nine")
     refused(
@@ -262,33 +249,3 @@ def test_bad_flags(paper, tmp_path):
     )
     assert run("calibrate", cwd=tmp_path).code == 2
     assert run("calibrate", paper, "--method", "magic", cwd=tmp_path).code == 2
-
-
-def test_an_output_that_exists(paper, tmp_path):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out/thesis.txt").write_text("years of work")
-    refused(run("calibrate", paper, "--output", "out", cwd=tmp_path), 7, "already exists", "--force")
-    refused(run("calibrate", paper, "--output", "out", "--force", cwd=tmp_path), 7, "thesis.txt")
-    assert (tmp_path / "out/thesis.txt").read_text() == "years of work"
-
-
-def test_an_output_nobody_can_make(paper, tmp_path):
-    refused(run("calibrate", paper, "--output", "no/such/place", cwd=tmp_path), 7, "is not a directory")
-
-
-@pytest.mark.parametrize(
-    ("flags", "said", "hint"),
-    [
-        (["--fix", "radius_rihgt"], "radius_rihgt: no such parameter", "did you mean radius_right"),
-        (["--prior", "t_x=0.1"], "not in the format NAME=VALUE±SIGMA", "--prior t_x=0.1±0.002"),
-        (["--estimate", "tilt_zero"], "no such parameter", "cannot be estimated separately"),
-        (["--estimate", "pan_zro"], "no such parameter", "did you mean pan_zero?"),
-        (["--estimate", "t_x"], "already estimated", "name a constant"),
-        (["--fix", "focal_length"], "a kind of constants", "--set priors.focal_length=fixed"),
-        (["--prior", "joint_zero=0±1"], "a kind of constants", "--set priors.joint_zero=NUMBER"),
-        (["--set", "priors.focal=1"], "this robot has no such constant", "did you mean"),
-    ],
-)
-def test_what_cannot_be_asked_for(sample_logs, tmp_path, flags, said, hint):
-    result = run("calibrate", sample_logs / "paper_robot.mcap", *flags, cwd=tmp_path)
-    refused(result, 2, said, hint)

@@ -443,11 +443,3 @@ def test_a_fixed_camera_is_found_by_the_other_commands(workplace, sample_logs, f
     checked = run("check", "fixed.yaml", log, cwd=workplace)
     assert checked.code == 0, checked.err
     assert "all parameters but the camera's height" in " ".join(checked.out.split())
-
-
-def test_a_wheel_with_the_wrong_sign_beside_a_fixed_camera(workplace, sample_logs, fixed_camera):
-    wrong = ["--set", f"head.urdf={fixed_camera}", "--set", "wheels.left.sign=-1"]
-    result = run("calibrate", sample_logs / "head_fixed.mcap", *wrong, "-o", "sign", cwd=workplace)
-    assert result.code == 5
-    assert "the left wheel's encoder has the wrong sign" in result.err
-    assert "negate wheels.left.sign" in result.err

@@ -15,11 +15,6 @@ from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
 
 
-def test_there_are_at_least_sixty():
-    assert len(WRONG) >= 60
-    assert len(recorded().observations) == 20
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRONG)
 def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):
@@ -54,7 +49,7 @@ def test_a_board_that_sinks_is_named():
 
 
 @pytest.mark.parametrize(
-    "seed", [0, pytest.param(1, marks=pytest.mark.long), pytest.param(2, marks=pytest.mark.long)]
+    "seed", [pytest.param(0, marks=pytest.mark.long), pytest.param(1, marks=pytest.mark.long), 2]
 )
 def test_an_uneven_floor_is_no_step(seed):
     """Heights vary by 10 mm from station to station."""

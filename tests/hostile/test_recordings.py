@@ -155,7 +155,7 @@ def test_a_chunk_of_millions_of_tiny_records(tmp_path, repeated):
         return
     with bounded(), open_recording([path]) as recording:
         (storage,) = recording.parts
-        assert sum(1 for _ in storage.raw({"/t"})) == 2**19
+        assert sum(1 for _ in storage.messages({"/t"})) == 2**19
         assert "more than 524288 messages" in recording.damage[0]
 
 
@@ -396,7 +396,7 @@ def test_a_database_of_other_types_than_it_says(tmp_path):
     with bounded(), open_recording([path]) as recording:
         assert any("5" in info.name for info in recording.topics)
         assert recording.end_ns is not None
-        assert sum(1 for part in recording.parts for _ in part.raw({"/ticks", "/left/image_raw"})) >= 12
+        assert sum(1 for part in recording.parts for _ in part.messages({"/ticks", "/left/image_raw"})) >= 12
 
 
 def test_the_hash_of_no_recording(tmp_path):

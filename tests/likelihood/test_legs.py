@@ -19,6 +19,7 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction
+from tests.robots import chain_of
 from tests.solvers import test_measured
 
 LEVELS = Noise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
@@ -94,7 +95,7 @@ def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
 def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(constants):
     """The state is that of a recording without them, so that nothing else can take them up."""
     robot = tick_robot()
-    route, rows = plan_route(robot, "moving", 12, seed=1), table(robot.rig_cameras, robot.chain)
+    route, rows = plan_route(robot, "moving", 12, seed=1), table(robot.rig_cameras, chain_of(robot))
     exact, data = (
         dataset_of(imperfect_extraction(robot, route, Imperfection(each)), rows) for each in ({}, constants)
     )

@@ -19,6 +19,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
+from tests.robots import chain_of
 
 NOISE = Noise(
     0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002, 1.0, {}
@@ -31,7 +32,7 @@ class Case:
 
     def __init__(self, motion, constants=None, logs=1):
         robot = paper_robot()
-        constants = table(robot.rig_cameras, robot.chain) if constants is None else constants
+        constants = table(robot.rig_cameras, chain_of(robot)) if constants is None else constants
         route = plan_route(robot, motion, stations=STATIONS)
         disturbed = extractions.Noise(0.2, 0.003, 0.0, np.radians(0.05))
         extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)

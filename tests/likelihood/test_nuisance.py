@@ -15,7 +15,7 @@ from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.extractions import Noise, ideal_extraction
 from tests.likelihood.test_normal import Case, reduced
 from tests.report.example import made, rows_of
-from tests.robots import three_on_pan_tilt
+from tests.robots import chain_of, three_on_pan_tilt
 
 SHIFT_RAD = 0.02
 
@@ -83,7 +83,7 @@ def test_a_made_up_constant_has_a_prior_and_a_share_of_the_budget():
 @pytest.mark.usefixtures("table")
 def test_the_derivative_of_a_made_up_constant():
     case = Case("standard")
-    H, g = case.dense()
+    H, g = case.dense
     S, _ = reduced(case, H, g)
     k = case.data.layout.names.index("shaky_joint")
     assert case.lin.normal.S[k, k] == pytest.approx(S[k, k], rel=1e-6)
@@ -97,7 +97,7 @@ def test_every_kind_of_the_table_has_rows():
         (tick_robot(), of_others),
         (three_on_pan_tilt(), of_pairs),
     ):
-        rows = nuisance.table(robot.rig_cameras, robot.chain)
+        rows = nuisance.table(robot.rig_cameras, chain_of(robot))
         assert {row.kind for row in rows} | {"board_corners"} == {kind.name for kind in KINDS} - lacks
         names = [row.name for row in rows]
         assert len(set(names)) == len(names)
@@ -106,7 +106,7 @@ def test_every_kind_of_the_table_has_rows():
 
 def test_priors_narrow_widen_fix_and_free():
     robot = tick_robot()
-    rows = nuisance.table(robot.rig_cameras, robot.chain)
+    rows = nuisance.table(robot.rig_cameras, chain_of(robot))
     given = {"focal_length": 0.01, "focal_left": 0.0, "joint_zero": np.inf, "pan_scale": 2e-5}
     sigmas = {row.name: row.sigma for row in nuisance.with_priors(rows, given)}
     default = {row.name: row.sigma for row in rows}

@@ -27,7 +27,7 @@ def counted(path: Path) -> tuple[int, int, tuple[str, ...]]:
     """Messages read, messages that the file states, damage."""
     with open_recording([path]) as recording:
         topics = {t.name for t in recording.topics}
-        read = sum(1 for part in recording.parts for _ in part.raw(topics))
+        read = sum(1 for part in recording.parts for _ in part.messages(topics))
         return read, sum(t.count or 0 for t in recording.topics), recording.damage
 
 

@@ -249,8 +249,8 @@ def test_side_without_images_is_refused(tmp_path):
     path = r.write_mcap(tmp_path / "log.mcap", [*items, *joints(steady()), empty])
     with open_recording([path]) as recording:
         part = recording.parts[0]
-        raw = part.raw
-        part.raw = lambda *how: (m for m in raw(*how) if m[0].topic != "/r")
+        messages = part.messages
+        part.messages = lambda *how: (m for m in messages(*how) if m.topic != "/r")
         with pytest.raises(RecordingError, match="no images of the right camera on /r: it has no messages"):
             r.one_log(recording, SOURCES, ("pan",))
 

@@ -137,7 +137,9 @@ class Browser:
     def pdf(self) -> bytes:
         """The page as it is printed."""
         self.call("Emulation.setEmulatedMedia", media="")
-        return base64.b64decode(self.call("Page.printToPDF", printBackground=False)["data"])
+        return base64.b64decode(
+            self.call("Page.printToPDF", printBackground=False, preferCSSPageSize=True)["data"]
+        )
 
     def screenshot(self, path: Path, whole: bool = True) -> None:
         """The page as a PNG file."""

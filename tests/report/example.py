@@ -92,10 +92,12 @@ def make_provenance(extraction: Extraction) -> Provenance:
     )
 
 
-def made(solution: Solution, extraction: Extraction, trial=None, change=None, **provenance) -> ReportData:
+def made(
+    solution: Solution, extraction: Extraction, trial=None, change=None, gates=(), **provenance
+) -> ReportData:
     """The report on a solution; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
-    verdict = judge(solution, extraction, (), trial, change)
+    verdict = judge(solution, extraction, gates, trial, change)
     return build_report(Case(solution, extraction, origin, verdict, trial, change))
 
 

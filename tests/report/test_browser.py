@@ -15,12 +15,21 @@ from mobilecal_cli.model import FixedLink, FleetRow, JointLink, LogSource, Nomin
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import fleet_html
 from mobilecal_cli.report.numbers import reference_pose
+from mobilecal_cli.report.verdict import Gate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
 from tests.extractions import Noise, ideal_extraction
 from tests.report.browser import CHROMIUM, Browser
-from tests.report.example import HOSTILE, WHEELS, make_extraction, make_snapshots, make_solution, page_of
+from tests.report.example import (
+    HOSTILE,
+    WHEELS,
+    make_extraction,
+    make_snapshots,
+    make_solution,
+    page_of,
+    solved,
+)
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine (Debian: chromium)")
 
@@ -234,12 +243,30 @@ def test_nothing_of_the_log_becomes_markup(browser, page):
     assert browser.evaluate("[...document.querySelectorAll('*')].filter(e => e.tagName == 'IMG').length") == 0
 
 
-def test_it_prints(browser, page):
-    browser.open(page, dark=True)
+@pytest.mark.parametrize("level", ["PASS", "NOT ENOUGH", "FAIL"])
+def test_it_prints_one_sheet_to_sign(browser, tmp_path, level):
+    """A4, with verdict, numbers, recording, hash, date and lines for robot and signature."""
+    solution, extraction = solved()
+    gates = [Gate("predicted.camera_mm", 0.1)] if level == "NOT ENOUGH" else []
+    if level == "FAIL":
+        wide = replace(WHEELS, separation_m=3 * solution.parameters.wheels.separation_m)
+        extraction = replace(
+            extraction, rig=replace(extraction.rig, nominal=replace(extraction.rig.nominal, wheels=wide))
+        )
+    path = tmp_path / "report.html"
+    path.write_text(page_of(solution, extraction, make_snapshots(extraction), gates=gates), encoding="utf-8")
+    browser.open(path, dark=True)
     pdf = browser.pdf()
-    assert pdf.startswith(b"%PDF")
-    pages = len(re.findall(rb"/Type\s*/Page\b", pdf))
-    assert pages == 1
+    assert len(re.findall(rb"/Type\s*/Page\b", pdf)) == 1
+    (size,) = re.findall(rb"/MediaBox\s*\[0 0 ([\d.]+) ([\d.]+)\]", pdf)
+    np.testing.assert_allclose([float(points) for points in size], [595.3, 841.9], atol=1)
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    text = browser.text()
+    browser.call("Emulation.setEmulatedMedia", media="")
+    assert text.startswith(f"{level}\n")
+    for words in ("wheel separation", "log.mcap", f"SHA-256 {'0' * 64}", "Calibrated", "Robot", "Signature"):
+        assert words in text
+    assert "Checks" not in text
 
 
 def test_the_first_screen_has_150_words_and_scrolling_stays_the_page_s(browser, page):

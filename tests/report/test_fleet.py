@@ -16,8 +16,17 @@ def test_no_sigma_is_shown_as_zero(extraction):
     assert not re.search(r"± 0\.0*[^0-9.]", fleet_html(rows))
 
 
+def test_the_first_five_of_what_is_skipped_are_named():
+    done = [FleetRow(f"r{n}", "PASS", 0, "", skipped="already done") for n in range(6)]
+    said = "Skipped, already done: 6 (r0, r1, r2, r3, r4, and 1 more)."
+    assert fleet_text(done).splitlines()[-1] == said
+
+
 def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
     rows = [FleetRow("=HYPERLINK(1)\x1b[31m", "PASS", 0, "fine", 12, (0.0,) * 3, (0.1,) * 6, (1e-3,) * 9)]
     (line,) = csv.DictReader(io.StringIO(fleet_csv(rows)))
     assert line["robot"] == "'=HYPERLINK(1)\\x1b[31m"
     assert "\x1b" not in fleet_text(rows)
+    page = fleet_html([FleetRow("r", "ERROR", 3, "<script>alert(1)</script>\x1b[2J")])
+    assert "<script" not in page
+    assert "\x1b" not in page

@@ -23,7 +23,6 @@ from mobilecal_cli.report.comparison import comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_text
-from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.solvers import evaluate
 from tests.golden import assert_golden
@@ -70,7 +69,6 @@ def texts(extraction):
         "evaluation": evaluation_text(evaluation_data(trial)),
         "comparison": comparison_text(["one", "two", "three"], changes, history(past)),
         "fleet": fleet_text(rows),
-        "junit": junit_xml("log.mcap", report.verdict).decode(),
         "page": prose(page),
         "suggestions": "\n".join(suggestion_sentences(solution, slipped)) + "\n",
         "findings": "\n".join(
@@ -89,7 +87,7 @@ def prose(page):
 
 
 TEXTS = (
-    "summary", "details", "verdict", "evaluation", "comparison", "fleet", "junit", "page", "suggestions", "findings"
+    "summary", "details", "verdict", "evaluation", "comparison", "fleet", "page", "suggestions", "findings"
 )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from mobilecal_cli.report.use import (
     SOURCES,
     families,
     limiting_sentence,
+    missing_motion,
     recommendation,
     shares_of,
     uses,
@@ -71,19 +72,6 @@ def test_a_gate_on_an_unknown_expected_error_fails():
     )
 
 
-@pytest.mark.parametrize(
-    ("motion", "fixed"),
-    [
-        ("base_fixed", "wheels"),
-        ("head_fixed", "head_eye"),
-    ],
-)
-def test_fixed_parameters_need_no_motion(motion, fixed):
-    solution, extraction = solved(motion=motion, fixed=(fixed,))
-    verdict = judge(solution, extraction)
-    assert verdict.level == "PASS", verdict.reason
-
-
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     narrow = gates_of(["predicted.camera_deg=0.2"], {})
     verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
@@ -99,6 +87,24 @@ def test_a_base_at_rest_is_not_enough_for_the_wheels():
     verdict = judge(*solved(motion="base_fixed"))
     assert verdict.level == "NOT ENOUGH"
     assert "drive and turn the base" in verdict.next_step
+
+
+@pytest.mark.parametrize(
+    ("motion", "unknown", "keys", "said"),
+    [
+        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["driven_m"], "the base drove 0.37 m only"),
+        ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 2.1 degrees only"),
+        ({"turned_deg": 25.0, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 25.0 degrees only"),
+        ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turned_deg", "driven_m"], "the base turned by 0.0 degrees only"),
+        ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], [], None),
+    ],
+)  # fmt: skip
+def test_the_missing_motion_of_the_base_is_named(motion, unknown, keys, said):
+    """Turning alone shows radii over separation; where both motions were there, the one that is missing is little."""
+    solution = replace(make_solution(make_extraction()), motion=motion)
+    found = missing_motion(solution, unknown)
+    assert list(found) == keys
+    assert next(iter(found.values()), None) == said
 
 
 def test_methods_without_standard_deviations_say_so():

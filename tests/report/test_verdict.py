@@ -343,3 +343,22 @@ def test_an_unevenness_of_the_floor_is_told():
     rows = rows_of(made(solution, extraction), "limits", "Measurement noise")
     assert rows["floor: roll and pitch under the base"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
+
+
+def test_a_camera_of_a_pair_that_hardly_shows_the_board_is_not_enough(solution, extraction):
+    def blind(o, k):
+        right = o.views[1]
+        hidden = replace(right, seen=np.zeros_like(right.seen)) if k >= 3 else right
+        return replace(o, views=(o.views[0], hidden))
+
+    seen = tuple(blind(o, k) for k, o in enumerate(extraction.observations))
+    verdict = judge(solution, replace(extraction, observations=seen))
+    assert verdict.level == "NOT ENOUGH"
+    count = len(seen)
+    assert verdict.reason == (
+        f"The right camera shows the board at 3 of {count} stations: nothing tests its pose."
+    )
+    names = {check.id: check.name for check in verdict.checks}
+    assert names["stations"] == "stations with the board in an image"
+    four = (*extraction.observations[:4], *seen[4:])
+    assert judge(solution, replace(extraction, observations=four)).level == "PASS"

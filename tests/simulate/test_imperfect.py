@@ -29,6 +29,7 @@ from tests.extractions import (
     ideal_extraction,
     imperfect_extraction,
 )
+from tests.robots import corners_of
 
 JOINT_KEYS = {
     **{name: {"pan_joint": "pan", "tilt_joint": "tilt"} for name in ("tick", "skid_steer", "odometry_only")},
@@ -97,7 +98,7 @@ def same_pixels(extraction, expected):
 
 def expected_pixels(name, motion="standard", points_k=None, joints=None, **cameras):
     robot, route = ROBOTS[name](), route_of(name, motion)
-    points_k = route.corners_k() if points_k is None else points_k
+    points_k = corners_of(route) if points_k is None else points_k
     return [
         both(robot.rig_cameras, board_in_camera(robot, route, t, joints), points_k, **cameras)
         for t in station_times_s(route)
@@ -217,7 +218,7 @@ def test_stereo_rotation_and_baseline():
 
 
 def test_the_board_is_larger_oblong_bent_and_twisted():
-    x, y, _ = route_of("tick").corners_k().T  # squares of 80 mm, 9 x 6 corners
+    x, y, _ = corners_of(route_of("tick")).T  # squares of 80 mm, 9 x 6 corners
     xi, eta = x / 0.32 - 1, y / 0.2 - 1
     z = 0.004 * (1 - xi**2) - 0.003 * (1 - eta**2) + 0.002 * xi * eta
     points_k = np.stack([x * 1.02 * 1.005, y * 1.02 * 0.995, z], axis=1)
@@ -395,7 +396,7 @@ def test_stamps_jitter_in_motion_only():
 
 def test_a_rolling_shutter_and_a_late_right_camera():
     robot, route = tick_robot(), route_of("tick", "moving")
-    rig, corners_k = robot.rig_cameras, route.corners_k()
+    rig, corners_k = robot.rig_cameras, corners_of(route)
     extraction = seen("tick", {"readout": 0.02, "time_right": 0.003}, "moving")
     for o, t in list(zip(extraction.observations, station_times_s(route), strict=True))[::8]:
         for side, late_s in ((0, 0.0), (1, 0.003)):

@@ -114,15 +114,3 @@ def test_the_same_seed_gives_the_same_route_and_another_seed_another():
 def test_a_board_too_large_to_be_seen_is_refused():
     with pytest.raises(ConfigError, match="whole board"):
         plan_route(ROBOTS["paper"](), "standard", 4, Board(9, 6, 0.5))
-
-
-@pytest.mark.parametrize("motion", ["standard", "moving"])
-def test_a_camera_on_the_base_keeps_the_board_in_view(motion):
-    robot = ROBOTS["fixed_camera"]()
-    route = plan_route(robot, motion, stations=6)
-    assert route.joints(np.array([0.0, 1.0])).shape == (2, 0)
-    planner = Planner(robot, route.board, np.random.default_rng(0))
-    times_s = (
-        route.rests_s.mean(axis=1) if len(route.rests_s) else np.arange(0.5, route.duration_s - 0.5, 3.0)
-    )
-    assert all(planner.sees_board(tuple(base), np.zeros(0)) for base in route.drive.poses(times_s))

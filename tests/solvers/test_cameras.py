@@ -14,7 +14,14 @@ from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.bench.simulated import as_described
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
-from tests.robots import CONFIGURATIONS, alone, one_on_pan_tilt, three_on_pan_tilt, with_one_view
+from tests.robots import (
+    CONFIGURATIONS,
+    alone,
+    chain_of,
+    one_on_pan_tilt,
+    three_on_pan_tilt,
+    with_one_view,
+)
 
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 EXACT = Noise()
@@ -22,7 +29,7 @@ EXACT = Noise()
 
 def shown(robot):
     """Which of the nine parameters the motion of a robot shows: all but the height, where no joint tilts."""
-    hidden = unseen_height(robot.chain)
+    hidden = unseen_height(chain_of(robot))
     return np.array([name != "t_z" or hidden is None for name in NINE])
 
 
@@ -104,7 +111,7 @@ def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
 def test_other_cameras_have_priors_of_a_drawing():
     """Cameras that stand 0.6 degrees and 4 mm from where they are drawn do not move the result beyond its sigmas."""
     robot = three_on_pan_tilt()
-    rows = {row.name: row for row in table(robot.rig_cameras, robot.chain)}
+    rows = {row.name: row for row in table(robot.rig_cameras, chain_of(robot))}
     assert rows["turn_aside_x"].kind == "camera_rotation"
     assert rows["shift_beside_z"].kind == "camera_position"
     assert "baseline_scale" not in rows

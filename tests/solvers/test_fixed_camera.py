@@ -1,7 +1,5 @@
 """A camera that is fixed to the base: no joint tilts it, so its height is as described."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -10,49 +8,42 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_pose, unseen_height
-from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, Nominal, Parameters
+from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, Parameters
 from mobilecal_cli.report.findings import suggestion_sentences
-from mobilecal_cli.simulate.robot import paper_robot, pixels
+from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
 from mobilecal_cli.simulate.route import plan_route
 from tests.extractions import Noise, ideal_extraction, in_view
-from tests.robots import CONFIGURATIONS
+from tests.robots import CONFIGURATIONS, chain_of
 
-ROBOT = paper_robot()
+ROBOT = fixed_camera_robot()
+TRUE = Parameters(ROBOT.T_h_c, ROBOT.wheels)
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 
-def fixed_camera(seed):
-    """An extraction of a robot without head joints, and its true parameters."""
-    made = ideal_extraction(ROBOT, plan_route(ROBOT, "head_fixed", stations=20, seed=seed), NOISE, seed)
-    T_v_h = head_pose(made.rig.chain, made.observations[0].joints)
-    chain, nominal = (
-        HeadChain("base_link", "base_link", ()),
-        Nominal(T_v_h @ ROBOT.T_h_c_nominal, ROBOT.nominal_wheels),
-    )
-    stops = tuple(replace(o, joints=np.zeros(0), joints_std=np.zeros(0)) for o in made.observations)
-    rig = replace(made.rig, chain=chain, nominal=nominal)
-    whole = replace(made, rig=rig, observations=stops, joint_tracks=tuple(() for _ in made.wheels))
-    return whole, Parameters(T_v_h @ ROBOT.T_h_c, ROBOT.wheels)
+@pytest.fixture(scope="module")
+def extraction():
+    return ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=0), NOISE)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_all_but_the_height_is_calibrated(seed):
-    extraction, true = fixed_camera(seed)
-    fit = fitted(extraction)
+@pytest.fixture(scope="module")
+def fit(extraction):
+    return fitted(extraction)
+
+
+def test_all_but_the_height_is_calibrated(fit):
     found = fit.solution.uncertainty
     height = NINE.index("t_z")
     assert found.described.tolist() == [k == height for k in range(9)]
     assert found.observable.tolist() == [k != height for k in range(9)]
     others = np.arange(9) != height
-    error = fit.parameters.minus(true)[others]
+    error = fit.parameters.minus(TRUE)[others]
     assert error @ np.linalg.solve(found.covariance[np.ix_(others, others)], error) / 8 < 2.5
     assert found.at_work.camera_m < 0.01
     assert found.covariance[height, height] == pytest.approx(0.1**2, rel=0.01)
 
 
-def test_the_verdict_is_about_what_can_be_seen():
-    extraction, _ = fixed_camera(0)
-    report = Report(Data(extraction), fitted(extraction))
+def test_the_verdict_is_about_what_can_be_seen(extraction, fit):
+    report = Report(Data(extraction), fit)
     assert report.verdict.level == "PASS"
     assert " m, from the robot description" in str(report)
     assert "tilt the head" not in str(report)
@@ -77,13 +68,12 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
         for turn, drive in ((suggestion.turn_rad, suggestion.drive_m), (suggestion.face_rad, 0.0)):
             T = T @ se3.transform(se3.rotation_z(np.array(turn)), np.zeros(3))
             T = T @ se3.transform(np.eye(3), np.array([drive, 0.0, 0.0]))
-        T_w_c = T @ head_pose(robot.chain, suggestion.joints) @ robot.T_h_c
+        T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
         points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
         assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
 
 
-def test_linear_methods_need_the_height():
-    extraction, _ = fixed_camera(0)
+def test_linear_methods_need_the_height(extraction):
     assert motion_gaps(extraction) == ()
     with pytest.raises(SolveError, match="no joint of the head tilts the camera"):
         require_observable(extraction)

@@ -21,6 +21,7 @@ from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import with_pair, with_views
+from tests.robots import chain_of
 from tests.solvers.test_several_logs import joined
 
 ROBOT = paper_robot()
@@ -183,7 +184,7 @@ def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
 def test_a_head_held_tilted_hides_the_base_s_vertical_and_no_more():
     """The drawing is wrong by (4, 3, -6) mm: along the vertical it stays so, across it the log puts it right."""
     robot, tilt = tick_robot(), np.array([0.0, np.radians(20)])
-    level, tilted = head_pose(robot.chain, np.stack([np.zeros(2), tilt]))
+    level, tilted = head_pose(chain_of(robot), np.stack([np.zeros(2), tilt]))
     T_h_c = se3.inverse(tilted) @ level @ robot.T_h_c  # the same camera on a tilted head
     wrong = T_h_c.copy()
     wrong[:3, 3] += (0.004, 0.003, -0.006)
@@ -243,10 +244,13 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
         ([], [], ["pan_zeroo"], "did you mean pan_zero"),
         ([], [], ["tilt_zero"], "cannot be estimated separately"),
         (["neck_zero"], [], [], "no such parameter"),
+        ([], [], ["t_x"], "already estimated, like all nine parameters"),
+        (["focal_length"], [], [], "--set priors.focal_length=fixed"),
+        ([], ["joint_zero=0±1"], [], "--set priors.joint_zero=NUMBER"),
     ],
 )
 def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
-    rows = nuisance.table(ROBOT.rig_cameras, ROBOT.chain)
+    rows = nuisance.table(ROBOT.rig_cameras, chain_of(ROBOT))
     with pytest.raises(ConfigError) as caught:
         constraints_of(fix, prior, estimate).check([row.name for row in rows], Nominal())
     assert said in f"{caught.value.message} {caught.value.hint}"

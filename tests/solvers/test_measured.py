@@ -15,6 +15,7 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.solve import solve
 from tests.extractions import Noise, ideal_extraction
 from tests.report.schema import validated
+from tests.robots import chain_of
 
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
@@ -34,7 +35,7 @@ def drive(seed, stated=1.0):
             o.time_ns / 1e9,
             se3.exp(random.normal(size=6) * SIGMA) @ o.T_c_k,
             covariance,
-            dict(zip(robot.chain.joints, o.joints.tolist(), strict=True)),
+            dict(zip(chain_of(robot).joints, o.joints.tolist(), strict=True)),
         )
         for o in exact.observations
     ]
@@ -51,7 +52,7 @@ def off(solution, parameters):
 @pytest.mark.parametrize("stated", [1.0, 5.0])
 def test_poses_of_a_target_give_all_nine(stated):
     robot, recorded = drive(3, stated)
-    extraction = from_poses([recorded], tuple(robot.wheels.vector * 1.02), robot.chain)
+    extraction = from_poses([recorded], tuple(robot.wheels.vector * 1.02), chain_of(robot))
     solution = solve(extraction)
     assert solution.uncertainty.observable.all()
     assert np.abs(off(solution, Parameters(robot.T_h_c, robot.wheels))).max() < 4
@@ -70,7 +71,7 @@ def test_a_wrong_pose_is_left_out():
     )
     poses = [*recorded.poses[:7], moved, *recorded.poses[8:]]
     given = Drive(poses, recorded.wheel_time_s, recorded.right_rad, recorded.left_rad)
-    solution = solve(from_poses([given], tuple(robot.wheels.vector), robot.chain))
+    solution = solve(from_poses([given], tuple(robot.wheels.vector), chain_of(robot)))
     assert len(solution.outliers) == 1
     assert np.abs(off(solution, Parameters(robot.T_h_c, robot.wheels))).max() < 4
 
@@ -122,7 +123,7 @@ def test_bad_covariances_and_missing_joints_are_named():
         (TargetPose(0.0, first.T_c_k, np.eye(6)), "drive 1, pose 1: no reading of"),
     ):
         with pytest.raises(ConfigError, match=said):
-            from_poses([Drive([bad], *([np.zeros(2)] * 3))], (0.1, 0.1, 0.4), robot.chain)
+            from_poses([Drive([bad], *([np.zeros(2)] * 3))], (0.1, 0.1, 0.4), chain_of(robot))
     with pytest.raises(ConfigError, match="leg 1: the covariance"):
         from_motions([SensorMotion(1.0, 1.0, np.zeros(3), np.zeros((3, 3)))], (0.1, 0.1, 0.4), np.eye(4))
 
@@ -132,7 +133,7 @@ def test_measured_poses_and_motions_have_a_report():
     robot, recorded = drive(3)
     nominal = T_V_C @ se3.transform(se3.rotation_z(np.array(0.005)), np.array([0.001, 0.001, 0.0]))
     for extraction in (
-        from_poses([recorded], tuple(robot.wheels.vector * 1.001), robot.chain),
+        from_poses([recorded], tuple(robot.wheels.vector * 1.001), chain_of(robot)),
         from_motions(legs(150, 1), (0.0206, 0.0206, 0.0885), nominal),
     ):
         report = Report(Data(extraction, (), {}), fitted(extraction))

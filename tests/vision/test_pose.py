@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobilecal_cli import se3
+from mobilecal_cli import se3, vision
+from mobilecal_cli.camera import project
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision.pose import absolute_orientation, pose_residuals, square_from_points
+from mobilecal_cli.vision.pose import absolute_orientation, pose_from_one, pose_residuals, square_from_points
 from tests.pairs import board_pose
 from tests.vision.scenes import random_pose, seen, stereo_rig
 
@@ -111,3 +112,14 @@ def test_pose_covariance_is_the_spread(free_scale: bool) -> None:
     assert abs(distance.mean() - 6) < 4 * np.sqrt(12 / runs)
     np.testing.assert_allclose(delta.std(axis=0), np.sqrt(np.diag(found.T_c_k_cov)), rtol=0.15)
     assert np.mean(fits) == pytest.approx(np.sqrt((sigma_left**2 + sigma_right**2) / 2), rel=0.05)
+
+
+def test_the_pose_by_one_camera_is_the_better_one_of_two() -> None:
+    """Far away, a board tilted the other way looks nearly the same: the least error is that of a start at the truth."""
+    rig, rng = stereo_rig("raw").some([0]), np.random.default_rng(1)
+    for _ in range(20):
+        turn = np.array([*rng.uniform(-0.5, 0.5, 2), rng.uniform(-3, 3)])
+        T_c_k = se3.transform(se3.exp_so3(turn), np.array([*rng.uniform(-0.3, 0.3, 2), 4.0]))
+        pixels = project(rig.each[0], se3.act(T_c_k, POINTS_K)) + 0.3 * rng.standard_normal((54, 2))
+        least = vision.board_pose(rig, POINTS_K, [pixels], [0.3], T_c_k).rms_px
+        assert pose_from_one(rig, POINTS_K, pixels, 0.3).rms_px <= least * (1 + 1e-6)

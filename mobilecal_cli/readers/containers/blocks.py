@@ -21,7 +21,7 @@ from mobilecal_cli.readers.containers.storage import (
     LEAST_STEP_NS,
     SIZE_LIMIT,
     Extent,
-    RawMessage,
+    Message,
     Storage,
     goes_back,
     steps_back,
@@ -166,10 +166,10 @@ class BlockStorage(Storage):
         return blocks
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `raw` reads."""
+        """Number of bytes that `messages` reads."""
         return sum(block.size for block in self._blocks_of(topics, extent))
 
-    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """Messages of the topics in order of log time, as far as the file is intact."""
         blocks = self._blocks_of(topics, extent)
         waiting: list[_Waiting] = []
@@ -184,14 +184,14 @@ class BlockStorage(Storage):
                 messages.clear()  # otherwise the block stays in memory while the next one is read
                 ready = bisect_left(waiting, following_ns, key=lambda message: message[0])
                 for time_ns, _, channel, payload in waiting[:ready]:
-                    yield channel, time_ns, payload
+                    yield Message(channel, time_ns, payload)
                 del waiting[:ready]
                 continue
             while messages:
                 heapq.heappush(waiting, messages.pop())
             while waiting and waiting[0][0] < following_ns:
                 time_ns, _, channel, payload = heapq.heappop(waiting)
-                yield channel, time_ns, payload
+                yield Message(channel, time_ns, payload)
         if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, read)
 
@@ -207,7 +207,7 @@ class BlockStorage(Storage):
         read.update(channel.id for _, _, channel, _ in messages)
         return messages
 
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
         """First message of each topic at or after each time; only the few blocks that contain them are read."""
         of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}
         for time_ns in times_ns:
@@ -217,7 +217,7 @@ class BlockStorage(Storage):
                 for number, at_ns, payload in later:
                     channel = self.channels.get(number)
                     if channel is not None and channel.topic == topic and time_ns <= at_ns < LATEST_NS:
-                        yield channel, at_ns, payload
+                        yield Message(channel, at_ns, payload)
                         break
 
     def log_times(self) -> dict[int, IntArray]:

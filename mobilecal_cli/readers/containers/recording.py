@@ -6,50 +6,17 @@ import heapq
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
-from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, RawMessage, Storage
-from mobilecal_cli.readers.messages import Channel, Payload
-
-
-@dataclass(frozen=True, slots=True)
-class Message:
-    """One message, not yet decoded.
-
-    Attributes:
-        log_time_ns: time at which the recorder wrote it.
-        channel: its channel.
-        payload: raw bytes.
-    """
-
-    log_time_ns: int
-    channel: Channel
-    payload: Payload
-
-    @property
-    def topic(self) -> str:
-        """Topic of the message."""
-        return self.channel.topic
-
-    @property
-    def type(self) -> str:
-        """Message type in ROS 2 spelling."""
-        return self.channel.type
-
-    def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
-        """The message as an object with the fields of its definition; arrays are views of the payload.
-
-        Raises:
-            RecordingError: the payload does not match the definition.
-        """
-        return self.channel.decode(self.payload)
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
+from mobilecal_cli.readers.messages import Channel
 
 
 @contextmanager
@@ -193,8 +160,7 @@ class Recording:
                 continue
             inside = [time_ns for time_ns in times_ns if part.start_ns <= time_ns <= part.end_ns]
             with boundary(part.path):
-                for channel, time_ns, payload in part.near(topics, inside):
-                    yield Message(time_ns, channel, payload)
+                yield from part.near(topics, inside)
 
     def bytes_of(self, topics: Collection[str]) -> int:
         """Number of bytes that `messages` reads for the topics."""
@@ -213,11 +179,7 @@ class Recording:
         return replace(extent, within_bytes=extent.within_bytes // len(self.parts))
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """The topics' messages in order of log time, see `raw`."""
-        return (Message(time_ns, channel, payload) for channel, time_ns, payload in self.raw(topics, extent))
-
-    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
-        """Channel, log time and payload of the topics' messages in order of log time.
+        """The topics' messages in order of log time.
 
         Consecutive files are read one after the other; files that overlap in time are merged.
 
@@ -247,14 +209,18 @@ class Recording:
                         errors[channel.topic] = error
         return errors
 
-    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
+    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
         read = dict.fromkeys(topics, 0)
         own = self._of_part(extent)
         for group in _overlapping(self.parts):
             streams = [self._part(part, topics, own) for part in group]
-            merged = heapq.merge(*streams, key=lambda raw: raw[1]) if len(streams) > 1 else streams[0]
+            merged = (
+                heapq.merge(*streams, key=lambda message: message.log_time_ns)
+                if len(streams) > 1
+                else streams[0]
+            )
             for message in merged:
-                read[message[0].topic] += 1
+                read[message.topic] += 1
                 yield message
         for topic in sorted(topics & self._stated.keys()) if extent is EVERYTHING else ():
             if read[topic] < self._stated[topic]:
@@ -262,9 +228,9 @@ class Recording:
                     f"{topic}: metadata.yaml states {self._stated[topic]} messages, {read[topic]} could be read"
                 )
 
-    def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[RawMessage]:
+    def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
         with boundary(part.path):
-            yield from part.raw(topics, extent)
+            yield from part.messages(topics, extent)
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:

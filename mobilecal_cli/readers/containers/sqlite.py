@@ -24,7 +24,7 @@ from mobilecal_cli.readers.containers.storage import (
     SIZE_LIMIT,
     ZSTD_MAGIC,
     Extent,
-    RawMessage,
+    Message,
     Storage,
     goes_back,
     message_payload,
@@ -185,7 +185,7 @@ class SqliteStorage(Storage):
             self.shift_ns += shift_ns
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
-    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """Messages of the topics in order of log time, or as written if the table is damaged.
 
         Rows of other topics are not read, so a limit in bytes does not apply.
@@ -206,12 +206,12 @@ class SqliteStorage(Storage):
             self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `raw` reads: the messages, or the whole file if the table is damaged."""
+        """Number of bytes that `messages` reads: the messages, or the whole file if the table is damaged."""
         if self._log is None:
             return self.path.stat().st_size
         return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
 
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
         """First message of each topic at or after each time."""
         if self._log is None:
             return
@@ -228,7 +228,7 @@ class SqliteStorage(Storage):
             return {}
         return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
 
-    def _message(self, row: int, number: int, time_ns: int, payload: object) -> RawMessage:
+    def _message(self, row: int, number: int, time_ns: int, payload: object) -> Message:
         channel, data = (
             self.channels[number],
             payload if isinstance(payload, bytes) else str(payload).encode(),
@@ -238,7 +238,7 @@ class SqliteStorage(Storage):
                 data = bytes(message_payload(data))
         for first, size_ns in self._steps:
             time_ns += size_ns * (first <= row)
-        return channel, time_ns, data
+        return Message(channel, time_ns, data)
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]

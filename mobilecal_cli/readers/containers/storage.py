@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, ClassVar
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -16,7 +16,38 @@ import zstandard
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.messages import Channel, Payload
 
-RawMessage = tuple[Channel, int, Payload]
+
+class Message(NamedTuple):
+    """One message, not yet decoded.
+
+    Attributes:
+        channel: its channel.
+        log_time_ns: time at which the recorder wrote it.
+        payload: raw bytes.
+    """
+
+    channel: Channel
+    log_time_ns: int
+    payload: Payload
+
+    @property
+    def topic(self) -> str:
+        """Topic of the message."""
+        return self.channel.topic
+
+    @property
+    def type(self) -> str:
+        """Message type in ROS 2 spelling."""
+        return self.channel.type
+
+    def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+        """The message as an object with the fields of its definition; arrays are views of the payload.
+
+        Raises:
+            RecordingError: the payload does not match the definition.
+        """
+        return self.channel.decode(self.payload)
+
 
 #: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
 SIZE_LIMIT = 2**29
@@ -56,20 +87,13 @@ class Storage(ABC):
     """
 
     container: ClassVar[str]
-    path: Path
-    opened: Path
-    channels: dict[int, Channel]
-    counts: dict[int, int] | None
-    start_ns: int | None
-    end_ns: int | None
-    shift_ns: int
 
     def __init__(self, path: Path) -> None:
         self.path = self.opened = path
-        self.channels = {}
-        self.counts = None
-        self.start_ns = None
-        self.end_ns = None
+        self.channels: dict[int, Channel] = {}
+        self.counts: dict[int, int] | None = None
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
         self.shift_ns = 0
         self._damage: dict[str, None] = {}
 
@@ -97,15 +121,15 @@ class Storage(ABC):
             )
 
     @abstractmethod
-    def raw(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[RawMessage]:
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """Messages of the topics in order of log time, as far as the file is intact."""
 
     @abstractmethod
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `raw` reads."""
+        """Number of bytes that `messages` reads."""
 
     @abstractmethod
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[RawMessage]:
+    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
         """First message of each topic at or after each time; only the few blocks that contain them are read."""
 
     @abstractmethod

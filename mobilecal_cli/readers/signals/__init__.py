@@ -184,7 +184,7 @@ class Subscriptions:
     def run(self, extent: Extent, infos: InfoChanges | None = None) -> None:
         """Run the pass, which may also compare the cameras' calibrations."""
         compared = infos.topics - self.topics if infos is not None else frozenset()
-        for channel, log_ns, payload in self.recording.raw(self.topics | compared, extent):
+        for channel, log_ns, payload in self.recording.messages(self.topics | compared, extent):
             if infos is not None and channel.topic in compared:
                 infos.add(channel, log_ns, payload)
             else:

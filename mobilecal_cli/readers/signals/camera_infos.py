@@ -244,7 +244,7 @@ class InfoChanges:
         if not self.topics:
             return
         try:
-            for channel, log_ns, payload in self._recording.raw(self.topics, Extent(_SAMPLED_BYTES)):
+            for channel, log_ns, payload in self._recording.messages(self.topics, Extent(_SAMPLED_BYTES)):
                 self.add(channel, log_ns, payload)
         except RecordingError as error:
             self._recording.note(error.message)
