@@ -9,6 +9,7 @@ from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Rejection
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.vision import SQUARES_UNKNOWN
 from tests.extractions import Noise, ideal_extraction
 
 
@@ -58,6 +59,10 @@ def test_too_few_stations_count_the_reasons():
     with pytest.raises(ObservationError, match=r"at 3 of 12 stations \(at least 4 needed\)") as caught:
         require_stations(few)
     assert "rejected: 5 x blurred, 4 x no board" in caught.value.message
+    lost += [Rejection("vision", SQUARES_UNKNOWN, "only the left camera sees the board", 0)] * 6
+    with pytest.raises(ObservationError) as caught:
+        require_stations(replace(few, rejections=tuple(lost)))
+    assert caught.value.hint.endswith("or set board.square_m in rig.yaml: one camera alone needs it")
 
 
 def recordings(count, stations):
