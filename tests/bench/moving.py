@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from mobilecal_cli.simulate.imperfect import PRIORS
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import DISTURBED, as_described, errors, route_of
@@ -18,7 +21,9 @@ def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.nd
     """Error, sigma, NEES / 9 of the nine; error and sigma of the two offsets; how much was left out."""
     robot = paper_robot()
     extraction = ideal_extraction(robot, route_of(12, seed, "moving"), DISTURBED, seed, camera_late_s=_LATE_S)
-    solution = solve(as_described(extraction))
+    described = as_described(extraction)
+    sigmas = {"all": 0.0, **dict.fromkeys(_CLOCKS, PRIORS["clock"])}
+    solution = solve(replace(described, rig=replace(described.rig, prior_sigmas=sigmas)))
     found = solution.uncertainty
     assert found is not None
     error = errors(solution.parameters, robot)

@@ -139,7 +139,7 @@ def test_several_recordings_are_checked_one_after_another(sample_logs, rig, tmp_
 
 
 def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
-    """A cable pulled in the middle: too few stations were found, and nothing said why."""
+    """A cable pulled in the middle: nothing said why one camera shows the board at fewer stations."""
     count = 0
 
     def pulled(topic, message):
@@ -150,7 +150,7 @@ def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
 
     log = edited(sample_logs / "paper_robot.mcap", tmp_path / "pulled.mcap", pulled)
     done = run("calibrate", log, "-o", tmp_path / "out", cwd=tmp_path)
-    assert done.code == 6
+    assert done.code == 0  # the other stations count with the left camera alone
     notes = json.loads((tmp_path / "out/report.json").read_text())["notes"]
     (note,) = [note for note in notes if "No right images" in note]
     assert "while there are 14 left images. Check the cable and the driver of the right camera." in note
