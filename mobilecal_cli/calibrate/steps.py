@@ -44,8 +44,7 @@ from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import draw_all, path_picture
-from mobilecal_cli.report.summary import job_summary, notebook_html
-from mobilecal_cli.report.text import summary_text
+from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
 from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
 from mobilecal_cli.rig.config import load_rig

@@ -1,14 +1,23 @@
-"""The summary for the terminal, as plain text."""
+"""The result in a few lines: plain text for the terminal, Markdown for a CI job, HTML for a notebook."""
 
 from __future__ import annotations
 
+import base64
+
+import numpy as np
+
 from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.report.criteria import Check
 from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import numbers_table, std_text, value_text
+from mobilecal_cli.report.numbers import decimals_of, numbers_table, std_text, value_text
+from mobilecal_cli.report.page import template
+from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
+from mobilecal_cli.report.verdict import LEVELS
 
 _WIDTH = 80
 _LABEL = 22
+_COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
 
 
 def summary_text(report: ReportData, verbose: bool = False) -> str:
@@ -57,3 +66,63 @@ def _details(report: ReportData) -> list[str]:
     for sentence in report.outliers_text:
         lines += wrapped(sentence, "Outlier: ", "  ", _WIDTH)
     return [visible(line) if line else line for line in lines]
+
+
+def notebook_html(report: ReportData, path: str) -> str:
+    """Verdict, numbers, and the picture of the path (an SVG element, "" for none) for a notebook."""
+    picture = base64.b64encode(standalone(path).encode()).decode("ascii") if path else ""
+    return template("card.html.jinja").render(
+        report=report,
+        rows=numbers_table(report.numbers),
+        color=_COLORS.get(report.verdict.level, "#c4312b"),
+        picture=picture,
+    )
+
+
+def job_summary(report: ReportData) -> str:
+    """Verdict, numbers with their change, and the checks that do not pass, as Markdown."""
+    verdict, change = report.verdict, report.change
+    lines = [
+        f"### {verdict.level}: {_cell(', '.join(log.path for log in report.provenance.logs))}",
+        "",
+        f"{_cell(verdict.reason)} **Next:** {_cell(verdict.next_step)}",
+        "",
+    ]
+    heads = ["parameter", "value (± 1 sigma)"]
+    if change is not None:
+        heads.append(f"change from {_cell(change.against)}")
+    lines += [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+    for k, (label, text) in enumerate(numbers_table(report.numbers)):
+        cells = [label, text]
+        if change is not None:
+            cells.append(_change(report, k))
+        lines.append(f"| {' | '.join(map(_cell, cells))} |")
+    lines += ["", f"Stations used: {_cell(report.quality.stations_text)}."]
+    open_checks = [check for check in verdict.checks if check.outcome != "pass"]
+    lines += [*([""] if open_checks else []), *map(_item, open_checks)]
+    return "\n".join(lines) + "\n"
+
+
+def _change(report: ReportData, k: int) -> str:
+    """Change of a number in its unit, and in standard deviations where these are known."""
+    change, number = report.change, report.numbers[k]
+    if change is None or k >= len(change.value) or not np.isfinite(change.value[k]):
+        return ""
+    if not number.unit:  # the change is that of the assumed wheels
+        return f"{change.sigmas[k]:+.1f} sigma" if np.isfinite(change.sigmas[k]) else ""
+    decimals = 5 if number.std is None else decimals_of(number.std, 5)
+    sigmas = f" ({change.sigmas[k]:+.1f} sigma)" if np.isfinite(change.sigmas[k]) else ""
+    return f"{change.value[k]:+.{decimals}f} {number.unit}{sigmas}"
+
+
+def _item(check: Check) -> str:
+    kind = "failed" if check.outcome in LEVELS else "warning"
+    return f"- {kind}: {_cell(check.why)}"
+
+
+def _cell(text: str) -> str:
+    """Text of a recording for Markdown: no markup, no new column."""
+    escaped = visible(text).replace("\\", "\\\\")
+    for character in "|*_`<>[]":
+        escaped = escaped.replace(character, f"\\{character}")
+    return escaped

@@ -2,33 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import resource
-import subprocess
 import sys
-import time
 from pathlib import Path
 from statistics import median
 
-from tests.bench.study import table
+from tests.bench.study import spent, table
 
 REPEATS = 7
 _IMPORTS = "import numpy, scipy.optimize, cv2"
-#: As on a user's machine, where byte code is kept.
-_ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"
-
-
-def _spent(command: list[str]) -> tuple[float, float]:
-    """Wall time and processor time of a command, its child processes included, s."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    start = time.perf_counter()
-    done = subprocess.run(command, capture_output=True, check=False, env=_ENVIRONMENT)
-    wall = time.perf_counter() - start
-    if done.returncode not in (0, 6):
-        raise RuntimeError(done.stderr.decode())
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
 def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
@@ -41,10 +23,10 @@ def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
         "mobilecal --help": [*tool, "--help"],
     }
     runs: dict[str, list[tuple[float, float, float, float]]] = {name: [] for name in commands}
-    _spent(commands["mobilecal --help"])  # byte code is written once
+    spent(commands["mobilecal --help"])  # byte code is written once
     for _ in range(repeats):
         for name, command in commands.items():
-            imports, own = _spent([sys.executable, "-c", _IMPORTS]), _spent(command)
+            imports, own = spent([sys.executable, "-c", _IMPORTS]), spent(command)
             runs[name].append((*imports, *own))
     rows = [
         [

@@ -23,7 +23,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
-from tests.bench.study import conditions
+from tests.bench.study import conditions, kernel_mb
 from tests.extractions import ideal_extraction
 
 SIZES = (12, 200, 2000)
@@ -71,12 +71,6 @@ def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     return optimize(likelihood_at(data, start)).lin.state, 0.0
 
 
-def _kernel_mb(name: str) -> float:
-    """Memory of this process as reported by the kernel, MB."""
-    (line,) = (text for text in Path("/proc/self/status").read_text().splitlines() if text.startswith(name))
-    return int(line.split()[1]) / 1024
-
-
 def one(solver: str, path: Path) -> None:
     """In its own process: solve, and print the result as JSON."""
     solve = by_mobilecal
@@ -86,11 +80,11 @@ def one(solver: str, path: Path) -> None:
         from tests.bench.established_gtsam import by_gtsam as solve
     data, start = start_of(path)
     Path("/proc/self/clear_refs").write_text("5")  # forget the peak that making the start had
-    before = _kernel_mb("VmRSS")
+    before = kernel_mb("VmRSS")
     began = time.perf_counter()
     end, callbacks = solve(data, start)
     seconds = time.perf_counter() - began
-    memory = _kernel_mb("VmHWM") - before
+    memory = kernel_mb("VmHWM") - before
     cost = replace(likelihood_at(data, start), state=end).cost
     found = {
         "seconds": seconds,

@@ -12,7 +12,7 @@ from pathlib import Path
 from statistics import median
 
 from tests.bench.recordings import stretched
-from tests.bench.study import paragraph, table
+from tests.bench.study import kernel_mb, paragraph, table
 
 MINUTES = (1, 10, 60)
 _LENGTHS = {"auto": MINUTES, "all": (1, 10)}
@@ -43,9 +43,7 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):
         seconds[stage] += end - start  # an unknown stage is an error, not a column of zeros
-    status = Path("/proc/self/status").read_text()
-    (peak,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
-    return seconds | {"mb": int(peak.split()[1]) / 1024}
+    return seconds | {"mb": kernel_mb("VmHWM")}
 
 
 def _run(log: Path, out: Path, stations: str) -> dict[str, float]:

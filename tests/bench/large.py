@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import resource
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -17,7 +15,7 @@ from typing import Any
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from tests.bench.study import table
+from tests.bench.study import spent, table
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 
@@ -67,13 +65,9 @@ def with_links(count: int, path: Path) -> None:
     edited(LOG, path, edit)
 
 
-def inspected_s(path: Path) -> float:
+def _inspected_s(path: Path) -> float:
     """Processor time of `inspect`, s."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command = [sys.executable, "-m", "mobilecal_cli", "inspect", str(path)]
-    subprocess.run(command, check=True, capture_output=True, cwd=path.parent)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return spent([sys.executable, "-m", "mobilecal_cli", "inspect", str(path)])[1]
 
 
 def main() -> None:
@@ -81,12 +75,12 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.mcap"
-        alone = min(inspected_s(LOG) for _ in range(3))
+        alone = min(_inspected_s(LOG) for _ in range(3))
         make: Callable[[int, Path], None]
         for what, counts, make in (("topics", TOPICS, with_topics), ("links", LINKS, with_links)):
             for count in counts:
                 make(count, path)
-                more = min(inspected_s(path) for _ in range(3)) - alone
+                more = min(_inspected_s(path) for _ in range(3)) - alone
                 rows.append([f"{count:,} {what}", f"{alone + more:.1f}", f"{1e3 * more / count:.2f}"])
     print(
         table(["sample recording with", "inspect (s)", f"beyond {alone:.1f} s without, per item (ms)"], rows)

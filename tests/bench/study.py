@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import platform
+import resource
+import subprocess
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,6 +63,28 @@ def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: in
     """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
     with ProcessPoolExecutor() as pool:
         yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
+
+
+#: As on a user's machine, where byte code is kept.
+_ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+
+def spent(command: list[str]) -> tuple[float, float]:
+    """Wall time and processor time of a command that may not pass, its child processes included, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, check=False, env=_ENVIRONMENT)
+    wall = time.perf_counter() - start
+    if done.returncode not in (0, 6):
+        raise RuntimeError(done.stderr.decode())
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def kernel_mb(name: str) -> float:
+    """Memory of this process as reported by the kernel, MB: VmRSS, or VmHWM for its peak."""
+    (line,) = (text for text in Path("/proc/self/status").read_text().splitlines() if text.startswith(name))
+    return int(line.split()[1]) / 1024
 
 
 def head(*columns: str, title: str = "") -> None:

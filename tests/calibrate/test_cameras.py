@@ -19,24 +19,18 @@ from mobilecal_cli.simulate.scenario import Scenario
 from tests.command import run
 from tests.export.test_improved import fitted_cameras
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
+from tests.truth import nees
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 SQUARE = {"board.square_m": 0.08}
 
 
-def true_to(found, T_h_c, wheels, hidden=()):
-    """NEES of the nine parameters per parameter."""
-    error = np.concatenate(
-        [
-            se3.log_so3(found.parameters.T_h_c[:3, :3] @ T_h_c[:3, :3].T),
-            found.parameters.T_h_c[:3, 3] - T_h_c[:3, 3],
-            found.parameters.wheels.vector - wheels.vector,
-        ]
-    )
-    kept = [k for k in range(9) if k not in hidden]
-    covariance = found.covariance[np.ix_(kept, kept)]
-    return error[kept] @ np.linalg.solve(covariance, error[kept]) / len(kept)
+ALL_BUT_THE_HEIGHT = np.arange(9) != 5
+
+
+def true_to(found, robot, kept=slice(None)):
+    return nees(found.parameters, found.covariance, robot, kept)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +44,7 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, tmp_path):
     robot = ROBOTS["rgbd"]()
     report, written = calibrate([rgbd], tmp_path / "result", flags=SQUARE)
     assert report.verdict.level == "PASS"
-    assert true_to(report.fit, robot.T_h_c, robot.wheels, hidden=(5,)) < 2.7
+    assert true_to(report.fit, robot, ALL_BUT_THE_HEIGHT) < 2.7
     params = yaml.safe_load((written / "params.yaml").read_text(encoding="utf-8"))
     assert params["head_eye"]["child_frame"] == "camera_color_optical_frame"
     assert params["head_eye"]["parent_frame"] == "base_link"
@@ -132,7 +126,7 @@ def test_three_cameras_from_a_recording(tmp_path):
     assert shown.any(axis=0).all()
     assert not shown.all()
     report = Report(data, solve(data))
-    assert true_to(report.fit, robot.T_h_c, robot.wheels) < 2.7
+    assert true_to(report.fit, robot) < 2.7
     fitted = fitted_cameras(extraction, report.fit.solution)
     for k, name in enumerate(robot.mounted):
         info = yaml.safe_load(export(report, "camera_info", camera=name).content)
@@ -179,7 +173,7 @@ def test_samples_of_other_robots(name, robot, tmp_path):
     assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
     assumed = report.data.extraction.rig.sources.assumed_odometry
     if assumed is None:
-        assert true_to(report.fit, robot.T_h_c, robot.wheels, hidden=(5,)) < 2.7
+        assert true_to(report.fit, robot, ALL_BUT_THE_HEIGHT) < 2.7
         return
     factors, covariance = (
         assumed.factors(report.fit.parameters.wheels),

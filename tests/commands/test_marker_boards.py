@@ -10,7 +10,7 @@ from mobilecal_cli.calibrate import inspect, steps
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.scenario import PRINTED, Scenario
-from tests.bench.simulated import errors
+from tests.truth import nees
 
 BOARDS = {
     "charuco": {"dictionary": "DICT_5X5_1000", "marker_share": 0.75},
@@ -36,13 +36,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
-    robot = paper_robot()
-    error, covariance = (
-        errors(found.fit.solution.parameters, robot),
-        found.fit.solution.uncertainty.covariance,
-    )
-    nees = float(error @ np.linalg.solve(covariance, error)) / 9
-    assert nees < 2.5
+    assert nees(found.fit.parameters, found.fit.covariance, paper_robot()) < 2.5
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind

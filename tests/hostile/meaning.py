@@ -324,13 +324,6 @@ def nominal_wheels(radius: float, separation: float) -> Change:
     return change
 
 
-def with_pixels_of(n: int, o: Observation, other: Observation, right: bool, left: bool) -> Observation:
-    """A station with the images of another one."""
-    return with_views(
-        o, left=other.views[0] if left else o.views[0], right=other.views[1] if right else o.views[1]
-    )
-
-
 def old_images(left: bool, right: bool, frozen: bool) -> Change:
     """Images of the previous station, or of the one in the middle from there on (frozen)."""
 

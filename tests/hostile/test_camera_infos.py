@@ -7,13 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from ruamel.yaml import YAML
 
-from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.model import Parameters
 from tests.command import run
 from tests.commands.edited import edited
+from tests.truth import truth_of
 
 LEFT = "/stereo/left/image_raw/compressed"
 
@@ -60,11 +59,7 @@ def test_a_wrong_camera_info_is_named_and_does_no_harm(sample_logs, tmp_path, tm
     assert named in out
     assert out.count("Robot description: Board: size of the squares") <= 1
     found = parameters_from_yaml((tmp_path / "out/params.yaml").read_text(encoding="utf-8"))
-    truth = YAML(typ="safe").load(sample_logs / "paper_robot.truth.yaml")
-    rotation = se3.from_quaternion_xyzw(np.array(truth["head_eye"]["quaternion_xyzw"]))
-    T = se3.transform(rotation, np.array(truth["head_eye"]["translation_m"]))
-    wheels = [truth["wheels"][f"{name}_m"] for name in ("radius_right", "radius_left", "separation")]
-    true = Parameters(T, replace(found.wheels, **dict(zip(found.wheels.__slots__, wheels, strict=True))))
+    true = truth_of(sample_logs / "paper_robot.truth.yaml")
     error = Parameters(found.T_parent_child, found.wheels).minus(true)
     std = np.sqrt(np.diag(found.knowledge.covariance))
     assert np.max(np.abs(error) / std) < 4

@@ -8,8 +8,6 @@ from tests.command import run
 from tests.conftest import REPOSITORY
 from tests.hostile.refusals import CASES, table
 
-EXISTING = ("out: already exists",)
-
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_the_command_says_what_is_wrong(case, tmp_path):

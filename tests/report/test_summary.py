@@ -14,7 +14,7 @@ from mobilecal_cli.calibrate.steps import Data, Report, solve
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.junit import junit_xml
-from mobilecal_cli.report.summary import job_summary
+from mobilecal_cli.report.text import job_summary
 from tests.command import run
 from tests.conftest import REPOSITORY
 from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution

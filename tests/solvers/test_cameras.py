@@ -9,7 +9,7 @@ from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import table
-from mobilecal_cli.model import NINE, Parameters
+from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.bench.simulated import as_described
@@ -22,6 +22,7 @@ from tests.robots import (
     three_on_pan_tilt,
     with_one_view,
 )
+from tests.truth import nees, parameters_of
 
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 EXACT = Noise()
@@ -39,7 +40,7 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
     extraction = ideal_extraction(robot, plan_route(robot, stations=14, seed=1), EXACT)
     assert len(extraction.rig.cameras.each) == cameras
     found = fitted(as_described(extraction))
-    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))
+    error = found.parameters.minus(parameters_of(robot))
     assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
 
 
@@ -49,9 +50,7 @@ def test_stated_sigmas_are_true(cameras, chain, seed):
     robot = CONFIGURATIONS[cameras, chain]()
     route = plan_route(robot, stations=20, seed=seed)
     found = fitted(ideal_extraction(robot, route, NOISE, seed))
-    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[shown(robot)]
-    covariance = found.covariance[np.ix_(shown(robot), shown(robot))]
-    assert error @ np.linalg.solve(covariance, error) / len(error) < 2.7  # chance 0.5 % of 8 or 9
+    assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
 @pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
@@ -99,10 +98,8 @@ def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     for observations in (both.observations, single.observations, pairs):
         part = replace(both, observations=observations, board=replace(both.board, square_m=square_m))
         found = fitted(part)
-        error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[shown(robot)]
-        covariance = found.covariance[np.ix_(shown(robot), shown(robot))]
-        assert error @ np.linalg.solve(covariance, error) / len(error) < 2.7  # chance 0.5 % of 8 or 9
-        stds.append(np.sqrt(np.diag(covariance)))
+        assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
+        stds.append(np.sqrt(np.diag(found.covariance))[shown(robot)])
     every, mixed, half = stds
     assert np.median(every / mixed) < 1
     assert np.median(mixed / half) < 0.9
@@ -118,8 +115,7 @@ def test_other_cameras_have_priors_of_a_drawing():
     constants = {"turn_beside_x": 0.01, "shift_beside_z": 0.004, "turn_aside_y": -0.01, "focal_aside": 0.002}
     what = Imperfection(constants, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
     found = fitted(imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2))
-    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))
-    assert error @ np.linalg.solve(found.covariance, error) / 9 < 2.7
+    assert nees(found.parameters, found.covariance, robot) < 2.7
     for name in ("turn_beside_x", "turn_aside_y", "shift_beside_z"):
         constant = found.solution.constants[name]
         assert abs(constant.value - constants[name]) < 4 * constant.std < 2 * abs(constants[name])

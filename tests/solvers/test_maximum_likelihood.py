@@ -23,6 +23,7 @@ from tests.extractions import Noise, ideal_extraction
 from tests.pairs import with_pair, with_views
 from tests.robots import chain_of
 from tests.solvers.test_several_logs import joined
+from tests.truth import nees
 
 ROBOT = paper_robot()
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
@@ -62,12 +63,8 @@ def test_exact_observations_give_the_exact_answer():
 
 def test_errors_are_of_the_size_that_is_stated():
     """NEES / 9 has the mean 1 and, over ten runs of nine numbers, the standard deviation 0.15."""
-    nees = []
-    for seed in range(10):
-        found = solve(with_noise(extraction_of(seed=seed)))
-        e = errors(found.parameters, ROBOT)
-        nees.append(e @ np.linalg.solve(found.uncertainty.covariance, e) / 9)
-    assert 0.55 < np.mean(nees) < 1.45
+    solutions = [solve(with_noise(extraction_of(seed=seed))) for seed in range(10)]
+    assert 0.55 < np.mean([nees(s.parameters, s.uncertainty.covariance, ROBOT) for s in solutions]) < 1.45
 
 
 def test_noise_levels_are_those_of_the_simulation(noisy):
@@ -266,8 +263,7 @@ def test_bad_stations_and_a_slip_are_found_and_named(noisy):
     assert f"between stations {slip} and {slip + 1}" in text
     assert " mm " in text
     assert " s:" in text
-    e = errors(found.parameters, ROBOT)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
 def test_a_wrong_joint_reading_is_named(noisy):
@@ -313,8 +309,7 @@ def test_a_late_camera_clock_is_found():
         clock = found.constants[name]
         assert abs(clock.value + 0.025) < 4 * clock.std
         assert clock.std < 0.002
-    e = errors(found.parameters, ROBOT)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
 def test_squares_that_are_stated_wrong(noisy):
@@ -324,8 +319,7 @@ def test_squares_that_are_stated_wrong(noisy):
     assert found.scale.apart
     assert found.scale.ratio == pytest.approx(1 / 1.015, abs=5 * found.scale.std)
     assert found.scale.std < 0.002
-    e = errors(found.parameters, ROBOT)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
 def test_squares_that_are_stated_right(solution):
@@ -376,8 +370,7 @@ def test_two_logs_of_one_robot_are_better_than_one(solution):
     assert found.between.shift.shape == (2, 9)
     assert np.all(found.between.between_std == 0)
     assert np.all(found.uncertainty.std < solution.uncertainty.std)
-    e = errors(found.parameters, ROBOT)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
     assert solution.between is None
 
 
@@ -456,8 +449,7 @@ def test_what_is_misstated_is_named_and_does_no_harm(noisy, name, kind, by):
     found = solve(misstated(noisy, name, by))
     named = {e.kind for e in found.contradictions}
     assert kind in named or (name == "baseline_scale" and "square_size" in named)
-    e = errors(found.parameters, ROBOT)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 3
+    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
 def test_a_wrong_link_between_pan_and_tilt_is_named():
@@ -472,8 +464,7 @@ def test_a_wrong_link_between_pan_and_tilt_is_named():
     links[k] = replace(links[k], T_parent_child=T)
     found = solve(replace(true, rig=replace(true.rig, chain=replace(true.rig.chain, links=tuple(links)))))
     assert {e.kind for e in found.contradictions} == {"joint_position"}
-    e = errors(found.parameters, robot)
-    assert e @ np.linalg.solve(found.uncertainty.covariance, e) / 9 < 2.5
+    assert nees(found.parameters, found.uncertainty.covariance, robot) < 2.5
 
 
 def test_nothing_is_suggested_where_all_nine_are_fixed(noisy):

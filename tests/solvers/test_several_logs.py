@@ -15,7 +15,7 @@ from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
-from tests.bench.simulated import errors
+from tests import truth
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.pairs import with_views
 from tests.report.example import made, rows_of
@@ -44,8 +44,7 @@ def joined(*parts):
 
 
 def nees(solution):
-    e = errors(solution.parameters, ROBOT)
-    return e @ np.linalg.solve(solution.uncertainty.covariance, e) / 9
+    return truth.nees(solution.parameters, solution.uncertainty.covariance, ROBOT)
 
 
 def misread(extraction, station, seed=0, size_px=300.0):

@@ -1,0 +1,34 @@
+"""Errors against the known truth of a simulated robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from ruamel.yaml import YAML
+
+from mobilecal_cli import se3
+from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.simulate.robot import SimulatedRobot
+
+
+def parameters_of(robot: SimulatedRobot) -> Parameters:
+    """The true parameters of a robot."""
+    return Parameters(robot.T_h_c, robot.wheels)
+
+
+def truth_of(path: Path) -> Parameters:
+    """The true parameters that `simulate` writes beside a recording, as .truth.yaml."""
+    data = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+    rotation = se3.from_quaternion_xyzw(np.array(data["head_eye"]["quaternion_xyzw"]))
+    translation = np.array(data["head_eye"]["translation_m"])
+    return Parameters(se3.transform(rotation, translation), WheelGeometry(**data["wheels"]))
+
+
+def nees(
+    found: Parameters, covariance: FloatArray, robot: SimulatedRobot, kept: object = slice(None)
+) -> float:
+    """Squared error in standard deviations, over the number of parameters: of those that are kept, 1 on average."""
+    index = np.arange(9)[kept]
+    error = found.minus(parameters_of(robot))[index]
+    return float(error @ np.linalg.solve(covariance[np.ix_(index, index)], error)) / len(index)
