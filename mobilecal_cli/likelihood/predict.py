@@ -1,4 +1,4 @@
-"""Expected errors of the camera's pose and of dead reckoning, from the covariance."""
+"""Expected errors of the camera's pose, of projected points and of dead reckoning, from the covariance."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.likelihood.effects import FocalLength, LensTerm, PrincipalPoint
+from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import AtWork, FloatArray, Parameters
+from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
 
+_STEP = 1e-6  # of a camera constant, for its derivative
 #: Distance of the point ahead of the camera whose position error is predicted, m.
 AHEAD_M = 2.0
 
@@ -100,3 +103,41 @@ def variance(gradient: FloatArray, covariance: FloatArray) -> float:
 
 def _expected(by: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
     return AtWork(**{name: math.sqrt(max(0.0, variance(g, covariance))) for name, g in by.items()})
+
+
+def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArray) -> FloatArray:
+    """1 sigma of the pixels of points that are known in the base, (n,), px: the larger axis of the ellipse.
+
+    From the first camera's pose in the base and its own constants, with their correlations, to first order.
+
+    Args:
+        solution: has an uncertainty.
+        cameras: as stated.
+        points_c: (n, 3) in the first camera's frame, m.
+    """
+    assert solution.uncertainty is not None
+    J_point = project_with_jacobian(solution.cameras.each[0], points_c)[1]
+    J = [np.cross(J_point, points_c[:, None]), -J_point]  # by the camera's right twist
+    rows = table(cameras, HeadChain("", "", ()))
+    values = {c.name: c.value for c in solution.constants.values()}
+    for name in solution.uncertainty.camera_constants:
+        ahead, behind = (
+            project(
+                camera_change(cameras, rows, values | {name: values[name] + step}).apply(cameras).each[0],
+                points_c,
+            )
+            for step in (_STEP, -_STEP)
+        )
+        J.append((ahead - behind)[..., None] / (2 * _STEP))
+    by_all = np.concatenate(J, axis=2)
+    covariance = by_all @ solution.uncertainty.camera @ np.swapaxes(by_all, 1, 2)
+    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
+
+
+def ahead_std_m(solution: Solution, distances_m: FloatArray) -> FloatArray:
+    """1 sigma of the position in the base, (n,), over all directions, of points ahead of the first camera."""
+    assert solution.uncertainty is not None
+    C = solution.uncertainty.camera
+    across = C[0, 0] + C[1, 1]
+    mixed = 2 * (C[1, 3] - C[0, 4])  # a turn about y moves the point along x, one about x against y
+    return np.asarray(np.sqrt(across * distances_m**2 + mixed * distances_m + np.trace(C[3:6, 3:6])))

@@ -76,34 +76,53 @@ def stations(made: Calibration) -> Iterator[Check]:
     cameras = made.extraction.rig.cameras
     everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
+    lost, cure = "", f"Record again with more stops where {cameras.cameras_words} the whole board."
+    for (_, reason), count in list(rejection_counts(made.extraction).items())[:1]:
+        details = {item.detail for item in made.extraction.rejections if item.reason == reason}
+        of = f" ({details.pop()})" if len(details) == 1 else ""
+        lost = visible(f" Not used, {count} times: {reason}{of}.")
+        cure = f"Remove this cause, and record again with more stops where {cameras.cameras_words} the whole board."
     yield Check(
         "stations", have, least, enough(have, least),
         f"stations with the board in {where}",
         f"{have:g}",
         f"at least {least:g}",
-        f"The board is in {where} at {have:g} stations only (limit {least:g}, recommended 12).",
-        f"Record again with more stops where {cameras.cameras_words} the whole board.",
+        f"The board is in {where} at {have:g} stations only (limit {least:g}, recommended 12).{lost}",
+        cure,
     )  # fmt: skip
 
 
 @criterion(Metric("camera", at_least=True), gated=False)
 def blind_camera(made: Calibration) -> Iterator[Check]:
-    """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none."""
+    """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
+
+    A warning for a pair of which one camera shows the board at less than half of the stations of a recording.
+    """
     cameras, observations = made.extraction.rig.cameras, made.extraction.observations
     if not any(o.shown for o in observations):
         return  # measured poses
+    logs = sorted({o.log for o in observations})
     for k, name in enumerate(cameras.names):
-        have = sum(bool(o.views[k].seen.any()) for o in observations)
+        of_logs = [[bool(o.views[k].seen.any()) for o in observations if o.log == log] for log in logs]
+        have, count, least, where = sum(map(sum, of_logs)), len(observations), FEWEST_OF_A_CAMERA, ""
+        outcome: Outcome = "not_enough" if cameras.calibrated else "warning"
+        effect = "nothing tests its pose"
+        if cameras.calibrated and have >= least:
+            shows = min(of_logs, key=lambda shows: sum(shows) / len(shows))
+            have, count, least = sum(shows), len(shows), math.ceil(len(shows) / 2)
+            where = f" of recording {of_logs.index(shows) + 1}" if len(logs) > 1 else ""
+            outcome, effect = "warning", "the others count with one camera alone"
+        if have >= min(least, count):
+            continue
         words = camera_words(name)
-        if have < FEWEST_OF_A_CAMERA and have < len(observations):
-            yield Check(
-                f"camera.{name}", have, FEWEST_OF_A_CAMERA, "not_enough" if cameras.calibrated else "warning",
-                f"stations with the board in the {words}'s images",
-                f"{have:g} of {len(observations)}",
-                f"at least {FEWEST_OF_A_CAMERA:g}",
-                f"The {words} shows the board at {have:g} of {len(observations)} stations: nothing tests its pose.",
-                f"Check the {words}'s images, and record again; or leave the {words} out of cameras in rig.yaml.",
-            )  # fmt: skip
+        yield Check(
+            f"camera.{name}", have, least, outcome,
+            f"stations with the board in the {words}'s images",
+            f"{have:g} of {count}{where}",
+            f"at least {least:g}",
+            f"The {words} shows the board at {have:g} of {count} stations{where}: {effect}.",
+            f"Check the {words}'s images and record again, or leave the {words} out of cameras in rig.yaml.",
+        )  # fmt: skip
 
 
 @criterion(Metric("legs", at_least=True))

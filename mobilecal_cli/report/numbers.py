@@ -13,16 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import encoder_steps_rad, head_pose
-from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
     CameraRig,
     Extraction,
     FloatArray,
-    HeadChain,
     Parameters,
     Rejection,
     Rig,
@@ -36,7 +33,6 @@ _MOST_DECIMALS = 6
 _LEAST_PROBABILITY = 1e-6
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
 _MOST_REASONS = 3
-_STEP = 1e-6  # of a camera constant, for its derivative
 _VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 
 
@@ -324,46 +320,6 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
     """Number of rejections for each (stage, reason), most frequent first."""
     counts = Counter((item.stage, item.reason) for item in extraction.rejections)
     return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
-
-
-def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArray) -> FloatArray:
-    """1 sigma of the pixels of points that are known in the base, (n,), px: the larger axis of the ellipse.
-
-    From the first camera's pose in the base and its own constants, with their correlations, to first order.
-
-    Args:
-        solution: has an uncertainty.
-        cameras: as stated.
-        points_c: (n, 3) in the first camera's frame, m.
-    """
-    assert solution.uncertainty is not None
-    J_point = project_with_jacobian(solution.cameras.each[0], points_c)[1]
-    J = [np.cross(J_point, points_c[:, None]), -J_point]  # by the camera's right twist
-    rows, values = (
-        table(cameras, HeadChain("", "", ())),
-        {c.name: c.value for c in solution.constants.values()},
-    )
-    for name in solution.uncertainty.camera_constants:
-        ahead, behind = (
-            project(
-                camera_change(cameras, rows, values | {name: values[name] + step}).apply(cameras).each[0],
-                points_c,
-            )
-            for step in (_STEP, -_STEP)
-        )
-        J.append((ahead - behind)[..., None] / (2 * _STEP))
-    by_all = np.concatenate(J, axis=2)
-    covariance = by_all @ solution.uncertainty.camera @ np.swapaxes(by_all, 1, 2)
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
-
-
-def ahead_std_m(solution: Solution, distances_m: FloatArray) -> FloatArray:
-    """1 sigma of the position in the base, (n,), over all directions, of points ahead of the first camera."""
-    assert solution.uncertainty is not None
-    C = solution.uncertainty.camera
-    across = C[0, 0] + C[1, 1]
-    mixed = 2 * (C[1, 3] - C[0, 4])  # a turn about y moves the point along x, one about x against y
-    return np.asarray(np.sqrt(across * distances_m**2 + mixed * distances_m + np.trace(C[3:6, 3:6])))
 
 
 def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int, int] = (8, 6)) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import cut_at, integrate
-from mobilecal_cli.likelihood.predict import AHEAD_M
+from mobilecal_cli.likelihood.predict import AHEAD_M, ahead_std_m, projection_std_px
 from mobilecal_cli.model import (
     NINE,
     Corners,
@@ -29,10 +29,8 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import (
-    ahead_std_m,
     image_coverage,
     predicted_point_rms_m,
-    projection_std_px,
     station_names,
     std_text,
 )

@@ -323,18 +323,34 @@ def _times(factor: float) -> Callable[[Track], Track]:
     return lambda track: replace(track, value=factor * track.value)
 
 
-def _wheels(_: Readings) -> Iterator[Hypothesis]:
+def _of_sides(rig: Rig, swapped: bool, sides: Sequence[str]) -> tuple[str, str]:
+    """Cause and cure where the wheels are exchanged, and some then count backwards, or what that is for odometry."""
+    if rig.sources.assumed_odometry is not None:
+        backward = bool(sides)
+        what = ["distance"] * backward + ["rotation"] * (swapped != backward)
+        return (
+            f"the {' and the '.join(what)} of the odometry {'has' if len(what) == 1 else 'have'} the wrong sign",
+            "correct it in the driver of the odometry: x points forward and y to the left in its child frame",
+        )
+    causes = ["the left and right wheels are swapped"] * swapped
+    cures = ["exchange wheels.left and wheels.right in rig.yaml"] * swapped
+    if sides:
+        of = "the encoders of both wheels have" if len(sides) > 1 else f"the {sides[0]} wheel's encoder has"
+        causes.append(f"{of} the wrong sign")
+        cures.append(f"negate {' and '.join(f'wheels.{side}.sign' for side in sides)} in rig.yaml")
+    return " and ".join(causes), ", then ".join(cures)
+
+
+def _wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Signs, sides and units of the wheels' readings."""
+    odometry = readings.rig.sources.assumed_odometry is not None
     for swapped in (False, True):
-        for sides in ((), ("right",), ("left",), ("right", "left")):
-            if not swapped and not sides:
-                continue
-            causes = ["the left and right wheels are swapped"] * swapped
-            causes += [f"the {side} wheel's encoder has the wrong sign" for side in sides]
-            cures = ["exchange wheels.left and wheels.right in rig.yaml"] * swapped
-            cures += [f"negate wheels.{side}.sign in rig.yaml" for side in sides]
-            transform = _with_wheels(_times(-1.0), sides, swapped=swapped)
-            yield Hypothesis(" and ".join(causes), ", then ".join(cures), transform)
+        for sides in ((), ("right", "left")) if odometry else ((), ("right",), ("left",), ("right", "left")):
+            if swapped or sides:
+                transform = _with_wheels(_times(-1.0), sides, swapped=swapped)
+                yield Hypothesis(*_of_sides(readings.rig, swapped, sides), transform)
+    if odometry:
+        return
     yield Hypothesis(
         "the wheel readings are in degrees",
         "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
@@ -485,10 +501,16 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     sides = [(name, [getattr(track, name) for track in readings.wheels]) for name in ("right", "left")]
     still = [name for name, tracks in sides if all(np.ptp(track.value) < _STILL for track in tracks)]
     rising = all(np.all(np.diff(track.value) >= -_STILL) for _, tracks in sides for track in tracks)
+    shown = "the images and the head joints show" if readings.rig.chain.joints else "the images show"
     cause, cure = (
-        "the readings of the wheels do not fit the drive that the images and the head joints show",
+        f"the readings of the wheels do not fit the drive that {shown}",
         "check the topics, the clocks and the counters of both wheels: overflow, resets, gears",
     )
+    if readings.rig.sources.assumed_odometry is not None:
+        cause, cure = (
+            f"the odometry does not fit the drive that {shown}",
+            "check that it is of this drive, its clock, and that it is not reset or fused with other sensors",
+        )
     if len(still) == 2:
         cause = "the readings of both wheels never change, and the images do not fit a base at rest"
         cure = "check that the wheel encoders are recorded while the base moves"
@@ -744,14 +766,12 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     turn = T_h_c[:3, :3] @ (nominal @ se3.inverse(rig.cameras.T_c_reference))[:3, :3].T
     if float(np.linalg.norm(se3.log_so3(turn))) < _AROUND_RAD:
         return None
-    swapped, back = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
-    causes = ["the left and right wheels are swapped"] * swapped
-    causes += ["the encoders of both wheels have the wrong sign"] * back
-    cures = ["exchange wheels.left and wheels.right in rig.yaml"] * swapped
-    cures += ["negate wheels.left.sign and wheels.right.sign in rig.yaml"] * back
+    upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
+    # Upside down, the base turns the other way; turned about the vertical, it drives backwards and turns as before.
+    cause, cure = _of_sides(rig, upside_down != backward, ("right", "left") if backward else ())
     return Diagnosis(
-        " and ".join(causes) + ", or the nominal pose of the camera is that of another frame",
-        ", then ".join(cures) + ", or correct nominal.head_eye",
+        f"{cause}, or the nominal pose of the camera is that of another frame",
+        f"{cure}, or correct nominal.head_eye",
         None,
         None,
     )

@@ -36,9 +36,8 @@ _SQUARE_SIGMAS = 5.0
 INCONSISTENT: Reason = "left and right images inconsistent"
 #: Reason of a station that one camera alone shows, of a board whose squares are not known.
 SQUARES_UNKNOWN = "size of the squares unknown"
-_LEAST = (
-    8  # corners in an image, or in those of all cameras: for boards with markers, which may be partly visible
-)
+# Corners in an image, or in those of all cameras: for boards with markers, which may be partly visible.
+_LEAST = 8
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:

@@ -69,14 +69,19 @@ def test_wrong_squares_of_one_camera_do_not_pass(rgbd, tmp_path):
     assert "Measure ten squares" in report.verdict.next_step
 
 
+NEGATED = ("wheels.left.sign=-1", "wheels.right.sign=-1")
+EXCHANGED = ("wheels.left.joint=wheel_right_joint", "wheels.right.joint=wheel_left_joint")
+
+
 @pytest.mark.parametrize(
     ("settings", "cause"),
     [
-        (["wheels.left.sign=-1"], "the left wheel's encoder has the wrong sign"),
-        (["wheels.left.sign=-1", "wheels.right.sign=-1"], "the encoders of both wheels have the wrong sign"),
+        (NEGATED[:1], "description: the left wheel's encoder has the wrong sign"),
+        (NEGATED, "description: the encoders of both wheels have the wrong sign, or the nominal pose"),
+        (EXCHANGED, "description: the left and right wheels are swapped, or the nominal pose"),
         (
-            ["wheels.left.joint=wheel_right_joint", "wheels.right.joint=wheel_left_joint"],
-            "the left and right wheels are swapped",
+            EXCHANGED + NEGATED,
+            "the left and right wheels are swapped and the encoders of both wheels have the wrong sign, or",
         ),
     ],
 )

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.wheels import rotations
+from mobilecal_cli.readers.signals.wheels import check_speed, rotations
 from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
 
@@ -66,3 +67,13 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         for n in signals.notes
     )
     assert any("jumps 1 times" in note for note in signals.notes)
+
+
+def test_positions_in_millimeters_are_named():
+    time_ns, way_m = np.arange(5) * 20_000_000, np.array([0, 0, 0.006, 0.012, 0.018])
+    pose = np.stack([way_m, np.zeros(5)], axis=1)
+    check_speed("/odom", time_ns, pose)
+    with pytest.raises(RecordingError, match=r"/odom: the odometry drives at 300 m/s \(limit 20 m/s\)"):
+        check_speed("/odom", time_ns, 1e3 * pose)
+    check_speed("/odom", time_ns, np.zeros((5, 2)))
+    check_speed("/odom", time_ns[:1], pose[:1])

@@ -14,6 +14,7 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     Nominal,
     Parameters,
+    Rejection,
     WheelGeometry,
     WheelTrack,
 )
@@ -68,7 +69,15 @@ def test_too_few_stations_come_before_any_failure():
     solution = make_solution(extraction)
     verdict = judge(with_legs(solution, [0.5] * 6), extraction)
     assert verdict.level == "NOT ENOUGH"
-    assert verdict.reason.startswith("The board is in both images at 7 stations only (limit 8")
+    few = "The board is in both images at 7 stations only (limit 8, recommended 12)."
+    assert verdict.reason == f"{few} Not used, 2 times: board partly hidden."
+    verdict = judge(solution, replace(extraction, rejections=()))
+    assert verdict.reason == few
+    assert verdict.next_step == "Record again with more stops where both cameras see the whole board."
+    lost = [Rejection("stations", "no readings around the image", "left wheel", k, -1, 0) for k in range(3)]
+    verdict = judge(solution, replace(extraction, rejections=(*lost, *extraction.rejections)))
+    assert verdict.reason.endswith("Not used, 3 times: no readings around the image (left wheel).")
+    assert verdict.next_step.startswith("Remove this cause, and record again")
     assert judge(make_solution(make_extraction(n=8)), make_extraction(n=8)).level == "PASS"
 
 
@@ -361,4 +370,12 @@ def test_a_camera_of_a_pair_that_hardly_shows_the_board_is_not_enough(solution, 
     names = {check.id: check.name for check in verdict.checks}
     assert names["stations"] == "stations with the board in an image"
     four = (*extraction.observations[:4], *seen[4:])
-    assert judge(solution, replace(extraction, observations=four)).level == "PASS"
+    verdict = judge(solution, replace(extraction, observations=four))
+    assert verdict.level == "PASS"
+    (check,) = (check for check in verdict.checks if check.outcome == "warning")
+    assert check.why == (
+        f"The right camera shows the board at 4 of {count} stations: the others count with one camera alone."
+    )
+    half = (*extraction.observations[: (count + 1) // 2], *seen[(count + 1) // 2 :])
+    verdict = judge(solution, replace(extraction, observations=half))
+    assert {check.outcome for check in verdict.checks} == {"pass"}

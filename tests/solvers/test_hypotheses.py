@@ -94,7 +94,7 @@ MISTAKES = {
     "left": (wheels(times(1), times(-1)), "the left wheel's encoder has the wrong sign"),
     "both wheels": (
         wheels(times(-1), times(-1)),
-        "right wheel's encoder has the wrong sign and the left",
+        "encoders of both wheels have the wrong sign",
     ),
     "diameter for radius": (
         nominal_wheels(2.0, 1.0),

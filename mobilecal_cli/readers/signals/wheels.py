@@ -175,6 +175,11 @@ _ASIDE_M, _ASIDE_SHARE = 0.1, 0.1
 _OFFSET_M = 0.01
 
 
+#: No robot in front of a checkerboard drives so fast; one whose positions are in millimeters seems to.
+_FAST_MPS = 20.0
+_LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
+
+
 class Odometry:
     """Poses of nav_msgs/Odometry on one topic.
 
@@ -198,6 +203,7 @@ class Odometry:
     def track(self, side: Side, samples: Samples, notes: list[str]) -> Track:
         """Rotation of a wheel, rad, starting at zero."""
         time_ns, pose = samples.ordered(notes)
+        check_speed(samples.topic, time_ns, pose[:, :2])
         notes += check_forward(samples.topic, pose)
         right, left, jumps = rotations(pose[:, :2], pose[:, 2], self.baked_in)
         wheels = self.baked_in
@@ -257,6 +263,26 @@ def check_forward(topic: str, pose: FloatArray) -> list[str]:
         f"{topic}: the base frame of the odometry is {offset_m * 1e3:.0f} mm ahead of the axle, about which the base "
         "turns; camera poses are given against the axle"
     ]
+
+
+def check_speed(topic: str, time_ns: IntArray, xy_m: FloatArray) -> None:
+    """Check that odometry drives at the speed of a robot.
+
+    Args:
+        time_ns, xy_m: (n,) stamps and (n, 2) positions.
+
+    Raises:
+        RecordingError: usually, it is much too fast: its positions are in another unit.
+    """
+    step_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    drives = step_m > _SMALL
+    speed_mps = step_m[drives] / np.maximum(np.diff(time_ns)[drives] * 1e-9, _LEAST_INTERVAL_S)
+    if len(speed_mps) and (usual := float(np.median(speed_mps))) > _FAST_MPS:
+        raise RecordingError(
+            f"{topic}: the odometry drives at {usual:.0f} m/s (limit {_FAST_MPS:.0f} m/s): "
+            "its positions are not in meters",
+            "correct the unit in the driver of the odometry (millimeters?), and record again",
+        )
 
 
 def rotations(
