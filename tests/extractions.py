@@ -51,6 +51,7 @@ class Noise:
         encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
         joint_rad: sigma of a station's joint reading, rad.
         floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
+        sway_rad, sway_m: the same beside the floor's, another at each station whatever `floor_length_m`.
         stamp_s: sigma of each image stamp in motion, s.
         wheel_share: sigma of each wheel's relative scale error.
         floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
@@ -64,6 +65,8 @@ class Noise:
     joint_rad: float = 0.0
     floor_rad: float = 0.0
     floor_m: float = 0.0
+    sway_rad: float = 0.0
+    sway_m: float = 0.0
     stamp_s: float = 0.0
     wheel_share: float = 0.0
     floor_length_m: float = 0.0
@@ -83,6 +86,7 @@ class Outside:
         gravity_play_rad: whole play of the tilt joint, whose weight keeps it on the side it tilts to, rad.
         heavy_tails: wheel noise by a Student t distribution with 3 degrees of freedom, of the same variance.
         print_m: sigma of every corner's place on the board, in the plane, m; `print_seed` draws them.
+        print_across_m: the same across the plane, m.
         print_seed: see there.
         sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
     """
@@ -91,6 +95,7 @@ class Outside:
     gravity_play_rad: float = 0.0
     heavy_tails: bool = False
     print_m: float = 0.0
+    print_across_m: float = 0.0
     print_seed: int = 0
     sheet_m: float = 0.0
 
@@ -140,7 +145,8 @@ class OutsideRobot(ActualRobot):
         x = grid[:, 0]
         plane += outside.print_m * random.normal(size=(len(x), 2))
         plane += outside.sheet_m * (x > (x.min() + x.max()) / 2)[:, None]
-        return np.column_stack([plane, shape.height_m(*grid.T[:2])])
+        height = shape.height_m(*grid.T[:2]) + outside.print_across_m * random.normal(size=len(x))
+        return np.column_stack([plane, height])
 
 
 class HeavyTails:
@@ -159,7 +165,11 @@ def floor_in_base(noise: Noise, path_m: FloatArray, random: np.random.Generator,
     if noise.floor_length_m:
         root = _process_root(path_m / noise.floor_length_m, noise.floor_smooth)
         turns, lifts = root @ turns, root @ lifts
-    return floor_poses(noise, turns, lifts, still)
+    poses = floor_poses(noise.floor_rad, noise.floor_m, turns, lifts, still)
+    if noise.sway_rad or noise.sway_m:
+        turns, lifts = random.normal(size=(len(path_m), 2)), random.normal(size=len(path_m))
+        poses = poses @ floor_poses(noise.sway_rad, noise.sway_m, turns, lifts, still)
+    return poses
 
 
 def _process_root(at: FloatArray, smooth: bool) -> FloatArray:

@@ -312,20 +312,24 @@ def nanoseconds(times_s: FloatArray) -> IntArray:
 
 def floor_in_base(noise: Noise, count: int, random: np.random.Generator, still: bool = False) -> FloatArray:
     """Roll, pitch and height of the base on an uneven floor, at each of some stations: (N, 4, 4), base axes."""
-    return floor_poses(noise, random.normal(size=(count, 2)), random.normal(size=count), still)
+    turns, lifts = random.normal(size=(count, 2)), random.normal(size=count)
+    return floor_poses(noise.floor_rad, noise.floor_m, turns, lifts, still)
 
 
-def floor_poses(noise: Noise, turns: FloatArray, lifts: FloatArray, still: bool) -> FloatArray:
+def floor_poses(
+    floor_rad: float, floor_m: float, turns: FloatArray, lifts: FloatArray, still: bool
+) -> FloatArray:
     """Poses (N, 4, 4) of the base from unit random numbers; the same at all stations of a base that stands still.
 
     Args:
+        floor_rad, floor_m: standard deviations of roll and pitch, and of height.
         turns, lifts: (N, 2) and (N,).
         still: whether the base never moves.
     """
     poses = np.array(
         [
             pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
-            for (roll, pitch), lift in zip(noise.floor_rad * turns, noise.floor_m * lifts, strict=True)
+            for (roll, pitch), lift in zip(floor_rad * turns, floor_m * lifts, strict=True)
         ]
     )
     return np.repeat(poses[:1], len(poses), axis=0) if still else poses

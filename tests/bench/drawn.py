@@ -24,6 +24,7 @@ from tests.bench.imperfect import (
 )
 from tests.bench.simulated import RUNS_PER_ROUTE, as_described, errors
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.extractions import Outside
 
 CASES = {
     "paper's robot, N = 12": Case("paper", 12),
@@ -41,10 +42,15 @@ CASES = {
 }
 
 
+#: Every corner's place, as `board_corners` expects it.
+_PRINT = Outside(print_m=0.00015, print_across_m=0.0003)
+
+
 def drawn(name: str) -> Case:
     """A case with every constant drawn from its prior, and every noise level around the estimator's guess."""
     case = CASES[name]
-    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=USUAL, levels_drawn=True)
+    kinds = all_kinds(case.motion == "moving")
+    return replace(case, kinds=kinds, noise=USUAL, outside=_PRINT, levels_drawn=True)
 
 
 def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:

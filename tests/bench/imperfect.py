@@ -64,10 +64,13 @@ ROBOTS = {
     "three cameras": three_on_pan_tilt,
 }
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
-_LEVELS = (*_DEVICES, "floor_rad", "floor_m", "stamp_s", "wheel_share")
+_LEVELS = (*_DEVICES, "floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share")
 _LENGTHS = ("floor_length_m", "wheel_length_m")
 #: A guess of the estimator is right within this factor (one sigma of the logarithm).
 _LEVEL_FACTOR, _LENGTH_FACTOR = 1.6, 3.0
+#: A scale error that is constant over stretches of length 2 L turns and displaces as much, over a long way, as one whose
+#: correlation falls with exp(-d / L): both correlations have the same integral.
+_STRETCHES_PER_LENGTH = 2.0
 #: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
 PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
 FIVE_SIGMA = 5.0
@@ -118,6 +121,7 @@ class Case:
         guess, random = Noise.limits("guess"), np.random.default_rng([seed, 8])
         factors = dict.fromkeys(_LEVELS, _LEVEL_FACTOR) | dict.fromkeys(_LENGTHS, _LENGTH_FACTOR)
         drawn = {name: guess[name] * factor ** random.normal() for name, factor in factors.items()}
+        drawn["wheel_length_m"] *= _STRETCHES_PER_LENGTH
         return replace(self.noise, **drawn)
 
     def extraction(self, seed: int) -> Extraction:
@@ -232,6 +236,7 @@ def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
 def given(noise: extractions.Noise) -> KnownNoise:
     """All levels of a simulation as known, and the correlation lengths of processes."""
     known = {name: getattr(noise, name) for name in (*_LEVELS, *_LENGTHS)}
+    known["wheel_length_m"] /= _STRETCHES_PER_LENGTH
     return KnownNoise(**{name: level for name, level in known.items() if level})
 
 
