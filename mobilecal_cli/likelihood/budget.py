@@ -86,12 +86,11 @@ def influences(lin: Posterior) -> Iterator[Influence]:
     yield _of_processes(lin)
     if len(data.legs):
         yield _of_legs(lin)
-    if lin.noise.encoder_rad:
-        base = np.zeros((data.stations, data.base_width, 2))
-        base[:, ENCODERS] = np.diag(1 / lin.encoder_sigmas)
-        leverage = marginal.encoders[:, :, None] * np.diag(lin.encoder_sigmas**-2)
-        off = lin.state.encoder_errors / lin.encoder_sigmas
-        yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": np.eye(2)})
+    base = np.zeros((data.stations, data.base_width, 2))
+    base[:, ENCODERS] = np.eye(2) / lin.encoder_sigmas[:, None]
+    leverage = np.eye(2) * (marginal.encoders / lin.encoder_sigmas**2)[:, None]
+    off = lin.state.encoder_errors / lin.encoder_sigmas
+    yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": np.eye(2)})
     if data.base_width > STAMP:
         base = np.zeros((data.stations, data.base_width, 1))
         base[:, STAMP] = 1 / lin.noise.stamp_s

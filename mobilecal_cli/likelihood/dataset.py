@@ -12,12 +12,13 @@ import numpy as np
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
 from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions
 from mobilecal_cli.likelihood.nuisance import Constant, Layout
-from mobilecal_cli.model import Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
+from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
 #: A component of a measured pose with a larger standard deviation, rad or m, was not measured.
 NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
+_OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `between_readings`
 _MOVED_RAD = 0.002  # less is noise of a reading, not a motion
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
@@ -53,6 +54,8 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         for number in range(len(extraction.wheels))
         for pair in itertools.pairwise(np.flatnonzero(log == number).tolist())
     ]
+    times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
+    joints = np.stack([o.joints for o in observations])
     square_m = extraction.board.square_m
     if square_m is None:
         square_m = float(np.median([o.square_m for o in observations]))
@@ -87,19 +90,40 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         T_c_k=np.stack([o.T_c_k for o in observations]),
         T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
         points_c=np.stack([o.points_c for o in observations]),
-        joints=np.stack([o.joints for o in observations]),
+        joints=joints,
         joint_tracks=extraction.joint_tracks,
         moving=moving,
         approach_direction=approach_direction(extraction),
+        wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
+        joints_between=between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1]),
         log=log,
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
         motions=motions,
-        times_ns=np.array([o.time_ns for o in observations], dtype=np.int64),
+        times_ns=times_ns,
         encoder_step_rad=steps,
         several_wheels=extraction.rig.sources.several_wheels,
         layout=Layout(tuple(constants)),
     )
+
+
+def between_readings(
+    tracks: Sequence[Sequence[Track]], log: IntArray, times_ns: IntArray, moving: BoolArray, count: int
+) -> FloatArray:
+    """(N, K) sigma of K tracks of each recording at the stations, interpolated between two readings, rad or m.
+
+    A way that differs by d in the times T before and after an interval T bends the line in between: by d / 4 at most
+    if the rate changes at once, by d / 16 if it changes steadily. At rest, and where the tracks are not known, 0.
+    """
+    sigma = np.zeros((len(times_ns), count))
+    for number, of_log in enumerate(tracks):
+        mine = np.flatnonzero((log == number) & moving)
+        for k, track in enumerate(of_log if len(mine) else ()):
+            after = np.clip(np.searchsorted(track.time_ns, times_ns[mine]), 1, len(track.time_ns) - 1)
+            begin, end = track.time_ns[after - 1], track.time_ns[after]
+            ways = (track.at(2 * end - begin) - track.at(end), track.at(begin) - track.at(2 * begin - end))
+            sigma[mine, k] = _OFF_THE_LINE * np.abs(ways[0] - ways[1])
+    return sigma
 
 
 def _pose_weight(o: Observation) -> FloatArray:

@@ -84,8 +84,8 @@ def base_legs(data: Dataset, state: State) -> FloatArray:
     return np.stack([x, y, apart[:, 2]], axis=1)
 
 
-def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: bool) -> Legs:
-    """Residuals of all legs and their derivatives, those by encoder errors only where encoders have steps."""
+def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
+    """Residuals of all legs and their derivatives."""
     i, j = data.legs.T
     steps = _steps(data, state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
@@ -118,8 +118,6 @@ def linearize_legs(data: Dataset, state: State, processes: Processes, encoders: 
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
-    if not encoders:
-        by_start[:, :, ENCODERS] = by_end[:, :, ENCODERS] = 0.0
     residual = np.concatenate([arcs.t_m, arcs.psi_rad[:, None]], axis=1) - between
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
     by_shared = np.zeros((count, 3, data.layout.size))

@@ -109,8 +109,7 @@ class Linearization:
             levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
             factor = sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
             known["views"] = self.views.scaled(np.asarray(factor))
-        same_legs = (noise.encoder_rad > 0) == (self.noise.encoder_rad > 0)
-        same_legs &= noise.wheel_length_m == self.noise.wheel_length_m
+        same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
             ("legs",) if same_legs else (),
             known,
@@ -161,7 +160,7 @@ class Linearization:
     @cached_property
     def legs(self) -> Legs:
         """Residuals of the wheels."""
-        legs = linearize_legs(self.data, self.state, self.processes, self.noise.encoder_rad > 0)
+        legs = linearize_legs(self.data, self.state, self.processes)
         return replace(legs, residual=legs.residual + self.leg_offset)
 
     @cached_property
@@ -188,7 +187,7 @@ class Linearization:
 
     @cached_property
     def encoder_sigmas(self) -> FloatArray:
-        """(2,) sigma of the right and left wheel's encoder reading, rad; 0 where the encoders have no steps."""
+        """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
         return encoder_sigmas(self.data, self.noise)
 
     @cached_property
@@ -199,6 +198,5 @@ class Linearization:
         cost += float(np.sum((self.own_errors / self.own_sigmas) ** 2))
         cost += float(np.sum(self.processes.innovations(state.processes) ** 2 / self.processes.variance))
         cost += float(np.sum((state.stamp_errors / self.noise.stamp_s) ** 2))
-        if self.noise.encoder_rad:
-            cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
+        cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
         return cost + self.priors.cost(state)

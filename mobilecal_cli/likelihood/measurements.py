@@ -86,6 +86,8 @@ class Measurements:
         joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
         moving: (N,) stations that are not at rest: there, the offset of a clock matters.
         approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
+        wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m;
+            0 at rest.
         log: (N,) the recording of each station. Each recording has a board pose of its own.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
@@ -109,6 +111,8 @@ class Measurements:
     joint_tracks: tuple[tuple[Track, ...], ...]
     moving: BoolArray
     approach_direction: FloatArray
+    wheels_between: FloatArray
+    joints_between: FloatArray
     log: IntArray
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
@@ -260,5 +264,7 @@ _BY_STATION = (
     "joints",
     "moving",
     "approach_direction",
+    "wheels_between",
+    "joints_between",
     "times_ns",
 )

@@ -11,6 +11,7 @@ from mobilecal_cli.model import EXACT, BoolArray, FloatArray, Noise
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
+_LEAST_READING = 1e-6  # rad: of an encoder without steps
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
@@ -68,8 +69,8 @@ class Inliers:
 
 
 def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
-    """(2,) sigma of the right and left wheel's encoder reading, rad; 0 where the encoders have no steps."""
-    return noise.encoder_rad * data.encoder_shares
+    """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
+    return np.hypot(np.maximum(noise.encoder_rad * data.encoder_shares, _LEAST_READING), data.wheels_between)
 
 
 def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
@@ -83,4 +84,5 @@ def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
 
 def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
     """(N, J) sigma of each reading, rad or m."""
-    return np.where(inliers.readings, noise.joint_rad * data.joint_units, FREE_JOINT)
+    sigma = np.hypot(noise.joint_rad * data.joint_units, data.joints_between)
+    return np.where(inliers.readings, sigma, FREE_JOINT)

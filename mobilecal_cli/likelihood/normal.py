@@ -305,9 +305,6 @@ def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
         D[:, STAMP, STAMP] += lin.noise.stamp_s**-2
         b[:, STAMP] += lin.state.stamp_errors * lin.noise.stamp_s**-2
     encoders = np.arange(ENCODERS.start, ENCODERS.stop)
-    if lin.noise.encoder_rad:
-        information = lin.encoder_sigmas**-2
-        D[:, encoders, encoders] += information
-        b[:, ENCODERS] += lin.state.encoder_errors * information
-        return
-    D[:, encoders, encoders] = 1.0
+    information = lin.encoder_sigmas**-2
+    D[:, encoders, encoders] += information
+    b[:, ENCODERS] += lin.state.encoder_errors * information

@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics import head_jacobian, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.noise import Inliers, own_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import State, cameras_at, head_at
@@ -151,6 +151,8 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         joint_tracks=(),
         moving=np.zeros(count + 1, dtype=np.bool_),
         approach_direction=np.zeros((count + 1, J)),
+        wheels_between=np.zeros((count + 1, 2)),
+        joints_between=np.zeros((count + 1, J)),
         log=np.zeros(count + 1, dtype=np.int64),
         tracks=data.tracks[data.log[-1] :][:1],
         motions=None,
@@ -185,7 +187,7 @@ def _leg(lin: Posterior, turn_rad: float, drive_m: float, face_rad: float) -> Fl
     track = WheelTrack.at_same_times(times, right, left)
     pair = replace(pair, tracks=(track,), times_ns=times[[0, -1]])
     along = processes_of(pair, wheels, noise, Inliers.all_of(pair))
-    legs = linearize_legs(pair, there, along, noise.encoder_rad > 0)
+    legs = linearize_legs(pair, there, along)
     by_start = legs.by_start[0].copy()
     # The start is a station like any other here, not the origin of the world.
     by_start[:, :3] = [[1, 0, -end[0, 1]], [0, 1, end[0, 0]], [0, 0, 1]]
@@ -209,7 +211,7 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
     views = linearize_views(wide, there, Inliers.all_of(wide), noise, np.zeros((wide.stations, 6)))
     count, P, B, own = len(stops.turn_rad), data.layout.size + 6, STAMP, data.own_width
     of_leg = np.r_[: P - 6, P : P + 2 * B]
-    sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0]
+    sigma, encoders_sigma = own_sigmas(wide, Inliers.all_of(wide), noise)[0], encoder_sigmas(wide, noise)[0]
     legs: dict[tuple[float, ...], FloatArray] = {}
     out = np.empty((count, P + B, P + B))
     ways = np.stack([stops.turn_rad, stops.drive_m, stops.face_rad], axis=1)
@@ -231,7 +233,7 @@ def _informations(lin: Posterior, stops: _Stops) -> FloatArray:
         H[np.ix_(of_leg, of_leg)] += legs[way]
         encoders = P + B + np.arange(ENCODERS.start, ENCODERS.stop)
         errors = np.arange(P + 2 * B, len(H))
-        H[encoders, encoders] += lin.encoder_sigmas**-2 if noise.encoder_rad else 1.0
+        H[encoders, encoders] += encoders_sigma**-2
         H[errors, errors] += sigma**-2
         kept = P + B
         out[c] = H[:kept, :kept] - H[:kept, kept:] @ np.linalg.solve(H[kept:, kept:], H[kept:, :kept])

@@ -89,8 +89,10 @@ def components(lin: Posterior) -> dict[str, Component]:
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
     used[:, :joints] &= lin.inliers.readings
     used[:, joints:] &= lin.data.drives[:, None]
-    ratio = np.where(used, (lin.own_errors / sigma) ** 2, 0.0)
-    left = np.where(used, 1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2, 0.0)
+    of_level = used.astype(np.float64)  # the level's variance over that of a reading, 0 of outliers
+    of_level[:, :joints] *= (lin.noise.joint_rad * lin.data.joint_units / sigma[:, :joints]) ** 2
+    ratio = of_level * (lin.own_errors / sigma) ** 2
+    left = of_level * (1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2)
     columns = {
         "joint_rad": slice(0, joints),
         "sway_rad": slice(joints, joints + 2),
@@ -100,8 +102,9 @@ def components(lin: Posterior) -> dict[str, Component]:
         result[level] = Component(float(ratio[:, at].sum()), float(left[:, at].sum()))
 
     if lin.noise.encoder_rad:
-        ratio = (state.encoder_errors / lin.encoder_sigmas) ** 2
-        left = 1 - marginal.encoders / lin.encoder_sigmas**2
+        of_level = (lin.noise.encoder_rad * lin.data.encoder_shares / lin.encoder_sigmas) ** 2
+        ratio = of_level * (state.encoder_errors / lin.encoder_sigmas) ** 2
+        left = of_level * (1 - marginal.encoders / lin.encoder_sigmas**2)
         result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
     if lin.data.base_width > STAMP:
         ratio = (state.stamp_errors / lin.noise.stamp_s) ** 2

@@ -33,7 +33,7 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
     processes = processes_of(data, wheels, LEVELS, everything)
 
     def residual(state):
-        return linearize_legs(data, state, processes, encoders=True)
+        return linearize_legs(data, state, processes)
 
     def step(size):
         base = random.normal(size=(data.stations, data.base_width)) * size

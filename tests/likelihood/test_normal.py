@@ -85,9 +85,7 @@ class Case:
         root = np.zeros_like(self.lin.leg_weight)
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
-        legs = np.einsum(
-            "lba,lb->la", root, linearize_legs(self.data, state, self.lin.processes, encoders=True).residual
-        )
+        legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, self.lin.processes).residual)
         sigma = np.where(self.lin.inliers.readings, NOISE.joint_rad, 1.0)
         return np.concatenate(
             [
