@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
-from mobilecal_cli.vision.averaging import turned_board, turns_of
+from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import Detection, StereoPoints
@@ -147,8 +147,8 @@ def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
     both = pair[0].seen & pair[1].seen
     best = np.inf
-    for turns in turns_of(board):
-        points = triangulate(rig, [left[both], turned_board(right, board, turns)[both]], [1.0, 1.0])
+    for quarter_turns in turns(board):
+        points = triangulate(rig, [left[both], turned(right, board, quarter_turns)[both]], [1.0, 1.0])
         if isinstance(points, StereoPoints):
             best = min(best, points.rms_px)
     return best

@@ -7,38 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.model import Board, BoolArray, Camera, Corners, FloatArray
 from mobilecal_cli.vision.grid import turned, turns
-from mobilecal_cli.vision.grid_map import fit_grid, homography_px, noise_px, scatter_px
+from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
 from mobilecal_cli.vision.values import FLOOR_PX, Detection, rms
-
-
-def roughness_px(camera: Camera, grid: FloatArray) -> float:
-    """Noise of one corner coordinate, px, from the residuals of a smooth map.
-
-    The map is a homography through the camera's model, and a polynomial for the errors of that model. A few corners
-    determine too low a polynomial for the distortion of a lens itself, which would look like noise.
-
-    Args:
-        camera: the camera of the image.
-        grid: (rows, columns, 2) px.
-    """
-    flat, inside = undistorted(camera, grid)
-    if not inside.all():
-        return fit_grid(grid).sigma_px
-    rays = np.concatenate([homography_px(flat), np.ones((*grid.shape[:2], 1))], axis=-1)
-    return noise_px(grid - project(camera, rays))
-
-
-def turns_of(board: Board) -> tuple[int, ...]:
-    """Quarter turns that lead to the possible numberings of the corners; only 0 for a board with markers."""
-    return (0,) if board.markers is not None else turns(board.columns, board.rows)
-
-
-def turned_board(values: FloatArray, board: Board, quarter_turns: int) -> FloatArray:
-    """Corner values (M, ...) renumbered for a board rotated by a number of quarter turns."""
-    return turned(values, board.columns, board.rows, quarter_turns) if quarter_turns else values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,12 +32,12 @@ class StationCorners:
         """Bring every image to the numbering nearest to that of the first."""
         pixels, cov = [], []
         for d in detections:
-            options = [(turned_board(d.pixels, board, k), k) for k in turns_of(board)]
+            options = [(turned(d.pixels, board, k), k) for k in turns(board)]
             nearest, turn = min(
                 options, key=lambda option: float(np.sum((option[0] - detections[0].pixels) ** 2))
             )
             pixels.append(nearest)
-            cov.append(turned_board(d.cov, board, turn))
+            cov.append(turned(d.cov, board, turn))
         return cls(np.stack(pixels), np.stack([d.seen for d in detections]), np.stack(cov))
 
     def select(self, kept: BoolArray) -> StationCorners:

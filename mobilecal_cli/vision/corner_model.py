@@ -66,16 +66,6 @@ class FittedCorners:
     blur_px: float
     noise_grey: float | None
 
-    @property
-    def sigma_px(self) -> FloatArray:
-        """(M,) standard deviation of one coordinate, px."""
-        return np.asarray(np.sqrt((self.cov[:, 0, 0] + self.cov[:, 1, 1]) / 2))
-
-    @property
-    def half_contrast_grey(self) -> float:
-        """Median over the board of half the step from dark to light, gray levels."""
-        return upper_median(np.abs(self.contrast_grey))
-
 
 def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Steps to the next corner along a row and along a column, (M, 2) each, by differences of second order."""

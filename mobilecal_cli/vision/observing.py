@@ -22,7 +22,8 @@ from mobilecal_cli.model import (
     Station,
     camera_words,
 )
-from mobilecal_cli.vision.averaging import StationCorners, turned_board, turns_of
+from mobilecal_cli.vision.averaging import StationCorners
+from mobilecal_cli.vision.grid import turned_view, turns
 from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
 from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints
@@ -68,19 +69,11 @@ def _best_fit(
     """
     common = _common(views)
     fits: list[tuple[StereoPoints | Miss, tuple[Corners, ...]]] = []
-    for turns in product(turns_of(board), repeat=len(views) - 1):
-        option = (views[0], *(_renumbered(view, board, k) for view, k in zip(views[1:], turns, strict=True)))
+    for others in product(turns(board), repeat=len(views) - 1):
+        option = (views[0], *(turned_view(view, board, k) for view, k in zip(views[1:], others, strict=True)))
         pixels, noises = _common_pixels(option, common)
         fits.append((triangulate(rig, pixels, noises), option))
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
-
-
-def _renumbered(view: Corners, board: Board, quarter_turns: int) -> Corners:
-    return replace(
-        view,
-        pixels=turned_board(view.pixels, board, quarter_turns),
-        relative_cov=turned_board(view.relative_cov, board, quarter_turns),
-    )
 
 
 def _common(views: Sequence[Corners]) -> BoolArray:

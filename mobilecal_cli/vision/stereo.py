@@ -87,28 +87,24 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
             f"{count} corners are outside the valid range of the cameras' distortion models",
         )
     points = _nearest_to_rays(rig, flat)
-    behind = Miss("left and right images inconsistent", "triangulated corners are behind a camera")
     measured = np.hstack(pixels)
     root = whitening(noises, len(points))
-    for _ in range(_STEPS):
+    step: FloatArray = np.full_like(points, np.inf)
+    for left in reversed(range(_STEPS + 1)):
         if np.any(depths(rig, points) <= 0):
-            return behind
+            return Miss("left and right images inconsistent", "triangulated corners are behind a camera")
         predicted, J = reproject(rig, points)
         A, r = root @ J, root @ (measured - predicted)[..., None]
         At = np.swapaxes(A, 1, 2)
-        step = np.linalg.solve(At @ A, At @ r)[..., 0]
-        points = points + step
-        if np.all(np.abs(step) <= 1e-12 * np.abs(points[:, 2:])):
+        normal = At @ A
+        if not left or np.all(np.abs(step) <= 1e-12 * np.abs(points[:, 2:])):
             break
-    if np.any(depths(rig, points) <= 0):
-        return behind
-    predicted, J = reproject(rig, points)
+        step = np.asarray(np.linalg.solve(normal, At @ r)[..., 0], dtype=np.float64)
+        points = points + step
     residual_px = rms(measured - predicted)
     if residual_px > _MAX_RMS_PX:
         return Miss(
             "left and right images inconsistent",
             f"distance from the epipolar lines {residual_px:.1f} px rms, limit {_MAX_RMS_PX:.0f} px",
         )
-    A = root @ J
-    covariance = np.linalg.inv(np.swapaxes(A, 1, 2) @ A).astype(np.float64)
-    return StereoPoints(points, covariance, residual_px)
+    return StereoPoints(points, np.linalg.inv(normal).astype(np.float64), residual_px)

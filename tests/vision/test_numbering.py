@@ -65,8 +65,8 @@ def world(
 
 def renumbered(observation: Observation, board: Board, k: int) -> Observation:
     """As if the detector had started from another corner."""
-    points = turned(observation.points_c, board.columns, board.rows, k)
-    pixels = turned(observation.views[0].pixels, board.columns, board.rows, k)
+    points = turned(observation.points_c, board, k)
+    pixels = turned(observation.views[0].pixels, board, k)
     grid = points.reshape(board.rows, board.columns, 3)
     x, y = (grid[0, -1] - grid[0, 0]), (grid[-1, 0] - grid[0, 0])
     x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
@@ -81,7 +81,7 @@ def renumbered(observation: Observation, board: Board, k: int) -> Observation:
         np.zeros(0),
         (corners, corners),
         points,
-        turned(observation.points_cov, board.columns, board.rows, k),
+        turned(observation.points_cov, board, k),
         T,
         observation.T_c_k_cov,
         SQUARE_M,

@@ -165,8 +165,8 @@ def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, row
     board = Board(columns, rows)
     T_c_k = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), board, SQUARE_M)
     left, right = pairs(3, 0.02, board, T_c_k)
-    right = [Detection(turned(d.pixels, columns, rows, 2), 0.02) for d in right]
-    left[2] = Detection(turned(left[2].pixels, columns, rows, 2), 0.02)
+    right = [Detection(turned(d.pixels, Board(columns, rows), 2), 0.02) for d in right]
+    left[2] = Detection(turned(left[2].pixels, Board(columns, rows), 2), 0.02)
     found = observed(observe(0, station(3), left, right, RIG, board, SQUARE_M))
     np.testing.assert_allclose(found.T_c_k, T_c_k, atol=2e-3)
     assert found.reprojection_px < 0.1
