@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision.values import Miss, StereoPoints
+from mobilecal_cli.vision.values import StereoPoints
 from tests.pairs import triangulate, with_pair
-from tests.vision.scenes import random_pose, seen, stereo_rig
+from tests.vision.scenes import missed, random_pose, seen, stereo_rig
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.06
@@ -69,16 +69,14 @@ def test_unequal_noise_moves_the_point_to_the_better_camera() -> None:
 def test_swapped_cameras_are_a_miss() -> None:
     rig = stereo_rig("rectified")
     _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    found = triangulate(rig, right, left, 0.1, 0.1)
-    assert isinstance(found, Miss)
+    found = missed(triangulate(rig, right, left, 0.1, 0.1))
     assert found.detail == "triangulated corners are behind a camera"
 
 
 def test_points_that_are_not_the_same_are_a_miss() -> None:
     rig = stereo_rig("rectified")
     _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    found = triangulate(rig, left, right + np.array([0.0, 60.0]), 0.1, 0.1)
-    assert isinstance(found, Miss)
+    found = missed(triangulate(rig, left, right + np.array([0.0, 60.0]), 0.1, 0.1))
     assert found.reason == "left and right images inconsistent"
     assert "from the epipolar lines" in found.detail
 
@@ -87,6 +85,5 @@ def test_pixels_that_no_ray_reaches_are_a_miss() -> None:
     rig = stereo_rig("rectified")
     _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
     barrel = replace(rig.each[0], D=np.array([-0.3, 0, 0, 0, 0]), distortion="plumb_bob")
-    found = triangulate(with_pair(rig, left=barrel), left + np.array([500.0, 0.0]), right, 0.1, 0.1)
-    assert isinstance(found, Miss)
+    found = missed(triangulate(with_pair(rig, left=barrel), left + np.array([500.0, 0.0]), right, 0.1, 0.1))
     assert "outside the valid range" in found.detail
