@@ -15,7 +15,7 @@ from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
 from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
-from mobilecal_cli.vision.stereo import triangulate
+from mobilecal_cli.vision.pose import triangulate
 from mobilecal_cli.vision.values import Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]

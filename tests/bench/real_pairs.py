@@ -47,7 +47,7 @@ from mobilecal_cli.vision import (
     resolve_square,
     square_from_points,
 )
-from mobilecal_cli.vision.averaging import StationCorners
+from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
 from tests.bench.study import conditions
 from tests.pairs import board_pose, measure, triangulate, with_pair

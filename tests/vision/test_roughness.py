@@ -11,8 +11,8 @@ import pytest
 
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.vision import detect
-from mobilecal_cli.vision.averaging import StationCorners
 from mobilecal_cli.vision.grid_map import fit_grid, roughness_px
+from mobilecal_cli.vision.observing import StationCorners
 from tests.vision.scenes import detected, random_pose, render, seen, stereo_rig
 
 NOISE_PX = 0.05
