@@ -1,6 +1,13 @@
 """Kinematics of the head chain and the two wheels, with Jacobians."""
 
-from mobilecal_cli.kinematics.head import JointFrames, head_jacobian, head_pose, joint_frames, unseen_height
+from mobilecal_cli.kinematics.head import (
+    JointFrames,
+    head_eye_words,
+    head_jacobian,
+    head_pose,
+    joint_frames,
+    unseen_height,
+)
 from mobilecal_cli.kinematics.motion import (
     DRIVEN_RAD,
     FEWEST_LEGS,
@@ -33,6 +40,7 @@ __all__ = [
     "cut_at",
     "encoder_step_rad",
     "encoder_steps_rad",
+    "head_eye_words",
     "head_jacobian",
     "head_pose",
     "integrate",

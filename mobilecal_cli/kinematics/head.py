@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+from mobilecal_cli.model.text import visible
 
+_VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 _TILTS = 0.02  # sine of an axis against the vertical: a joint with a smaller one does not tilt
 
 
@@ -125,6 +127,26 @@ def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:
     """Jacobian J with T_v_h(q + dq) = T_v_h(q) exp(J dq) to first order: (..., J) readings → (..., 6, J)."""
     frames = JointFrames.at(chain, joints)
     return se3.adjoint(se3.inverse(frames.T_v_h)) @ frames.by_joints()
+
+
+def head_eye_words(names: Collection[str], chain: HeadChain, joints: FloatArray) -> list[str]:
+    """Some numbers of the head-eye transform in plain words, such as "the camera's height".
+
+    Args:
+        names: of some of the nine parameters, such as "t_z"; those of the wheels are left out.
+        chain: from the base to the head.
+        joints: (N, J) readings at the stations.
+    """
+    upright = np.abs(
+        np.median(head_pose(chain, joints)[:, 2, :3], axis=0)
+    )  # how vertical each axis of the head is
+    height = f"t_{'xyz'[int(np.argmax(upright))]}" if upright.max() > _VERTICAL else ""
+    words = ["the camera's height"] if height in names else []
+    for prefix, word, along in (("r_", "rotation", "about"), ("t_", "position", "along")):
+        axes = [name[-1] for name in names if name.startswith(prefix) and name != height]
+        which = f" {along} {' and '.join(axes)} of {visible(chain.head_frame)}" if len(axes) < 3 else ""
+        words += [f"the camera's {word}{which}"] if axes else []
+    return words
 
 
 def unseen_height(chain: HeadChain) -> FloatArray | None:

@@ -1,7 +1,7 @@
 """The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays."""
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
-from mobilecal_cli.model.calibration import NINE, CalibratedRobot, Knowledge, Parameters
+from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, Knowledge, Parameters
 from mobilecal_cli.model.findings import (
     AtWork,
     BetweenLogs,
@@ -70,7 +70,16 @@ from mobilecal_cli.model.robot_description import (
     RobotDescription,
     TopicInfo,
 )
-from mobilecal_cli.model.signals import PictureIndex, Rejection, Shot, Signals, Station, Track, sampled
+from mobilecal_cli.model.signals import (
+    NO_IMAGES,
+    PictureIndex,
+    Rejection,
+    Shot,
+    Signals,
+    Station,
+    Track,
+    sampled,
+)
 from mobilecal_cli.model.solution import (
     EXACT,
     Drift,

@@ -13,6 +13,7 @@ from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import AssumedOdometry, Side, WheelGeometry
 
 NINE = ("r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation")
+WHEEL_WORDS = ("right wheel radius", "left wheel radius", "wheel separation")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,10 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_steps_rad, head_pose
+from mobilecal_cli.kinematics import encoder_steps_rad, head_eye_words
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
+    WHEEL_WORDS,
     CameraRig,
     Extraction,
     FloatArray,
@@ -33,7 +34,6 @@ _MOST_DECIMALS = 6
 _LEAST_PROBABILITY = 1e-6
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
 _MOST_REASONS = 3
-_VERTICAL = 0.8  # cosine of an axis and the vertical, from which on a position along it is a height
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +71,10 @@ class Parameter:
 
 
 _ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
-_WHEELS = ("right wheel radius", "left wheel radius", "wheel separation")
 PARAMETERS = (
     *(Parameter(f"r_{axis}", f"rotation {axis}", *_ANGLE) for axis in "xyz"),
     *(Parameter(f"t_{axis}", f"translation {axis}", *_LENGTH) for axis in "xyz"),
-    *(Parameter(name, label, *_LENGTH) for name, label in zip(NINE[6:], _WHEELS, strict=True)),
+    *(Parameter(name, label, *_LENGTH) for name, label in zip(NINE[6:], WHEEL_WORDS, strict=True)),
 )
 
 
@@ -331,15 +330,8 @@ def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int
 
 def plain_names(names: Sequence[str], extraction: Extraction) -> str:
     """Some of the nine parameters in plain words, with the verb: "the camera's height is"."""
-    chain = extraction.rig.chain
-    axes_v = head_pose(chain, np.stack([o.joints for o in extraction.observations]))[:, 2, :3]
-    upright = np.abs(np.median(axes_v, axis=0))  # how vertical each axis of the head is
-    height = f"t_{'xyz'[int(np.argmax(upright))]}" if upright.max() > _VERTICAL else ""
-    parts = ["the camera's height"] if height in names else []
-    for prefix, word, along in (("r_", "rotation", "about"), ("t_", "position", "along")):
-        axes = [name[-1] for name in names if name.startswith(prefix) and name != height]
-        which = f" {along} {' and '.join(axes)} of {visible(chain.head_frame)}" if len(axes) < 3 else ""
-        parts += [f"the camera's {word}{which}"] if axes else []
+    joints = np.stack([o.joints for o in extraction.observations])
+    parts = head_eye_words(names, extraction.rig.chain, joints)
     parts += [f"the {p.label}" for p in parameters_of(extraction.rig)[6:] if p.name in names]
     said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{said} {'is' if len(parts) == 1 else 'are'}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import MotionSeen, motion_seen, unseen_height
+from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import corner_modes
@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.state import State, cameras_at
-from mobilecal_cli.model import NINE, Extraction, FloatArray, Noise, Parameters
+from mobilecal_cli.model import NINE, WHEEL_WORDS, Extraction, FloatArray, Noise, Parameters
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
@@ -224,19 +224,24 @@ class Inference:
         Raises:
             SolveError: naming the parameters and what is missing.
         """
-        names = NINE
-        needed = {names[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)}
+        needed = [NINE[k] for k in np.flatnonzero(np.abs(unobservable).max(axis=0, initial=0.0) > 0.3)]
         missing = []
-        if self.nominal.T_h_c is None and needed & set(NINE[:6]):
+        if self.nominal.T_h_c is None and set(needed) & set(NINE[:6]):
             missing.append("nominal.head_eye")
-        if self.nominal.wheels is None and needed & set(NINE[6:]):
+        if self.nominal.wheels is None and set(needed) & set(NINE[6:]):
             missing.append("nominal.wheels")
         if missing:
-            fixable = sorted(needed - {*NINE[:3]})  # rotations are relative to the nominal one
+            fixable = [
+                name for name in needed if name not in NINE[:3]
+            ]  # rotations are relative to the nominal one
             other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
+            words = head_eye_words(needed, self.data.chain, self.data.joints)
+            words += [
+                f"the {word}" for name, word in zip(NINE[6:], WHEEL_WORDS, strict=True) if name in needed
+            ]
             raise SolveError(
-                f"no nominal value ({', '.join(missing)}) for unobservable parameters: "
-                f"{', '.join(n for n in names if n in needed)}",
+                f"the recording does not show {' and '.join(words)} ({', '.join(needed)}), and "
+                f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated",
                 f"set {' and '.join(missing)} in rig.yaml{other}"
                 + (", or record the missing motion" if unseen_height(self.data.chain) is None else ""),
             )

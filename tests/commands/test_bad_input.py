@@ -209,7 +209,7 @@ def test_motion_that_does_not_show_everything_to_the_papers_method(sample_logs, 
 def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
     """The camera's height cannot be seen, and the log's URDF does not draw the camera."""
     result = run("calibrate", sample_logs / "head_fixed.mcap", cwd=tmp_path)
-    words = "no nominal value (nominal.head_eye) for unobservable parameters: t_y;"
+    words = "the recording does not show the camera's height (t_y), and nominal.head_eye is not stated;"
     refused(result, 5, words, "tilt the head up and down")
     assert "--fix t_y=VALUE" in result.err
 
