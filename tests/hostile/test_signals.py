@@ -16,6 +16,7 @@ import pytest
 import zstandard
 
 from mobilecal_cli.files.scratch import abandoned, scratch_directory
+from tests.hostile.refusals import extraction
 
 SEMAPHORES = Path("/dev/shm")
 KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
@@ -167,7 +168,7 @@ def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
     assert {path.name for path in (tmp_path / "out").iterdir()} == {".mobilecal_batch"}
 
 
-def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_path):
+def test_an_interruption_after_the_output_is_in_place_says_so(tmp_path):
     code = (
         "import os, signal, sys\n"
         "from mobilecal_cli import __main__, export\n"
@@ -176,9 +177,10 @@ def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_p
         "placing._sync = lambda folder: (sync(folder), os.kill(os.getpid(), signal.SIGINT))\n"
         "__main__.main()\n"
     )
+    extraction(tmp_path)
     (tmp_path / "work").mkdir()
     result = subprocess.run(
-        [sys.executable, "-c", code, "calibrate", sample_logs / "straight.mcap", "-o", "out"],
+        [sys.executable, "-c", code, "calibrate", tmp_path / "e.npz", "-o", "out"],
         cwd=tmp_path / "work",
         capture_output=True,
         text=True,
