@@ -141,12 +141,10 @@ def _best_fit(
 
     The numbering that fits best is used. The rows of any other are several squares apart.
     """
-    common = _common(views)
     fits: list[tuple[StereoPoints | Miss, tuple[Corners, ...]]] = []
     for others in product(turns(board), repeat=len(views) - 1):
         option = (views[0], *(turned_view(view, board, k) for view, k in zip(views[1:], others, strict=True)))
-        pixels, noises = _common_pixels(option, common)
-        fits.append((triangulate(rig, pixels, noises), option))
+        fits.append((triangulate(rig, *_common_pixels(option)), option))
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
 
 
@@ -155,8 +153,9 @@ def _common(views: Sequence[Corners]) -> BoolArray:
     return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
 
 
-def _common_pixels(views: Sequence[Corners], common: BoolArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Pixels (m, 2) and their covariances (m, 2, 2) in each camera."""
+def _common_pixels(views: Sequence[Corners]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Pixels (m, 2) of the corners that all of these cameras see, and their covariances (m, 2, 2), in each camera."""
+    common = _common(views)
     return [view.pixels[common] for view in views], [view.cov_px2[common] for view in views]
 
 
@@ -202,12 +201,6 @@ def _showing(
     best = max(groups, key=lambda group: (len(group), groups[group]))
     detected = [[item for k in best if isinstance(item := shot[k], Detection)] for shot in shots]
     return best, [found for found in detected if len(found) == len(best)]
-
-
-def _pose_from_one(rig: CameraRig, points_k: FloatArray, views: Sequence[Corners]) -> BoardPose | Miss:
-    """Board pose from the corners that a single camera sees, (m, 3) on the board, m."""
-    ((pixels,), (noise,)) = _common_pixels(views, _common(views))
-    return pose_from_one(rig, points_k, pixels, noise)
 
 
 def measure(
@@ -263,7 +256,7 @@ def measure(
     grid = board.grid()[common]
     if len(shown) == 1:
         square_m = board.square_m or 1.0
-        pose = _pose_from_one(own, square_m * grid, views)
+        pose = pose_from_one(own, square_m * grid, *_common_pixels(views))
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
@@ -272,7 +265,7 @@ def measure(
         return rejected(points.reason, points.detail)
     rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)
-    pose = board_pose(own, rough_m * grid, *_common_pixels(views, common), start, free_scale=True)
+    pose = board_pose(own, rough_m * grid, *_common_pixels(views), start, free_scale=True)
     return Measured(log, station, rig, board, shown, views, points, pose, rough_m)
 
 
@@ -335,7 +328,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
                 SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
-        from_one = _pose_from_one(own, square_m * m.board.grid()[common], views)
+        from_one = pose_from_one(own, square_m * m.board.grid()[common], *_common_pixels(views))
         if isinstance(from_one, Miss):
             return m.rejected(from_one.reason, from_one.detail)
         m, pose = replace(m, rough_m=square_m), from_one
@@ -350,7 +343,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         grid = m.board.grid()[common]
-        pose = board_pose(own, square_m * grid, *_common_pixels(views, common), start)
+        pose = board_pose(own, square_m * grid, *_common_pixels(views), start)
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
         views = tuple(
             replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views

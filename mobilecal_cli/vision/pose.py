@@ -240,7 +240,9 @@ def board_pose(
     return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms_px)
 
 
-def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, noise: Noise) -> BoardPose | Miss:
+def pose_from_one(
+    rig: CameraRig, points_k: FloatArray, pixels: Sequence[FloatArray], noises: Sequence[Noise]
+) -> BoardPose | Miss:
     """Board pose by a single camera, from corners in one plane with known distances.
 
     A board tilted the other way looks nearly the same: both poses (Collins and Bartoli, "Infinitesimal plane-based pose
@@ -249,14 +251,13 @@ def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, nois
     Args:
         rig: one camera.
         points_k: (M, 3) corners on the board, m.
-        pixels: (M, 2) px.
-        noise: see `board_pose`.
+        pixels, noises: see `board_pose`.
 
     Returns:
         The pose with the smaller reprojection error, or a Miss if there is none in front of the camera.
     """
     (lens,), (T_c_camera,) = rig.each, rig.T_c_each
-    flat, good = camera.undistorted(lens, pixels)
+    flat, good = camera.undistorted(lens, pixels[0])
     if not good.all():
         detail = f"{int(np.sum(~good))} corners are outside the valid range of the camera's distortion model"
         return Miss("no pose of the board", detail)
@@ -267,7 +268,7 @@ def pose_from_one(rig: CameraRig, points_k: FloatArray, pixels: FloatArray, nois
             se3.exp_so3(np.asarray(turn, np.float64)), np.asarray(place, np.float64)
         )
         if np.all(depths(rig, se3.act(start, points_k)) > 0):
-            poses.append(board_pose(rig, points_k, [pixels], [noise], start))
+            poses.append(board_pose(rig, points_k, pixels, noises, start))
     if not poses:
         return Miss("no pose of the board", "the corners are behind the camera")
     return min(poses, key=lambda pose: pose.rms_px)
