@@ -73,6 +73,15 @@ def test_a_moving_board_is_followed_as_well_as_it_is_found(film, monkeypatch):
     assert rms(np.array(followed)) < 1.1 * rms(np.array(found))
 
 
+def test_a_board_that_stops_is_followed_by_optical_flow(film, monkeypatch):
+    """The extrapolation is 20 px off, as far as the board moved before."""
+    follower = BoardFollower(BOARD, thorough=False)
+    searches = counted_searches(monkeypatch)
+    for k, (image, truth) in enumerate((film[0], film[1], film[3], film[3])):
+        assert rms(detected(follower.find(image, k * STEP_NS)).pixels - truth) < 0.02
+    assert len(searches) == 1
+
+
 def test_the_claimed_covariances_are_the_errors(film):
     follower = BoardFollower(BOARD, thorough=True)
     squares = []
