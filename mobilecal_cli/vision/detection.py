@@ -19,11 +19,11 @@ from mobilecal_cli.vision.acceptance import (
     off_grid,
     outer_squares_whole,
 )
+from mobilecal_cli.vision.corner_model import refine, refine_widely
 from mobilecal_cli.vision.grid import at_full_size, canonical, reduced, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
-from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.saddles import least_response, may_show_board
 from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Detection, Miss
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import colors, sample
+from mobilecal_cli.vision.corner_model import refine
 from mobilecal_cli.vision.grid import at_full_size, reduced, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
-from mobilecal_cli.vision.refinement import refine
 from mobilecal_cli.vision.values import LARGE_PX
 
 _SEEDS = ((3, 3), (5, 4))  # corners that the seed must have: each finds boards that the other misses

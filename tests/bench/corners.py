@@ -14,8 +14,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
-from mobilecal_cli.vision.corner_model import fit_corners
-from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.bench import cameras
 from tests.bench.pictures import BOARD, View, bound_px, empty, view
 from tests.bench.study import paragraph, table

@@ -15,8 +15,7 @@ from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from mobilecal_cli.vision.corner_model import fit_corners
-from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table

@@ -12,8 +12,7 @@ from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.vision import corner_model
-from mobilecal_cli.vision.corner_model import fit_corners
-from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from mobilecal_cli.vision.values import Appearance
 from tests.vision.scenes import pose
 
