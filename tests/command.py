@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import subprocess
 import sys
 import traceback
 from collections.abc import Mapping
@@ -23,6 +24,20 @@ class Run:
     out: str
     err: str
     left: list[str]
+
+
+def python(
+    *arguments: object, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Python in a process of its own, for what a command does to its process: `-m MODULE ...` or `-c CODE ...`."""
+    return subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
 
 
 def run(*arguments: object, cwd: Path | None = None, environment: Mapping[str, str] | None = None) -> Run:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from mobilecal_cli import stations, vision
-from mobilecal_cli.model import CameraRig, Observation, PictureIndex
+from mobilecal_cli.model import CameraRig, Corners, Observation, PictureIndex
 
 
 def with_views(o: Observation, left=None, right=None, **others) -> Observation:
@@ -28,6 +28,24 @@ def triangulate(cameras, left, right, noise_left, noise_right):
 def board_pose(cameras, points_k, left, right, noise_left, noise_right, start, free_scale=False):
     """See `vision.board_pose`."""
     return vision.board_pose(cameras, points_k, [left, right], [noise_left, noise_right], start, free_scale)
+
+
+def measured_anew(cameras, o: Observation, points_k, left: Corners, right: Corners) -> Observation | None:
+    """An observation with other corners, and what follows from them; None if they cannot be triangulated."""
+    seen = left.pixels, right.pixels, left.cov_px2, right.cov_px2
+    points = triangulate(cameras, *seen)
+    if isinstance(points, vision.Miss):
+        return None
+    pose = board_pose(cameras, points_k, *seen, o.T_c_k)
+    return replace(
+        o,
+        views=(left, right),
+        points_c=points.points_c,
+        points_cov=points.points_cov,
+        T_c_k=pose.T_c_k,
+        T_c_k_cov=pose.T_c_k_cov,
+        reprojection_px=pose.rms_px,
+    )
 
 
 def measure(log, station, left, right, cameras, board):

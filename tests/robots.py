@@ -147,7 +147,7 @@ def with_one_view(extraction: Extraction, camera_of: Mapping[int, int]) -> Extra
     observations = list(extraction.observations)
     for i, k in camera_of.items():
         o = observations[i]
-        found = pose_from_one(rig.some([k]), board, o.views[k].pixels, o.views[k].sigma_px)
+        found = pose_from_one(rig.some([k]), board, [o.views[k].pixels], [o.views[k].sigma_px])
         assert not isinstance(found, Miss)
         hidden = Corners(np.zeros_like(o.views[k].pixels), 1.0, 0, np.zeros(len(board), dtype=np.bool_))
         views = tuple(view if other == k else hidden for other, view in enumerate(o.views))
@@ -172,7 +172,7 @@ def alone(extraction: Extraction, k: int) -> Extraction:
     board, observations = extraction.board.grid() * extraction.board.square_m, []
     for o in extraction.observations:
         view = o.views[k]
-        found = pose_from_one(rig, board, view.pixels, view.sigma_px)
+        found = pose_from_one(rig, board, [view.pixels], [view.sigma_px])
         assert not isinstance(found, Miss)
         observations.append(
             replace(

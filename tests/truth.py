@@ -28,7 +28,10 @@ def truth_of(path: Path) -> Parameters:
 def nees(
     found: Parameters, covariance: FloatArray, robot: SimulatedRobot, kept: object = slice(None)
 ) -> float:
-    """Squared error in standard deviations, over the number of parameters: of those that are kept, 1 on average."""
+    """Squared error in standard deviations, over the number of parameters that are kept: 1 on average.
+
+    The nine come first in the covariance.
+    """
     index = np.arange(9)[kept]
     error = found.minus(parameters_of(robot))[index]
     return float(error @ np.linalg.solve(covariance[np.ix_(index, index)], error)) / len(index)

@@ -122,10 +122,6 @@ class JointFrames:
             return frame.shifted(np.cross(turn, link.axis) * amount[..., None])
         return frame.turned((frame.R_v_j @ (turn - moved[..., :3, :3] @ turn)[..., None])[..., 0])
 
-    def by_origin(self, index: int, along: FloatArray) -> FloatArray:
-        """(..., 6) twists by shifting a joint's origin along (3,) in the joint's frame."""
-        return self.frames[index].shifted(along)
-
 
 def head_jacobian(chain: HeadChain, joints: FloatArray) -> FloatArray:
     """Jacobian J with T_v_h(q + dq) = T_v_h(q) exp(J dq) to first order: (..., J) readings → (..., 6, J)."""

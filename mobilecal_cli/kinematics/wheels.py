@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -31,21 +31,23 @@ class Increments:
         right_rad, left_rad: (n,) rotation in each step.
         leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
-        rate: (n,) rate at which the wheels turn against each other, rad/s, not negative, NaN where it is unknown; None
-            if it was not asked for.
+        rate: (n,) rate at which the wheels turn against each other, rad/s, not negative; NaN where it is unknown, by
+            default everywhere.
     """
 
     right_rad: FloatArray
     left_rad: FloatArray
     leg: IntArray
     legs: int
-    rate: FloatArray | None = None
+    rate: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        if not len(self.rate):
+            object.__setattr__(self, "rate", np.full(len(self.leg), np.nan))
 
     @property
     def above_mean_rate(self) -> FloatArray:
         """(n,) turning rate over its mean (weighted with the turns), less 1, at most 1; 0 where it is unknown."""
-        if self.rate is None:
-            return np.zeros(len(self.leg))
         known = np.isfinite(self.rate)
         turned = np.abs(self.right_rad - self.left_rad) * known
         rate = np.where(known, self.rate, 0.0)
@@ -66,8 +68,8 @@ class Increments:
         number = np.full(self.legs, -1)
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
-        rate = None if self.rate is None else self.rate[kept]
-        return Increments(self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]], len(legs), rate)
+        steps = (self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]])
+        return Increments(*steps, len(legs), self.rate[kept])
 
     def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
         """Increments with one more step at the start and end of every leg: (legs, 2) each, right and left, rad."""
@@ -77,8 +79,8 @@ class Increments:
         right = np.concatenate([start_rad[:, 0], self.right_rad, end_rad[:, 0]])
         left = np.concatenate([start_rad[:, 1], self.left_rad, end_rad[:, 1]])
         unknown = np.full(self.legs, np.nan)
-        rate = None if self.rate is None else np.concatenate([unknown, self.rate, unknown])[order]
-        return Increments(right[order], left[order], leg[order], self.legs, rate)
+        rate = np.concatenate([unknown, self.rate, unknown])
+        return Increments(right[order], left[order], leg[order], self.legs, rate[order])
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
@@ -153,13 +155,12 @@ def between_steps(track: Track, step_rad: float) -> Track:
     return Track(track.time_ns, np.interp(offsets, at[order], values[order]))
 
 
-def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increments:
+def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
     """Increments of a wheel track, split at the stations' times and at the readings of either wheel.
 
     Args:
         track: both wheels of one recording.
         times_ns: (N,) increasing, inside the time that both wheels cover.
-        rates: with the turning rates.
 
     Returns:
         Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
@@ -171,7 +172,7 @@ def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increm
     right, left = np.diff(track.right.at(moments)), np.diff(track.left.at(moments))
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
-    rate = _turning_rate(track, moments)[moved] if rates else None
+    rate = _turning_rate(track, moments)[moved]
     return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1, rate)
 
 
@@ -192,9 +193,7 @@ def join(parts: list[Increments]) -> Increments:
         np.concatenate([part.left_rad for part in parts]),
         np.concatenate([part.leg + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         int(offsets[-1]),
-        np.concatenate([part.rate for part in parts if part.rate is not None])
-        if all(part.rate is not None for part in parts)
-        else None,
+        np.concatenate([part.rate for part in parts]),
     )
 
 

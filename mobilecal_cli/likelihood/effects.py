@@ -174,7 +174,7 @@ class OriginShift(ChainEffect):
 
     def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
         """A translation along the direction."""
-        return frames.by_origin(self.link, np.array(self.along))
+        return frames.frames[self.link].shifted(np.array(self.along))
 
 
 @dataclass

@@ -8,9 +8,14 @@ from mobilecal_cli.vision.detection import detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering
 from mobilecal_cli.vision.observing import SQUARES_UNKNOWN, Measured, measure, resolve_square
-from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
+from mobilecal_cli.vision.pose import (
+    absolute_orientation,
+    board_pose,
+    pose_from_one,
+    square_from_points,
+    triangulate,
+)
 from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
-from mobilecal_cli.vision.stereo import triangulate
 from mobilecal_cli.vision.values import Detection, Miss, StereoPoints
 
 __all__ = [

@@ -12,11 +12,11 @@ from math import erf, sqrt
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray, GrayImage
+from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.vision.corner_model import FittedCorners, fit_corners, upper_median
 from mobilecal_cli.vision.grid import smallest_edge_px
 from mobilecal_cli.vision.grid_map import GridMap, fit_grid
-from mobilecal_cli.vision.values import OCCLUDED, Appearance, Miss
+from mobilecal_cli.vision.values import FLOOR_PX, OCCLUDED, Appearance, Detection, Miss
 
 MIN_EDGE_PX = 7.0  # detectors are unreliable below, and the refinement window becomes too small
 # A corner may be off the grid of the others by a share of a square, but not by many times the usual distance.
@@ -78,8 +78,20 @@ def fit_board(
     return again, fit_grid(again.pixels.reshape(grid.shape), image.shape)
 
 
-def check_grid(fit: FittedCorners, grid_map: GridMap) -> Miss | None:
-    """A Miss if a corner is not fitted or off the grid of the others, None otherwise."""
+def accepted(
+    fit: FittedCorners,
+    grid_map: GridMap,
+    contrast_sign: float,
+    outer_whole: bool,
+    order: IntArray | slice = slice(None),
+) -> Detection | Miss:
+    """The board in an image; a Miss if a corner is not fitted or off the grid of the others.
+
+    Args:
+        fit, grid_map, outer_whole: see `fit_board`.
+        contrast_sign: sign of `Appearance.contrast_grey`.
+        order: of the corners.
+    """
     edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
     worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map.off_px, edge_px)
     if worst_px > most_px:
@@ -91,7 +103,10 @@ def check_grid(fit: FittedCorners, grid_map: GridMap) -> Miss | None:
             "corners not on a regular grid",
             f"{int(np.sum(~fit.fitted))} of {fit.fitted.size} corners do not look like corners of squares",
         )
-    return None
+    half_grey = float(np.copysign(upper_median(np.abs(fit.contrast_grey)), contrast_sign))
+    appearance = Appearance(fit.blur_px, fit.noise_grey, half_grey, outer_whole)
+    sigma_px = max(grid_map.sigma_px, FLOOR_PX)
+    return Detection(fit.pixels[order], sigma_px, cov=fit.cov[order], appearance=appearance)
 
 
 @lru_cache(maxsize=32)

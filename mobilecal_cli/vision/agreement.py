@@ -13,9 +13,9 @@ import numpy as np
 
 from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
-from mobilecal_cli.vision.averaging import turned_board, turns_of
+from mobilecal_cli.vision.grid import turned, turns
 from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
-from mobilecal_cli.vision.stereo import triangulate
+from mobilecal_cli.vision.pose import triangulate
 from mobilecal_cli.vision.values import Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
@@ -84,10 +84,6 @@ def _limit(rms_px: Sequence[float], usual_px: float) -> tuple[float, float]:
     return max(usual_px, _TIMES_THE_MEDIAN * common_px), common_px
 
 
-def _as_is(camera: Camera, board: Board, corners: FloatArray) -> list[FloatArray]:
-    return [corners]
-
-
 def _mirrored(camera: Camera, board: Board, corners: FloatArray) -> list[FloatArray]:
     """As a mirrored image may number them: from the other end of the rows, or of the columns."""
     grid = ([camera.width - 1, 0] + corners * [-1, 1]).reshape(board.rows, board.columns, 2)
@@ -99,29 +95,18 @@ def _upside_down(camera: Camera, board: Board, corners: FloatArray) -> list[Floa
 
 
 _Undo = Callable[[Camera, Board, FloatArray], list[FloatArray]]
-#: What may have happened to the images; what undoes it on the corners (M, 2) of the left and the right image, px, with
-#: the possible numberings; and the cure.
-_MISTAKES: Mapping[str, tuple[_Undo, _Undo, str]] = {
+_SWITCH_OFF = "switch the mirroring of the {}camera{} driver off, and record again"
+#: What may have happened to the images; what undoes it on the corners (M, 2) of the left and the right image, px (None:
+#: nothing), with the possible numberings; and the cure.
+_MISTAKES: Mapping[str, tuple[_Undo | None, _Undo | None, str]] = {
     _EXCHANGED: (
-        _as_is,
-        _as_is,
+        None,
+        None,
         "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
     ),
-    "the images of both cameras are mirrored": (
-        _mirrored,
-        _mirrored,
-        "switch the mirroring of the camera driver off, and record again",
-    ),
-    "the images of the left camera are mirrored": (
-        _mirrored,
-        _as_is,
-        "switch the mirroring of the left camera's driver off, and record again",
-    ),
-    "the images of the right camera are mirrored": (
-        _as_is,
-        _mirrored,
-        "switch the mirroring of the right camera's driver off, and record again",
-    ),
+    "the images of both cameras are mirrored": (_mirrored, _mirrored, _SWITCH_OFF.format("", "")),
+    "the images of the left camera are mirrored": (_mirrored, None, _SWITCH_OFF.format("left ", "'s")),
+    "the images of the right camera are mirrored": (None, _mirrored, _SWITCH_OFF.format("right ", "'s")),
     "the images of both cameras are upside down": (
         _upside_down,
         _upside_down,
@@ -132,14 +117,15 @@ _MISTAKES: Mapping[str, tuple[_Undo, _Undo, str]] = {
 
 def _undone_px(rig: CameraRig, board: Board, mistake: str, pairs: Sequence[Pair]) -> float:
     """Median distance from the epipolar lines with a mistake undone, px rms."""
-    undo_left, undo_right, _ = _MISTAKES[mistake]
+    undo = _MISTAKES[mistake][:2]
     apart_px = []
     for pair in pairs:
-        left, right = reversed(pair) if mistake == _EXCHANGED else pair
-        options = product(
-            undo_left(rig.each[0], board, left.pixels), undo_right(rig.each[1], board, right.pixels)
+        images = reversed(pair) if mistake == _EXCHANGED else pair
+        left, right = (
+            [image.pixels] if change is None else change(camera, board, image.pixels)
+            for change, camera, image in zip(undo, rig.each, images, strict=True)
         )
-        apart_px.append(min(_misfit_px(rig, board, *option, pair) for option in options))
+        apart_px.append(min(_misfit_px(rig, board, *option, pair) for option in product(left, right)))
     return float(np.median(apart_px))
 
 
@@ -147,8 +133,8 @@ def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
     both = pair[0].seen & pair[1].seen
     best = np.inf
-    for turns in turns_of(board):
-        points = triangulate(rig, [left[both], turned_board(right, board, turns)[both]], [1.0, 1.0])
+    for quarter_turns in turns(board):
+        points = triangulate(rig, [left[both], turned(right, board, quarter_turns)[both]], [1.0, 1.0])
         if isinstance(points, StereoPoints):
             best = min(best, points.rms_px)
     return best

@@ -7,7 +7,7 @@ the Cramer-Rao bound.
 
 The edge directions follow from the corners of the neighbors and are updated in each iteration. By symmetry, a
 small error of an edge direction does not move the corner. One Gauss-Newton iteration takes a few array
-operations on all windows.
+operations on all windows. `refine` finds the start by image gradients.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
@@ -22,6 +23,13 @@ from numpy.typing import NDArray
 from mobilecal_cli.model import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.vision.values import Appearance, Single
 
+# Half windows of `refine` in units of the shortest edge. Printed boards often have narrow outer squares, and a window
+# that extends beyond them biases the corner by pixels.
+_NARROW = 0.28
+_WIDE = 0.45
+_MIN_HALF, _MAX_HALF = 2, 11  # of a window, px: enough gradients, and what a corner's surroundings may cost
+# Iterations, and the last step, px. A tracked board is near its corners, and the fit of the model goes on from there.
+_FINE, _COARSE = (60, 1e-4), (10, 0.05)
 # Half width of a corner's window in units of the edge: up to the middle of a square, outside the next edge's
 # blur. It is smaller toward the outside of the board, because printed boards often have narrow outer squares.
 _INNER_REACH, _OUTER_REACH = 0.5, 0.28
@@ -45,6 +53,37 @@ _RIDGE = 1e-6 * np.eye(_UNKNOWNS)
 _NO_CONTRAST = 1e-3
 
 
+def refine(
+    image: GrayImage, pixels: FloatArray, edge_px: float, wide: bool = False, tracked: bool = False
+) -> FloatArray:
+    """Refine corners by the gradients in a window (Foerstner and Guelch 1987, as iterated by OpenCV).
+
+    Args:
+        image: (height, width) gray.
+        pixels: (..., 2) in the image, px.
+        edge_px: shortest distance between corners, px.
+        wide: the window may reach nearly to the middle of the squares next to a corner: all are whole.
+        tracked: the corners were predicted well; saves time.
+
+    Returns:
+        (..., 2) px.
+    """
+    half = min(max(round((_WIDE if wide else _NARROW) * edge_px - 0.5), _MIN_HALF), _MAX_HALF)
+    until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, *(_COARSE if tracked else _FINE))
+    start = np.ascontiguousarray(pixels, dtype=np.float32).reshape(-1, 1, 2)
+    refined = cv2.cornerSubPix(image, start, (half, half), (-1, -1), until)
+    return np.asarray(refined.reshape(pixels.shape), dtype=np.float64)
+
+
+def refine_widely(image: GrayImage, grid: FloatArray, edge_px: float, outer_whole: bool) -> FloatArray:
+    """Refine the corners (rows, columns, 2) of a whole board again with a wide window, where it fits the squares."""
+    refined = grid.copy()
+    part = refined if outer_whole else refined[1:-1, 1:-1]
+    if part.size:
+        part[:] = refine(image, part, edge_px, wide=True)
+    return refined
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedCorners:
     """Corners of one board after the fit.
@@ -65,16 +104,6 @@ class FittedCorners:
     fitted: BoolArray
     blur_px: float
     noise_grey: float | None
-
-    @property
-    def sigma_px(self) -> FloatArray:
-        """(M,) standard deviation of one coordinate, px."""
-        return np.asarray(np.sqrt((self.cov[:, 0, 0] + self.cov[:, 1, 1]) / 2))
-
-    @property
-    def half_contrast_grey(self) -> float:
-        """Median over the board of half the step from dark to light, gray levels."""
-        return upper_median(np.abs(self.contrast_grey))
 
 
 def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:

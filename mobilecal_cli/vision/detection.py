@@ -11,21 +11,21 @@ import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import (
+    accepted,
     check_colors,
-    check_grid,
     check_sharpness,
     check_size,
     fit_board,
     off_grid,
     outer_squares_whole,
 )
-from mobilecal_cli.vision.grid import canonical, right_handed, smallest_edge_px
+from mobilecal_cli.vision.corner_model import refine, refine_widely
+from mobilecal_cli.vision.grid import at_full_size, canonical, reduced, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
-from mobilecal_cli.vision.refinement import refine, refine_widely
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import FLOOR_PX, LARGE_PX, OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Detection, Miss
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 _ADAPTIVE = (
@@ -44,19 +44,14 @@ _ENOUGH = (1, 10_000)
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
     """OpenCV's contour-based detector at full or reduced size: (rows, columns, 2) px of the full image."""
-    picture = np.asarray(image)
-    if scale != 1.0:
-        picture = np.asarray(
-            cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8
-        )
+    picture = np.asarray(image) if scale == 1.0 else reduced(image, scale)
     if min(picture.shape) < _SMALLEST_PICTURE:
         return None
     complete, corners = cv2.findChessboardCorners(picture, (columns, rows), flags=flags)
     if not complete:
         return None
-    ratio = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
     grid = np.asarray(corners, dtype=np.float64).reshape(rows, columns, 2)
-    return np.asarray((grid + 0.5) * ratio - 0.5, dtype=np.float64)
+    return at_full_size(grid, picture, image)
 
 
 def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
@@ -82,15 +77,10 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     # Blur affects the outer squares first: if both checks fail, report the blur.
     if isinstance(dark_at_origin, Miss) and (blurred is None or dark_at_origin.reason != OCCLUDED):
         return dark_at_origin
-    rejected = blurred or check_grid(fit, grid_map)
-    if rejected is not None:
-        return rejected
+    if blurred is not None:
+        return blurred
     order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), bool(dark_at_origin))
-    contrast = -fit.half_contrast_grey if dark_at_origin else fit.half_contrast_grey
-    appearance = Appearance(fit.blur_px, fit.noise_grey, contrast, outer_whole)
-    return Detection(
-        fit.pixels[order], max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov[order], appearance=appearance
-    )
+    return accepted(fit, grid_map, -1.0 if dark_at_origin else 1.0, outer_whole, order)
 
 
 def detect(

@@ -8,19 +8,12 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, GrayImage
-from mobilecal_cli.vision.acceptance import (
-    MIN_EDGE_PX,
-    check_grid,
-    check_size,
-    colors,
-    fit_board,
-)
-from mobilecal_cli.vision.corner_model import FittedCorners
+from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, accepted, check_size, colors, fit_board
+from mobilecal_cli.vision.corner_model import FittedCorners, refine
 from mobilecal_cli.vision.detection import find_board
 from mobilecal_cli.vision.grid import smallest_edge_px
-from mobilecal_cli.vision.refinement import refine
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import FLOOR_PX, OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import OCCLUDED, Appearance, Detection, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated
 _AGAIN_NS = 350_000_000  # wait after a failed search, which costs as much as tracking in ten images
@@ -61,11 +54,7 @@ def follow(
             "square colors do not alternate",
             "corners at the predicted position are occluded or have the wrong square colors",
         )
-    if (rough := check_grid(fit, grid_map)) is not None:
-        return rough
-    contrast = np.copysign(fit.half_contrast_grey, appearance.contrast_grey)
-    own = Appearance(fit.blur_px, fit.noise_grey, float(contrast), appearance.outer_whole)
-    return Detection(fit.pixels, max(grid_map.sigma_px, FLOOR_PX), cov=fit.cov, appearance=own)
+    return accepted(fit, grid_map, appearance.contrast_grey, appearance.outer_whole)
 
 
 def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:

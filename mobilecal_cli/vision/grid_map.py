@@ -11,7 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.camera import project, undistorted
+from mobilecal_cli.model import BoolArray, Camera, FloatArray
 
 # A grid less smooth than this under a perspective camera may have been seen by a fisheye lens, px. The lens must
 # leave less than this share of the noise.
@@ -272,16 +273,23 @@ def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:
     return GridMap(frame, H, lens, np.asarray(frame.solver @ bent), residual.reshape(grid.shape), sigma_px)
 
 
-def homography_px(grid: FloatArray) -> FloatArray:
-    """(rows, columns, 2) corners by the homography that fits (rows, columns, 2) best."""
+def roughness_px(camera: Camera, grid: FloatArray) -> float:
+    """Noise of one corner coordinate, px, from the residuals of a smooth map.
+
+    The map is a homography through the camera's model, and a polynomial for the errors of that model. A few corners
+    determine too low a polynomial for the distortion of a lens itself, which would look like noise.
+
+    Args:
+        camera: the camera of the image.
+        grid: (rows, columns, 2) px.
+    """
+    flat, inside = undistorted(camera, grid)
+    if not inside.all():
+        return fit_grid(grid).sigma_px
     frame = _frame(*grid.shape[:2])
-    pixels = grid.reshape(-1, 2)
-    return _through(_homography(frame.products, pixels), frame.w).reshape(grid.shape)
-
-
-def noise_px(bent: FloatArray) -> float:
-    """Noise of one coordinate, px, from differences (rows, columns, 2) from a homography that are smooth without it."""
-    return _scatter(_frame(*bent.shape[:2]), bent.reshape(-1, 2))[1]
+    rays = np.ones((len(frame.w), 3))
+    rays[:, :2] = _through(_homography(frame.products, flat.reshape(-1, 2)), frame.w)
+    return _scatter(frame, grid.reshape(-1, 2) - project(camera, rays))[1]
 
 
 def _scatter(frame: _Frame, bent: FloatArray) -> tuple[FloatArray, float]:

@@ -9,9 +9,9 @@ import numpy as np
 
 from mobilecal_cli.model import FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import colors, sample
-from mobilecal_cli.vision.grid import right_handed, smallest_edge_px
+from mobilecal_cli.vision.corner_model import refine
+from mobilecal_cli.vision.grid import at_full_size, reduced, right_handed, smallest_edge_px
 from mobilecal_cli.vision.grid_map import fit_grid
-from mobilecal_cli.vision.refinement import refine
 from mobilecal_cli.vision.values import LARGE_PX
 
 _SEEDS = ((3, 3), (5, 4))  # corners that the seed must have: each finds boards that the other misses
@@ -130,15 +130,13 @@ def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
 
     Its board size and its sub-pixel positions are unreliable; `grow` corrects both.
     """
-    half = image.shape[1] >= LARGE_PX
-    picture = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA) if half else image
+    picture = reduced(image, 0.5) if image.shape[1] >= LARGE_PX else image
     cv2.setRNGSeed(0)  # the detector draws random samples; a fixed seed makes it repeatable
     complete, corners, meta = cv2.findChessboardCornersSBWithMeta(picture, smallest, cv2.CALIB_CB_LARGER)
     if not complete:
         return None
     grid = np.asarray(corners, dtype=np.float64).reshape(*meta.shape[:2], 2)
-    scale = np.array(image.shape[::-1]) / np.array(picture.shape[::-1])
-    return np.asarray((grid + 0.5) * scale - 0.5, dtype=np.float64)
+    return at_full_size(grid, picture, image)
 
 
 def grow_any(image: GrayImage, enough: int) -> Grown | None:

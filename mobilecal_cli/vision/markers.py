@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from mobilecal_cli.model import Board, BoolArray, FloatArray, GrayImage, IntArray, Markers
+from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.grid_map import scatter_px
 from mobilecal_cli.vision.values import OCCLUDED, Detection, Miss, rms
@@ -34,7 +34,9 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     corners = find(np.ascontiguousarray(image), board, markers)
     if isinstance(corners, Miss):
         return corners
-    pixels, seen = corners
+    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
+    numbers, places = corners
+    pixels[numbers], seen[numbers] = places, True
     grid = board.grid()[:, :2]
     for _ in range(3):
         if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
@@ -75,21 +77,20 @@ def _parameters(markers: Markers) -> cv2.aruco.DetectorParameters:
     return parameters
 
 
-def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray, BoolArray] | Miss:
+def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, FloatArray] | Miss:
+    """Numbers of the visible corners, and their pixels (n, 2)."""
     squares = (board.columns + 1, board.rows + 1)
     count = squares[0] * squares[1] // 2
     drawn = cv2.aruco.CharucoBoard(squares, 1.0, markers.share, _dictionary(markers, count))
     detector = cv2.aruco.CharucoDetector(drawn, cv2.aruco.CharucoParameters(), _parameters(markers))
     corners, numbers, _, _ = detector.detectBoard(image)
-    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
     if corners is None or numbers is None or not len(numbers):
         return Miss("no board found", f"no markers of {markers.dictionary} with corners")
-    places = np.asarray(numbers).ravel()
-    pixels[places], seen[places] = np.asarray(corners, dtype=np.float64).reshape(-1, 2), True
-    return pixels, seen
+    return np.asarray(numbers, dtype=np.int64).ravel(), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
 
 
-def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray, BoolArray] | Miss:
+def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, FloatArray] | Miss:
+    """Numbers of the visible tags' corners, and their pixels (n, 2)."""
     count = board.columns * board.rows
     detector = cv2.aruco.ArucoDetector(_dictionary(markers, count), _parameters(markers))
     outlines, numbers, _ = detector.detectMarkers(image)
@@ -107,11 +108,8 @@ def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[FloatArray,
     # Families differ in which corner of a tag is the first; the grid of tags determines it.
     options = [np.roll(quads, k, axis=1) for k in range(4)]
     best = min(options, key=lambda quad: rms(scatter_px(grid.reshape(-1, 2), quad.reshape(-1, 2))))
-    best = _refined(image, best, markers)
-    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
-    places = (4 * tags[mine][:, None] + np.arange(4)).ravel()
-    pixels[places], seen[places] = best.reshape(-1, 2), True
-    return pixels, seen
+    corners = (4 * tags[mine][:, None] + np.arange(4)).ravel()
+    return corners, _refined(image, best, markers).reshape(-1, 2)
 
 
 def _refined(image: GrayImage, quads: FloatArray, markers: Markers) -> FloatArray:

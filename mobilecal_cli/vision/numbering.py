@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, IntArray, Observation, Rejection
-from mobilecal_cli.vision.grid import turned, turns
+from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
 _ROUNDS = 100  # a few more than the least are usual
@@ -50,23 +50,13 @@ def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observa
     """The same observation with the board numbered from another corner."""
     if quarter_turns == 0:
         return observation
-
-    def renumber(values: FloatArray) -> FloatArray:
-        return turned(values, board.columns, board.rows, quarter_turns)
-
-    square_m = observation.square_m if board.square_m is None else board.square_m
-    grid_m = square_m * board.grid()
-    T_k_turned = absolute_orientation(renumber(grid_m), grid_m)
-    views = tuple(
-        replace(view, pixels=renumber(view.pixels), relative_cov=renumber(view.relative_cov))
-        for view in observation.views
-    )
+    grid_m = (board.square_m or observation.square_m) * board.grid()
     return replace(
         observation,
-        views=views,
-        points_c=renumber(observation.points_c),
-        points_cov=renumber(observation.points_cov),
-        T_c_k=observation.T_c_k @ T_k_turned,
+        views=tuple(turned_view(view, board, quarter_turns) for view in observation.views),
+        points_c=turned(observation.points_c, board, quarter_turns),
+        points_cov=turned(observation.points_cov, board, quarter_turns),
+        T_c_k=observation.T_c_k @ absolute_orientation(turned(grid_m, board, quarter_turns), grid_m),
     )
 
 
@@ -112,13 +102,11 @@ def resolve_numbering(
         parity, is
         unambiguous: its observations are returned unchanged.
     """
-    possible = turns(board.columns, board.rows)
-    if board.markers is not None or len(possible) == 1 or len(observations) < 2:
+    possible = turns(board)
+    if len(possible) == 1 or len(observations) < 2:
         return tuple(observations), ()
-    R_k_turned = [
-        absolute_orientation(turned(board.grid(), board.columns, board.rows, k), board.grid())[:3, :3]
-        for k in possible
-    ]
+    grid = board.grid()
+    R_k_turned = [absolute_orientation(turned(grid, board, k), grid)[:3, :3] for k in possible]
     R_c_k_found = np.stack([o.T_c_k[:3, :3] for o in observations])
     R_c_k = np.stack([R_c_k_found @ R for R in R_k_turned])
     vertical_h = np.asarray(R_v_h)[:, 2, :]

@@ -1,4 +1,4 @@
-"""One observation per station: triangulated corners and the board's pose from all images of the station."""
+"""One observation per station: mean corners, triangulated points and the board's pose from all its images."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.model import (
     Board,
     BoolArray,
+    Camera,
     CameraRig,
     Corners,
     FloatArray,
@@ -22,10 +23,16 @@ from mobilecal_cli.model import (
     Station,
     camera_words,
 )
-from mobilecal_cli.vision.averaging import StationCorners, turned_board, turns_of
-from mobilecal_cli.vision.pose import absolute_orientation, board_pose, pose_from_one, square_from_points
-from mobilecal_cli.vision.stereo import triangulate
-from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints
+from mobilecal_cli.vision.grid import turned, turned_view, turns
+from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
+from mobilecal_cli.vision.pose import (
+    absolute_orientation,
+    board_pose,
+    pose_from_one,
+    square_from_points,
+    triangulate,
+)
+from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints, rms
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
@@ -38,6 +45,74 @@ INCONSISTENT: Reason = "left and right images inconsistent"
 SQUARES_UNKNOWN = "size of the squares unknown"
 # Corners in an image, or in those of all cameras: for boards with markers, which may be partly visible.
 _LEAST = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StationCorners:
+    """One camera's corners in all images of a station.
+
+    Attributes:
+        pixels: (n, M, 2) px, in a common numbering.
+        seen: (n, M) whether each corner was detected.
+        cov: (n, M, 2, 2) covariance from each corner's fit, px^2.
+    """
+
+    pixels: FloatArray
+    seen: BoolArray
+    cov: FloatArray
+
+    @classmethod
+    def of(cls, detections: Sequence[Detection], board: Board) -> StationCorners:
+        """Bring every image to the numbering nearest to that of the first."""
+        pixels, cov = [], []
+        for d in detections:
+            options = [(turned(d.pixels, board, k), k) for k in turns(board)]
+            nearest, turn = min(
+                options, key=lambda option: float(np.sum((option[0] - detections[0].pixels) ** 2))
+            )
+            pixels.append(nearest)
+            cov.append(turned(d.cov, board, turn))
+        return cls(np.stack(pixels), np.stack([d.seen for d in detections]), np.stack(cov))
+
+    def select(self, kept: BoolArray) -> StationCorners:
+        """A subset of the images."""
+        return StationCorners(self.pixels[kept], self.seen[kept], self.cov[kept])
+
+    @property
+    def drift_px(self) -> FloatArray:
+        """(n,) distance of each image's corners from their median over all images, rms per coordinate, px."""
+        if len(self.pixels) == 1:
+            return np.zeros(1)
+        measured = np.where(self.seen[..., None], self.pixels, np.nan)
+        anywhere = self.seen.any(axis=0)
+        off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
+        return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
+
+    def average(self, board: Board, camera: Camera) -> Corners:
+        """Mean of the corners that more than half of the images show, with the noise of the mean.
+
+        The noise is the scatter over the images, pooled over the corners and divided by sqrt(n). Its lower
+        limit is the roughness of the mean grid, because refinement errors common to all images do not average
+        out. Noise in excess of the fits' covariances is added equally to all corners.
+        """
+        n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        weight = (self.seen & seen)[..., None]
+        mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
+        if board.markers is None:
+            roughness = roughness_px(camera, mean.reshape(board.rows, board.columns, 2))
+        else:
+            roughness = rms(scatter_px(board.grid()[seen, :2], mean[seen]))
+        sigma_px = max(roughness, FLOOR_PX)
+        if n > 1:
+            freedom = max(2 * (int(weight.sum()) - int(seen.sum())), 1)
+            scatter = np.sqrt(np.sum(weight * (self.pixels - mean) ** 2) / freedom)
+            sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
+        times = np.maximum(weight.sum(axis=0), 1)[..., None]
+        claimed = np.sum(self.cov * weight[..., None], axis=0) / times**2
+        usual = float(np.median(np.trace(claimed[seen], axis1=1, axis2=2))) / 2
+        cov = claimed + max(sigma_px**2 - usual, 0.0) * np.eye(2)
+        sigma_px = max(sigma_px, float(np.sqrt(usual)))
+        return Corners(mean, sigma_px, n, seen, np.where(seen[:, None, None], cov / sigma_px**2, np.eye(2)))
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -66,21 +141,11 @@ def _best_fit(
 
     The numbering that fits best is used. The rows of any other are several squares apart.
     """
-    common = _common(views)
     fits: list[tuple[StereoPoints | Miss, tuple[Corners, ...]]] = []
-    for turns in product(turns_of(board), repeat=len(views) - 1):
-        option = (views[0], *(_renumbered(view, board, k) for view, k in zip(views[1:], turns, strict=True)))
-        pixels, noises = _common_pixels(option, common)
-        fits.append((triangulate(rig, pixels, noises), option))
+    for others in product(turns(board), repeat=len(views) - 1):
+        option = (views[0], *(turned_view(view, board, k) for view, k in zip(views[1:], others, strict=True)))
+        fits.append((triangulate(rig, *_common_pixels(option)), option))
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
-
-
-def _renumbered(view: Corners, board: Board, quarter_turns: int) -> Corners:
-    return replace(
-        view,
-        pixels=turned_board(view.pixels, board, quarter_turns),
-        relative_cov=turned_board(view.relative_cov, board, quarter_turns),
-    )
 
 
 def _common(views: Sequence[Corners]) -> BoolArray:
@@ -88,8 +153,9 @@ def _common(views: Sequence[Corners]) -> BoolArray:
     return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
 
 
-def _common_pixels(views: Sequence[Corners], common: BoolArray) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Pixels (m, 2) and their covariances (m, 2, 2) in each camera."""
+def _common_pixels(views: Sequence[Corners]) -> tuple[list[FloatArray], list[FloatArray]]:
+    """Pixels (m, 2) of the corners that all of these cameras see, and their covariances (m, 2, 2), in each camera."""
+    common = _common(views)
     return [view.pixels[common] for view in views], [view.cov_px2[common] for view in views]
 
 
@@ -135,12 +201,6 @@ def _showing(
     best = max(groups, key=lambda group: (len(group), groups[group]))
     detected = [[item for k in best if isinstance(item := shot[k], Detection)] for shot in shots]
     return best, [found for found in detected if len(found) == len(best)]
-
-
-def _pose_from_one(rig: CameraRig, points_k: FloatArray, views: Sequence[Corners]) -> BoardPose | Miss:
-    """Board pose from the corners that a single camera sees, (m, 3) on the board, m."""
-    ((pixels,), (noise,)) = _common_pixels(views, _common(views))
-    return pose_from_one(rig, points_k, pixels, noise)
 
 
 def measure(
@@ -196,7 +256,7 @@ def measure(
     grid = board.grid()[common]
     if len(shown) == 1:
         square_m = board.square_m or 1.0
-        pose = _pose_from_one(own, square_m * grid, views)
+        pose = pose_from_one(own, square_m * grid, *_common_pixels(views))
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
@@ -205,7 +265,7 @@ def measure(
         return rejected(points.reason, points.detail)
     rough_m = square_from_points(points.points_c, grid)
     start = absolute_orientation(points.points_c, rough_m * grid)
-    pose = board_pose(own, rough_m * grid, *_common_pixels(views, common), start, free_scale=True)
+    pose = board_pose(own, rough_m * grid, *_common_pixels(views), start, free_scale=True)
     return Measured(log, station, rig, board, shown, views, points, pose, rough_m)
 
 
@@ -268,7 +328,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
                 SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
-        from_one = _pose_from_one(own, square_m * m.board.grid()[common], views)
+        from_one = pose_from_one(own, square_m * m.board.grid()[common], *_common_pixels(views))
         if isinstance(from_one, Miss):
             return m.rejected(from_one.reason, from_one.detail)
         m, pose = replace(m, rough_m=square_m), from_one
@@ -283,7 +343,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
         grid = m.board.grid()[common]
-        pose = board_pose(own, square_m * grid, *_common_pixels(views, common), start)
+        pose = board_pose(own, square_m * grid, *_common_pixels(views), start)
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
         views = tuple(
             replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views

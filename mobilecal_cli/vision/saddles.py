@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import GrayImage
+from mobilecal_cli.vision.grid import reduced
 from mobilecal_cli.vision.values import LARGE_PX, Single
 
 _BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
@@ -35,9 +36,7 @@ def least_response(image: GrayImage, corners: int) -> float:
 def _responses(image: GrayImage) -> Single:
     """Negative determinant of the second derivatives of an image at reduced size, in arbitrary units."""
     scale = 0.25 if image.shape[1] >= LARGE_PX else 0.5
-    small = cv2.GaussianBlur(
-        cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), *_BLUR
-    )
+    small = cv2.GaussianBlur(reduced(image, scale), *_BLUR)
     saddle, by_xx, by_yy = (
         np.asarray(cv2.Sobel(small, cv2.CV_32F, *by, ksize=3), np.float32) for by in ((1, 1), (2, 0), (0, 2))
     )

@@ -21,16 +21,18 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import Data, Fit, Report, calibrate, fitted
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import NINE, Parameters
+from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case
+from tests.bench.simulated import errors
 from tests.bench.study import Study, conditions, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
 from tests.robots import CONFIGURATIONS, chain_of
+from tests.truth import nees
 
 _ROUTES = 10  # that the runs share
 
@@ -45,18 +47,15 @@ def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
         found = fitted(extraction)
     except MobilecalError as error:
         return np.nan, np.nan, type(error).__name__
-    nees, worst = _against(found, robot)
-    return nees, worst, Report(Data(extraction), found).verdict.level
+    return *_against(found, robot), Report(Data(extraction), found).verdict.level
 
 
 def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
     """NEES / n, and the largest error in sigmas."""
     hidden = unseen_height(chain_of(robot)) is not None
     kept = [k for k, name in enumerate(NINE) if not (hidden and name == "t_z")]
-    error = found.parameters.minus(Parameters(robot.T_h_c, robot.wheels))[kept]
-    covariance = found.solution.uncertainty.covariance[np.ix_(kept, kept)]
-    nees = float(error @ np.linalg.solve(covariance, error)) / len(kept)
-    return nees, float(np.abs(error / np.sqrt(np.diag(covariance))).max())
+    error, known = errors(found.parameters, robot)[kept], found.solution.uncertainty
+    return nees(found.parameters, known.covariance, robot, kept), float(np.abs(error / known.std[kept]).max())
 
 
 _WHEELS = {
@@ -91,8 +90,8 @@ def recordings() -> None:
                 line(*cells, error.message, "", "")
                 continue
             found = replace(robot, wheels=report.fit.parameters.wheels) if signal == "odometry" else robot
-            nees, worst = _against(report.fit, found)
-            line(*cells, report.verdict.level, f"{nees:.2f}", f"{worst:.1f}")
+            off, worst = _against(report.fit, found)
+            line(*cells, report.verdict.level, f"{off:.2f}", f"{worst:.1f}")
 
 
 def _counted(robot: SimulatedRobot) -> dict[str, object]:
@@ -116,12 +115,12 @@ def main() -> None:
     runs = Study.begun(100).runs
     head("cameras", "chain", "NEES / n", *LEVELS, "false PASS", title=f"{runs} runs each")
     for cameras, chain in CONFIGURATIONS:
-        nees, worst, levels = zip(
+        off, worst, levels = zip(
             *results_of(one_run, cameras, chain, seeds=range(runs), together=2), strict=True
         )
         counts = [levels.count(level) for level in LEVELS[:3]]
         false = sum(w > FIVE_SIGMA for w, level in zip(worst, levels, strict=True) if level == "PASS")
-        line(cameras, chain, f"{np.nanmean(nees):.2f}", *counts, runs - sum(counts), false)
+        line(cameras, chain, f"{np.nanmean(off):.2f}", *counts, runs - sum(counts), false)
 
 
 if __name__ == "__main__":

@@ -11,13 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
-from mobilecal_cli.vision.corner_model import fit_corners
-from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.bench import cameras
 from tests.bench.pictures import BOARD, View, bound_px, empty, view
 from tests.bench.study import paragraph, table
+from tests.vision.scenes import bouguet
 
 VIEWS = 120
 EMPTY = 40
@@ -243,19 +244,13 @@ def detectors(views: int) -> str:
 
 _HALF_WINDOWS = (3, 5, 11)  # the tutorials' is 11; boards whose outer squares are narrow stand 3
 
-# Bouguet's stereo calibration over all his pairs, published with them.
-_K = (
-    np.array([[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]]),
-    np.array([[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]),
-)
-_D = (np.array([-0.288, 0.097, 0.001, -0.0003, 0]), np.array([-0.289, 0.107, 0.001, -0.0001, 0]))
-_OM, _T = np.array([0.00669, 0.00452, -0.00350]), np.array([-99.802, 1.124, 0.050])
+_PAIR = bouguet()
 
 
 def _flat_px(corners: np.ndarray, side: int) -> np.ndarray:
     """(M, 2) corners without the lens' distortion, px."""
-    points = corners.reshape(-1, 1, 2)
-    return cv2.undistortPoints(points, _K[side], _D[side], P=_K[side]).reshape(-1, 2)
+    camera = _PAIR.each[side]
+    return cv2.undistortPoints(corners.reshape(-1, 1, 2), camera.K, camera.D, P=camera.K).reshape(-1, 2)
 
 
 def _homography_px(flat: np.ndarray, columns: int, rows: int) -> float:
@@ -267,9 +262,9 @@ def _homography_px(flat: np.ndarray, columns: int, rows: int) -> float:
 
 def _epipolar_px(left: np.ndarray, right: np.ndarray) -> float:
     """Mean square of Sampson's distance of pairs without distortion."""
-    R = cv2.Rodrigues(_OM)[0]
-    tx = np.array([[0, -_T[2], _T[1]], [_T[2], 0, -_T[0]], [-_T[1], _T[0], 0]])
-    F = np.linalg.inv(_K[1]).T @ tx @ R @ np.linalg.inv(_K[0])
+    T_r_c = se3.inverse(_PAIR.T_c_each[1])
+    in_left, in_right = (np.linalg.inv(camera.K) for camera in _PAIR.each)
+    F = in_right.T @ se3.skew(T_r_c[:3, 3]) @ T_r_c[:3, :3] @ in_left
     a, b = (np.column_stack([p, np.ones(len(p))]) for p in (left, right))
     lines_b, lines_a = a @ F.T, b @ F
     against = np.sum(b * lines_b, axis=1) ** 2

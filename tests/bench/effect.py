@@ -15,15 +15,14 @@ from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from mobilecal_cli.vision import Miss
-from mobilecal_cli.vision.corner_model import fit_corners
-from mobilecal_cli.vision.refinement import refine_widely
+from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
 from tests.extractions import Noise, ideal_extraction
-from tests.pairs import board_pose, triangulate, with_views
+from tests.pairs import measured_anew
 from tests.robots import corners_of
+from tests.truth import nees
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
@@ -54,7 +53,7 @@ def _found(image: np.ndarray, start: np.ndarray, how: str) -> Corners:
         return Corners(sub_pix(image, start).reshape(-1, 2), 0.05, 1)
     edge = min(np.linalg.norm(np.diff(start, axis=axis), axis=-1).min() for axis in (0, 1))
     fit = fit_corners(image, refine_widely(image, start, edge, True), True)
-    claimed = float(np.sqrt(np.median(fit.sigma_px**2)))
+    claimed = float(np.sqrt(np.median(np.trace(fit.cov, axis1=1, axis2=2) / 2)))
     return Corners(fit.pixels, claimed, 1, relative_cov=fit.cov / claimed**2)
 
 
@@ -71,18 +70,9 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
             )
             both.append(_found(image, truth + _START_PX * random.normal(size=truth.shape), how))
             off.append(both[-1].pixels - truth.reshape(-1, 2))
-        left, right = both
-        points = triangulate(rig, left.pixels, right.pixels, left.cov_px2, right.cov_px2)
-        assert not isinstance(points, Miss)
-        pose = board_pose(
-            rig, points_k, left.pixels, right.pixels, left.cov_px2, right.cov_px2, observation.T_c_k
-        )
-        seen.append(
-            with_views(
-                observation, left=left, right=right, points_c=points.points_c, points_cov=points.points_cov,
-                T_c_k=pose.T_c_k, T_c_k_cov=pose.T_c_k_cov, reprojection_px=pose.rms_px,
-            )
-        )  # fmt: skip
+        measured = measured_anew(rig, observation, points_k, *both)
+        assert measured is not None
+        seen.append(measured)
     return replace(extraction, observations=tuple(seen)), float(np.sqrt(np.mean(np.square(off))))
 
 
@@ -102,9 +92,8 @@ def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]
         except SolveError:
             result[how] = (np.full(9, np.nan), np.nan, corner_px)
             continue
-        error = errors(fit.lin.state.parameters, robot)
-        nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
-        result[how] = (error, nees, corner_px)
+        found = fit.lin.state.parameters
+        result[how] = (errors(found, robot), nees(found, fit.covariance, robot), corner_px)
     return result
 
 

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 
@@ -23,7 +22,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
-from tests.bench.study import conditions, kernel_mb
+from tests.bench.study import conditions, kernel_mb, measured
 from tests.extractions import ideal_extraction
 
 SIZES = (12, 200, 2000)
@@ -61,11 +60,6 @@ def likelihood_at(data: Dataset, state: State) -> Posterior:
     return Posterior.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
 
 
-def vector(state: State) -> np.ndarray:
-    """(9,) rotation vector, translation and wheels."""
-    return state.parameters.vector
-
-
 def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     """The optimizer of mobilecal, which needs no callbacks."""
     return optimize(likelihood_at(data, start)).lin.state, 0.0
@@ -86,20 +80,7 @@ def one(solver: str, path: Path) -> None:
     seconds = time.perf_counter() - began
     memory = kernel_mb("VmHWM") - before
     cost = replace(likelihood_at(data, start), state=end).cost
-    found = {
-        "seconds": seconds,
-        "callbacks": callbacks,
-        "mb": memory,
-        "cost": cost,
-        "nine": vector(end).tolist(),
-    }
-    print(json.dumps(found))
-
-
-def _run(solver: str, path: Path) -> Found:
-    command = [sys.executable, "-m", "tests.bench.established", "one", solver, str(path)]
-    text = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
-    return Found(**json.loads(text.splitlines()[-1]))
+    print(json.dumps(asdict(Found(seconds, callbacks, memory, cost, end.parameters.vector.tolist()))))
 
 
 def row(stations: int, runs: int) -> str:
@@ -108,7 +89,10 @@ def row(stations: int, runs: int) -> str:
         path = Path(directory) / "extraction.npz"
         extraction = ideal_extraction(paper_robot(), route_of(stations, 0), DISTURBED, 0)
         path.write_bytes(extraction_to_npz(extraction))
-        turns = [{solver: _run(solver, path) for solver in SOLVERS} for _ in range(runs)]
+        turns = [
+            {solver: Found(**measured("established", "one", solver, path)) for solver in SOLVERS}
+            for _ in range(runs)
+        ]
     seconds = [f"{median(turn[solver].seconds for turn in turns):.3g}" for solver in SOLVERS]
     ratios = [
         f"{median(taken(turn[solver]) / turn['mobilecal'].seconds for turn in turns):.3g}"

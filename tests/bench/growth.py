@@ -5,14 +5,13 @@ from __future__ import annotations
 import itertools
 import json
 import os
-import subprocess
 import sys
 import time
 from pathlib import Path
 from statistics import median
 
 from tests.bench.recordings import stretched
-from tests.bench.study import kernel_mb, paragraph, table
+from tests.bench.study import kernel_mb, measured, paragraph, table
 
 MINUTES = (1, 10, 60)
 _LENGTHS = {"auto": MINUTES, "all": (1, 10)}
@@ -46,18 +45,13 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
     return seconds | {"mb": kernel_mb("VmHWM")}
 
 
-def _run(log: Path, out: Path, stations: str) -> dict[str, float]:
-    command = [sys.executable, "-m", "tests.bench.growth", str(log), str(out), stations]
-    done = subprocess.run(command, check=True, capture_output=True, text=True)
-    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return found
-
-
 def main(source: Path, folder: Path, rounds: int = 5) -> str:
     """Table 5; `source` is a recording without stops, as JPEGs. Each round runs all lengths in sequence."""
     logs = {minutes: stretched(source, folder / f"{minutes}min.mcap", minutes) for minutes in MINUTES}
     runs = [(stations, minutes) for stations, lengths in _LENGTHS.items() for minutes in lengths]
-    found = [{run: _run(logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)]
+    found = [
+        {run: measured("growth", logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)
+    ]
     rows = []
     for run in runs:
         stations, minutes = run

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
-import subprocess
 import sys
 import tempfile
 from dataclasses import replace
@@ -19,7 +17,7 @@ from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import USUAL, Case, all_kinds
-from tests.bench.study import conditions, head, line
+from tests.bench.study import conditions, head, line, measured
 from tests.pairs import with_views
 
 _NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
@@ -117,9 +115,7 @@ def work(path: str, names: list[str]) -> None:
 def answers(path: Path, threads: int, names: list[str]) -> list[dict[str, Any]]:
     """`work` in a process with a number of threads of linear algebra."""
     variables = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
-    command = [sys.executable, "-m", "tests.bench.invariance", "work", str(path), *names]
-    done = subprocess.run(command, env=os.environ | variables, stdout=subprocess.PIPE, check=True)
-    found: list[dict[str, Any]] = json.loads(done.stdout)
+    found: list[dict[str, Any]] = measured("invariance", "work", path, *names, **variables)
     return found
 
 

@@ -34,14 +34,14 @@ _STEREO = tuple(f"stereo_r_{axis}" for axis in "xyz")
 
 
 @dataclass(frozen=True, eq=False)
-class After:
-    """The world after a change.
+class World:
+    """A robot and its surroundings, before or after a change.
 
     Attributes:
-        robot: with the new head-eye transform or wheels.
-        route: with the new place of the board.
-        constants: that have new values.
-        last: head-eye transform and wheels that are right after the change.
+        robot: the robot; after a change, with the new head-eye transform or wheels.
+        route: the route, with the place of the board.
+        constants: that have new values after a change.
+        last: head-eye transform and wheels that are right after a change.
     """
 
     robot: SimulatedRobot
@@ -50,48 +50,58 @@ class After:
     last: SimulatedRobot | None = None
 
 
-def _mount(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
-    return After(replace(robot, T_h_c=_moved(robot.T_h_c, factor * _step(known, unit))), route)
-
-
-def _board(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
-    step = factor * _step(known, unit)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]
-    return After(robot, replace(route, T_w_k=route.T_w_k @ T))
-
-
-def _pan(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
-    return After(robot, route, {"pan_zero": factor * np.sign(unit[0]) * known.constants["pan_zero"].std})
-
-
-def _tilt(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+def _pose_step(known: Solution, way: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rotation matrix and shift that change the head-eye transform by |way| stated standard deviations."""
     assert known.uncertainty is not None
+    step = np.linalg.cholesky(known.uncertainty.covariance[:6, :6]) @ way
+    return Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]
+
+
+def _mount(was: World, known: Solution, way: FloatArray) -> World:
+    R, shift = _pose_step(known, way)
+    T = was.robot.T_h_c
+    return replace(was, robot=replace(was.robot, T_h_c=se3.transform(R @ T[:3, :3], T[:3, 3] + shift)))
+
+
+def _board(was: World, known: Solution, way: FloatArray) -> World:
+    T = se3.transform(*_pose_step(known, way))
+    return replace(was, route=replace(was.route, T_w_k=was.route.T_w_k @ T))
+
+
+def _signed(way: FloatArray) -> float:
+    return float(np.sign(way[0]) * np.linalg.norm(way))
+
+
+def _pan(was: World, known: Solution, way: FloatArray) -> World:
+    return replace(was, constants={"pan_zero": _signed(way) * known.constants["pan_zero"].std})
+
+
+def _tilt(was: World, known: Solution, way: FloatArray) -> World:
+    assert known.uncertainty is not None
+    robot = was.robot
     joint = next(joint for joint in robot.joints if joint.name == robot.tilt)
     axis = np.array(joint.axis)  # in the head's frame too: what follows the joint is a translation
-    turn = factor * np.sign(unit[0]) * float(np.sqrt(axis @ known.uncertainty.covariance[:3, :3] @ axis))
+    turn = _signed(way) * float(np.sqrt(axis @ known.uncertainty.covariance[:3, :3] @ axis))
     ahead = np.where(np.array(robot.joint_names) == robot.tilt, turn, 0.0)
     T = se3.inverse(robot.head_pose(np.zeros(len(ahead)))) @ robot.head_pose(ahead) @ robot.T_h_c
-    return After(robot, route, {"tilt_zero": turn}, replace(robot, T_h_c=T))
+    return replace(was, constants={"tilt_zero": turn}, last=replace(robot, T_h_c=T))
 
 
-def _camera(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
-    turn = unit[:3] / np.linalg.norm(unit[:3])
-    return After(
-        robot,
-        route,
-        {name: factor * t * known.constants[name].std for name, t in zip(_STEREO, turn, strict=True)},
-    )
+def _camera(was: World, known: Solution, way: FloatArray) -> World:
+    turn = way[:3] * np.linalg.norm(way) / np.linalg.norm(way[:3])
+    steps = zip(_STEREO, turn, strict=True)
+    return replace(was, constants={name: t * known.constants[name].std for name, t in steps})
 
 
-def _wheel(robot: SimulatedRobot, route: Route, known: Solution, unit: FloatArray, factor: float) -> After:
+def _wheel(was: World, known: Solution, way: FloatArray) -> World:
     assert known.uncertainty is not None
-    more = factor * np.sign(unit[0]) * float(known.uncertainty.std[6])
-    wheels = replace(robot.wheels, radius_right_m=robot.wheels.radius_right_m + more)
-    return After(replace(robot, wheels=wheels), route)
+    wheels = was.robot.wheels
+    radius = wheels.radius_right_m + _signed(way) * float(known.uncertainty.std[6])
+    return replace(was, robot=replace(was.robot, wheels=replace(wheels, radius_right_m=radius)))
 
 
-CHANGES: dict[str, Callable[[SimulatedRobot, Route, Solution, FloatArray, float], After]] = {
+#: What changes → the world after it, by so many standard deviations in a direction of six.
+CHANGES: dict[str, Callable[[World, Solution, FloatArray], World]] = {
     "head mount": _mount,
     "joint pan_joint": _pan,
     "joint tilt_joint": _tilt,
@@ -99,19 +109,6 @@ CHANGES: dict[str, Callable[[SimulatedRobot, Route, Solution, FloatArray, float]
     "right wheel": _wheel,
     "board": _board,
 }
-
-
-def _step(known: Solution, unit: FloatArray) -> FloatArray:
-    """(6,) change of the head-eye transform, one stated standard deviation from zero."""
-    assert known.uncertainty is not None
-    return np.asarray(np.linalg.cholesky(known.uncertainty.covariance[:6, :6]) @ unit)
-
-
-def _moved(T: FloatArray, step: FloatArray) -> FloatArray:
-    out = T.copy()
-    out[:3, :3] = Rotation.from_rotvec(step[:3]).as_matrix() @ T[:3, :3]
-    out[:3, 3] += step[3:]
-    return out
 
 
 def spliced(before: Extraction, after: Extraction, first: int, ratio: float) -> Extraction:
@@ -139,11 +136,11 @@ def spliced(before: Extraction, after: Extraction, first: int, ratio: float) -> 
 
 def changed(
     case: Case, part: str, factor: float, seed: int, known: Solution
-) -> tuple[Extraction, After, int, dict[str, float]]:
+) -> tuple[Extraction, World, int, dict[str, float]]:
     """A recording with a change, the world after it, the first station after it, and all constants after it."""
     robot, route, constants = tick_robot(), case.route(seed), case.constants(seed)
     unit = np.random.default_rng([seed, 8]).normal(size=6)
-    after = CHANGES[part](robot, route, known, unit / np.linalg.norm(unit), factor)
+    after = CHANGES[part](World(robot, route), known, factor * unit / np.linalg.norm(unit))
     now = {**constants, **{n: constants.get(n, 0.0) + more for n, more in after.constants.items()}}
     head = replace(after.robot, wheels=robot.wheels)
     other = extraction_of(OutsideRobot(head, now), after.route, case.noise, seed, images=case.images)

@@ -7,17 +7,15 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
-
 from tests.bench.study import spent, table
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
+from tests.records import Record, records_of, written
 
 LOG = REPOSITORY / "sample_logs" / "paper_robot.mcap"
 _MESSAGES = 20  # of each additional topic
@@ -27,26 +25,17 @@ LINKS = (20_000, 100_000)
 
 def with_topics(count: int, path: Path) -> None:
     """The sample recording with so many more topics of joint states."""
-    with LOG.open("rb") as stream, path.open("wb") as out:
-        writer = Writer(out, compression=CompressionType.NONE)
-        writer.start(profile="ros2")
-        channels: dict[int, int] = {}
-        more: list[int] = []
-        written = 0
-        for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            joints = channel.topic == "/joint_states"
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-                if joints:
-                    names = (f"/robot{k}/joint_states" for k in range(count))
-                    more = [writer.register_channel(name, "cdr", number) for name in names]
-            copies = more if joints and written < _MESSAGES else []
-            written += joints
-            for target in (channels[channel.id], *copies):
-                writer.add_message(target, message.log_time, message.data, message.publish_time)
-        writer.finish()
+    names = [f"/robot{k}/joint_states" for k in range(count)]
+
+    def more() -> Iterator[Record]:
+        copied = 0
+        for record in records_of(LOG):
+            yield record
+            if record.topic == "/joint_states" and copied < _MESSAGES:
+                copied += 1
+                yield from (replace(record, topic=name) for name in names)
+
+    written(path, more())
 
 
 def with_links(count: int, path: Path) -> None:

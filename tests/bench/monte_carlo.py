@@ -25,6 +25,7 @@ from tests.bench.study import (
     rms,
 )
 from tests.extractions import ideal_extraction
+from tests.truth import nees
 
 _LEVELS = {"ml, noise levels given": GIVEN, "ml, noise levels estimated": KnownNoise()}
 _PAPER_EVERY = 10  # Powell's method takes longer than all the others together
@@ -43,9 +44,8 @@ def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool
         except SolveError:
             result[name] = _NOTHING
             continue
-        error = errors(fit.lin.state.parameters, robot)
-        nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
-        result[name] = (error, nees, not fit.inliers.same(Inliers.all_of(fit.data)))
+        found, left_out = fit.lin.state.parameters, not fit.inliers.same(Inliers.all_of(fit.data))
+        result[name] = (errors(found, robot), nees(found, fit.covariance, robot), left_out)
     methods: tuple[Method, ...] = ("linear",) if seed % _PAPER_EVERY else ("linear", "paper")
     for method in methods:
         try:
@@ -74,9 +74,9 @@ def study(stations: int, runs: int) -> None:
         line(name, *numbers(rms(error / sigma)))
     head("", "mean NEES / 9", "median", "runs with outliers")
     for name in _LEVELS:
-        nees = np.array([f[name][1] for f in found])
+        each = np.array([f[name][1] for f in found])
         left_out = sum(f[name][2] for f in found)
-        line(name, f"{np.nanmean(nees):.3f}", f"{np.nanmedian(nees):.3f}", left_out)
+        line(name, f"{np.nanmean(each):.3f}", f"{np.nanmedian(each):.3f}", left_out)
 
 
 def main() -> None:

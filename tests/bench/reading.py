@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import sys
 import time
 from collections import deque
@@ -12,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from statistics import median
 
-from tests.bench.study import table
+from tests.bench.study import measured, table
 
 REPEATS = 5
 _JPEG, _CORES = "jpeg", 2
@@ -77,14 +75,6 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found
 
 
-def _once(what: str, path: Path, workers: int) -> dict[str, float]:
-    command = [sys.executable, "-m", "tests.bench.reading", what, str(path), str(workers)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-    result: dict[str, float] = json.loads(done.stdout)
-    return result
-
-
 def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
     """Tables 1 and 7, for one recording with several image encodings."""
     rows: list[list[str]] = []
@@ -94,7 +84,7 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
         cores = (1, _CORES) if kind == _JPEG else (_CORES,)
         runs = [
             {
-                f"{what}{workers}": _once(what, path, workers)
+                f"{what}{workers}": measured("reading", what, path, workers, OPENBLAS_NUM_THREADS="1")
                 for workers in cores
                 for what in ("decode", "see")
             }
@@ -114,15 +104,8 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
                 for what in ("decode", "see")
             ]
             speed.append([kind, *gain])
-    head = [
-        "images",
-        "cores",
-        "read + decode (s)",
-        "read + detect (s)",
-        "ratio",
-        "triangulation and pose (ms per station, one core)",
-        "boards found",
-    ]
+    head = ["images", "cores", "read + decode (s)", "read + detect (s)", "ratio",
+            "triangulation and pose (ms per station, one core)", "boards found"]  # fmt: skip
     return (
         table(head, rows)
         + f"\nSpeed-up from 1 to {_CORES} cores, medians of the ratios of all rounds.\n\n"

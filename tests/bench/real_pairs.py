@@ -47,11 +47,12 @@ from mobilecal_cli.vision import (
     resolve_square,
     square_from_points,
 )
-from mobilecal_cli.vision.averaging import StationCorners
+from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
 from tests.bench.study import conditions
 from tests.pairs import board_pose, measure, triangulate, with_pair
 from tests.robots import chain_of, rig_of
+from tests.vision.scenes import bouguet as bouguet_rig
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
 _SQUARE_M = 0.03  # stated with Bouguet's pictures; assumed for MRPT's
@@ -85,15 +86,6 @@ def _stereo(
         for k, side in enumerate(("left", "right"))
     )
     return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
-
-
-def published() -> CameraRig:
-    """Bouguet's stereo calibration over all of his pairs, published with them."""
-    K = [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]], [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]
-    D = [-0.288, 0.097, 0.001, -0.0003, 0], [-0.289, 0.107, 0.001, -0.0001, 0]
-    turn = se3.exp_so3(np.array([0.00669, 0.00452, -0.00350]))
-    T_r_c = se3.transform(turn, np.array([-0.099802, 0.001124, 0.000050]))
-    return _stereo([np.array(k) for k in K], [np.array(d) for d in D], T_r_c, (640, 480))
 
 
 def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = False) -> CameraRig:
@@ -493,17 +485,17 @@ def bouguet() -> str:
     intrinsics = ("distortion", "focal_length", "principal_point")
     direction = ("baseline_direction",)  # 1.1 and 1.2 degrees from the published one
     more = {
-        "`intrinsics_wrong.yml`": Task(wrong_intrinsics(published(), folder), pairs, intrinsics),
+        "`intrinsics_wrong.yml`": Task(wrong_intrinsics(bouguet_rig(), folder), pairs, intrinsics),
         "calibrated by OpenCV from pairs 1, 3, 5, 7; used on 2, 4, 6": Task(
             by_opencv(odd, size), even, direction
         ),
         "calibrated by OpenCV from pairs 2, 4, 6; used on 1, 3, 5, 7": Task(
             by_opencv(even, size), odd, direction
         ),
-        "nothing; used on 2, 4, 6": Task(published(), even),
-        "nothing; used on 1, 3, 5, 7": Task(published(), odd),
+        "nothing; used on 2, 4, 6": Task(bouguet_rig(), even),
+        "nothing; used on 1, 3, 5, 7": Task(bouguet_rig(), odd),
     }
-    return _study(published(), pairs, more)
+    return _study(bouguet_rig(), pairs, more)
 
 
 def mrpt() -> str:

@@ -3,74 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.pictures import empty
+from tests.records import Record, records_of, written
 
 _STORE = get_typestore(Stores.ROS2_HUMBLE)
 _IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _PERIOD_S, _HIDDEN_S, _PASSING_S = 12.0, 4.0, 0.5
 _QUALITY = 90
-
-
-@dataclass
-class Record:
-    """One message of an MCAP file.
-
-    Attributes:
-        topic, type: of its channel.
-        definition: of its schema.
-        time_ns: log time.
-        data: its bytes (CDR).
-    """
-
-    topic: str
-    type: str
-    definition: bytes
-    time_ns: int
-    data: bytes
-
-
-def records_of(path: Path) -> Iterator[Record]:
-    """All messages in order of log time."""
-    with path.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            yield Record(channel.topic, schema.name, schema.data, message.log_time, message.data)
-
-
-class Output:
-    """An MCAP file that is written record by record, chunks not compressed, as a recorder would."""
-
-    def __init__(self, path: Path) -> None:
-        self._stream = path.open("wb")
-        self._writer = Writer(self._stream, compression=CompressionType.NONE)
-        self._writer.start(profile="ros2", library="mobilecal bench")
-        self._channels: dict[tuple[str, str], int] = {}
-
-    def write(self, record: Record) -> None:
-        """Append a message."""
-        key = (record.topic, record.type)
-        if key not in self._channels:
-            schema = self._writer.register_schema(record.type, "ros2msg", record.definition)
-            self._channels[key] = self._writer.register_channel(record.topic, "cdr", schema)
-        self._writer.add_message(self._channels[key], record.time_ns, record.data, record.time_ns)
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.close()
 
 
 def simulated(path: Path, stations: int) -> Path:
@@ -116,18 +66,21 @@ def _encoded(picture: np.ndarray, kind: str, template: Any) -> tuple[str, bytes,
 
 def transcoded(source: Path, out: Path, kind: str, hide: bool) -> Path:
     """The recording with its mono8 images stored as jpeg, png or mono8, the board occluded at times."""
-    output, start_ns = Output(out), 0
-    for number, record in enumerate(records_of(source)):
-        start_ns = start_ns or record.time_ns
-        if record.type == _IMAGES[0]:
-            message: Any = _STORE.deserialize_cdr(record.data, record.type)
-            picture = np.asarray(message.data).reshape(message.height, message.width)
-            if hide:
-                picture = _with_somebody(picture, (record.time_ns - start_ns) / 1e9, number)
-            record.type, record.definition, record.data = _encoded(picture, kind, message)
-        output.write(record)
-    output.close()
-    return out
+
+    def changed() -> Iterator[Record]:
+        start_ns = 0
+        for number, record in enumerate(records_of(source)):
+            start_ns = start_ns or record.time_ns
+            if record.type == _IMAGES[0]:
+                message: Any = _STORE.deserialize_cdr(record.data, record.type)
+                picture = np.asarray(message.data).reshape(message.height, message.width)
+                if hide:
+                    picture = _with_somebody(picture, (record.time_ns - start_ns) / 1e9, number)
+                name, definition, data = _encoded(picture, kind, message)
+                record = replace(record, type=name, definition=definition, data=data)
+            yield record
+
+    return written(out, changed())
 
 
 def _restamped(data: bytes, time_ns: int) -> bytes:
@@ -144,23 +97,20 @@ def stretched(source: Path, out: Path, minutes: float) -> Path:
     once = [record for record in records_of(source) if record.topic != "/robot_description"]
     stamped = [record for record in once if record.type in (*_IMAGES, "sensor_msgs/msg/JointState")]
     first, last = stamped[0].time_ns, stamped[-1].time_ns
-    output = Output(out)
-    for record in records_of(source):
-        if record.topic == "/robot_description" or record.type.endswith("CameraInfo"):
-            output.write(record)
-    for leg in range(int(np.ceil(minutes * 60e9 / (last - first)))):
-        begin = first + leg * (last - first)
-        forwards = leg % 2 == 0
-        for record in stamped if forwards else reversed(stamped):
-            passed = record.time_ns - first if forwards else last - record.time_ns
-            time_ns = begin + passed
-            # The turning point belongs to both directions.
-            if (leg and not passed) or passed > minutes * 60e9 - (begin - first):
-                continue
-            output.write(
-                Record(
-                    record.topic, record.type, record.definition, time_ns, _restamped(record.data, time_ns)
-                )
-            )
-    output.close()
-    return out
+
+    def repeated() -> Iterator[Record]:
+        for record in records_of(source):
+            if record.topic == "/robot_description" or record.type.endswith("CameraInfo"):
+                yield record
+        for leg in range(int(np.ceil(minutes * 60e9 / (last - first)))):
+            begin = first + leg * (last - first)
+            forwards = leg % 2 == 0
+            for record in stamped if forwards else reversed(stamped):
+                passed = record.time_ns - first if forwards else last - record.time_ns
+                # The turning point belongs to both directions.
+                if not ((leg and not passed) or passed > minutes * 60e9 - (begin - first)):
+                    time_ns = begin + passed
+                    data = _restamped(record.data, time_ns)
+                    yield replace(record, time_ns=time_ns, publish_ns=time_ns, data=data)
+
+    return written(out, repeated())

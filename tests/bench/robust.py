@@ -24,6 +24,7 @@ from tests.bench.simulated import (
     spoiled,
 )
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.truth import nees
 
 _FALSE = float(chi2.isf(1e-6, 9)) / 9
 
@@ -43,32 +44,23 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
     except SolveError:
         return np.full(9, np.nan), np.sqrt(np.diag(bound)), np.nan, "refused", time.perf_counter() - start
     seconds = time.perf_counter() - start
-    error = errors(fit.lin.state.parameters, robot)
-    nees = float(error @ np.linalg.solve(fit.covariance[:9, :9], error)) / 9
-    same_views, same_legs = (
-        np.array_equal(fit.inliers.views, views),
-        np.array_equal(fit.inliers.legs, legs),
-    )
-    all_bad = not fit.inliers.views[bad].any()
-    found = (
-        "exactly these"
-        if same_views and same_legs
-        else "bad stations, slip otherwise"
-        if all_bad
-        else "other"
-    )
-    return error, np.sqrt(np.diag(bound)), nees, found, seconds
+    parameters = fit.lin.state.parameters
+    off = errors(parameters, robot), np.sqrt(np.diag(bound)), nees(parameters, fit.covariance, robot)
+    found = "other" if fit.inliers.views[bad].any() else "bad stations, slip otherwise"
+    if np.array_equal(fit.inliers.views, views) and np.array_equal(fit.inliers.legs, legs):
+        found = "exactly these"
+    return *off, found, seconds
 
 
 def study(stations: int, runs: int) -> None:
     """Print one table."""
-    error, sigma, nees, found, seconds = zip(*results_of(one_run, stations, seeds=range(runs)), strict=True)
+    error, sigma, each, found, seconds = zip(*results_of(one_run, stations, seeds=range(runs)), strict=True)
     head("", *NINE_RATIOS, title=f"### N = {stations}, {runs} runs, noise levels estimated")
     line("rms error divided by the bound of the good data", *numbers(rms(np.array(error) / sigma)))
-    false = np.flatnonzero(np.array(nees) > _FALSE)
+    false = np.flatnonzero(np.array(each) > _FALSE)
     print("\nOutliers: " + ", ".join(f"{name} {found.count(name)}" for name in sorted(set(found))) + ".")
     print(
-        f"NEES / 9: mean {np.nanmean(nees):.2f}, median {np.nanmedian(nees):.2f}, maximum {np.nanmax(nees):.2f}; "
+        f"NEES / 9: mean {np.nanmean(each):.2f}, median {np.nanmedian(each):.2f}, maximum {np.nanmax(each):.2f}; "
         f"false results (above {_FALSE:.1f}): {len(false)}, seeds {false.tolist()}. "
         f"{np.mean(seconds):.1f} s per run."
     )

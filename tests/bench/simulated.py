@@ -26,9 +26,8 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.vision import Miss
 from tests import extractions
-from tests.pairs import board_pose, triangulate, with_views
+from tests.pairs import measured_anew
 from tests.robots import corners_of
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
@@ -91,19 +90,10 @@ def spoiled(
         both = []
         for camera, T in ((rig.each[0], T_c_k), (rig.each[1], se3.inverse(rig.T_c_each[1]) @ T_c_k)):
             at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
-            both.append(at + PIXEL_PX * random.normal(size=at.shape))
-        points = triangulate(rig, *both, PIXEL_PX, PIXEL_PX)
-        assert not isinstance(points, Miss)
-        found = board_pose(rig, corners_k, *both, PIXEL_PX, PIXEL_PX, T_c_k)
-        seen[i] = with_views(
-            seen[i],
-            left=Corners(both[0], PIXEL_PX, 1),
-            right=Corners(both[1], PIXEL_PX, 1),
-            points_c=points.points_c,
-            points_cov=points.points_cov,
-            T_c_k=found.T_c_k,
-            T_c_k_cov=found.T_c_k_cov,
-        )
+            both.append(Corners(at + PIXEL_PX * random.normal(size=at.shape), PIXEL_PX, 1))
+        moved = measured_anew(rig, replace(seen[i], T_c_k=T_c_k), corners_k, *both)
+        assert moved is not None
+        seen[i] = moved
     wheels, leg = extraction.wheels[0], None
     if slip:
         leg = int(random.integers(0, count - 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import resource
@@ -79,6 +80,15 @@ def spent(command: list[str]) -> tuple[float, float]:
         raise RuntimeError(done.stderr.decode())
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measured(module: str, *arguments: object, **environment: str) -> Any:
+    """What a module of this package prints last, as JSON: measured in a process of its own."""
+    command = [sys.executable, "-m", f"tests.bench.{module}", *map(str, arguments)]
+    done = subprocess.run(
+        command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | environment
+    )
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def kernel_mb(name: str) -> float:

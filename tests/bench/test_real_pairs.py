@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.bench.real_pairs import FIGURES, Estimate, Task, by_opencv, cases, figures, pairs_in, published
+from tests.bench.real_pairs import FIGURES, Estimate, Task, by_opencv, cases, figures, pairs_in
+from tests.vision.scenes import bouguet
 
 MEAN, SPREAD, HALVES, REPROJECTION = 0, 1, 4, len(FIGURES) - 1
 FOCAL, POINT, MIXED = (
@@ -32,8 +33,8 @@ def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_
     """
     pairs, (width, _) = opencv
     case = cases(width)[MIXED]
-    result = Task(case.of(published()), pairs, case.right).result()
-    best = figures([published()] * len(pairs), pairs)
+    result = Task(case.of(bouguet()), pairs, case.right).result()
+    best = figures([bouguet()] * len(pairs), pairs)
     assert result.before[MEAN] > 2.0
     for figure in (SPREAD, HALVES, REPROJECTION):
         assert result.before[figure] > 3 * best[figure]
@@ -46,7 +47,7 @@ def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_
 @pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
 def test_one_wrong_constant(opencv, name):
     pairs, (width, _) = opencv
-    true = published()
+    true = bouguet()
     case = cases(width)[name]
     result = Task(case.of(true), pairs, case.right, others=False).result()
     assert not result.refused
@@ -63,7 +64,7 @@ def test_a_wrong_cause_is_named(opencv):
     """Four times as wrong, the left camera's distortion is what the pairs contradict, and nothing else."""
     pairs, (width, _) = opencv
     case = cases(width)["k1 of the left, +0.02"].times(4)
-    result = Task(case.of(published()), pairs, case.right, others=False).result()
+    result = Task(case.of(bouguet()), pairs, case.right, others=False).result()
     assert result.named == (("distortion", "left camera"),)
 
 

@@ -14,8 +14,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from mcap.reader import make_reader
-from mcap.writer import Writer as McapWriter
 from PIL import Image
 from rosbags.rosbag2 import Writer
 
@@ -26,6 +24,7 @@ from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
 from tests.extractions import Noise, ideal_extraction
+from tests.records import records_of, written
 
 LOGS = REPOSITORY / "sample_logs"
 LOG = LOGS / "paper_robot.mcap"
@@ -146,14 +145,13 @@ def database(statement: str) -> Make:
 
     def make(folder: Path) -> None:
         connections: dict[str, Any] = {}
-        with LOG.open("rb") as stream, Writer(folder / "bag", version=9) as writer:
-            for schema, channel, message in make_reader(stream).iter_messages():
-                assert schema is not None
-                if channel.topic not in connections:
-                    connections[channel.topic] = writer.add_connection(
-                        channel.topic, schema.name, typestore=STORE
+        with Writer(folder / "bag", version=9) as writer:
+            for record in records_of(LOG):
+                if record.topic not in connections:
+                    connections[record.topic] = writer.add_connection(
+                        record.topic, record.type, typestore=STORE
                     )
-                writer.write(connections[channel.topic], message.log_time, message.data)
+                writer.write(connections[record.topic], record.time_ns, record.data)
         (path,) = (folder / "bag").glob("*.db3")
         with closing(sqlite3.connect(path)) as connection, connection:
             connection.execute(statement)
@@ -163,17 +161,8 @@ def database(statement: str) -> Make:
 
 def far_future(folder: Path) -> None:
     """The sample recording with log times beyond 2^63 ns."""
-    with LOG.open("rb") as stream, (folder / "log.mcap").open("wb") as out:
-        writer = McapWriter(out)
-        writer.start("ros2")
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(stream).iter_messages():
-            assert schema is not None
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
-            writer.add_message(channels[channel.id], message.log_time + 2**63, message.data, 0)
-        writer.finish()
+    late = (replace(record, time_ns=record.time_ns + 2**63, publish_ns=0) for record in records_of(LOG))
+    written(folder / "log.mcap", late)
 
 
 def repeated_metadata(folder: Path) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+
+from tests.command import python
 
 #: The command, with little more memory than its libraries need; the first argument is how much, MB.
 _LIMITED = """
@@ -24,13 +23,7 @@ main()
 @pytest.mark.parametrize("megabytes", [pytest.param(1, marks=pytest.mark.long), 4])
 def test_out_of_memory(sample_logs, tmp_path, megabytes):
     arguments = ["calibrate", sample_logs / "paper_robot.mcap", "-o", "out", "--jobs", "1"]
-    result = subprocess.run(
-        [sys.executable, "-c", _LIMITED, str(megabytes), *map(str, arguments)],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
+    result = python("-c", _LIMITED, megabytes, *arguments, cwd=tmp_path)
     assert result.returncode == 8, result.stderr
     assert "Traceback" not in result.stderr
     assert result.stderr.endswith(

@@ -6,27 +6,19 @@ import html.parser
 import json
 import os
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
 from ruamel.yaml import YAML
 
-from tests.command import run
+from tests.command import python, run
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 
 
 def killed_everywhere(folder, existing, exchange) -> list[list[str]]:
-    result = subprocess.run(
-        [sys.executable, "-m", "tests.hostile.kill_points", folder, existing, exchange],
-        cwd=REPOSITORY,
-        capture_output=True,
-        text=True,
-        check=True,
-        timeout=120,
-    )
+    result = python("-m", "tests.hostile.kill_points", folder, existing, exchange, cwd=REPOSITORY)
+    assert result.returncode == 0, result.stderr
     return [line.split() for line in result.stdout.splitlines()]
 
 

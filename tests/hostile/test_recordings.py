@@ -16,7 +16,6 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
@@ -24,6 +23,7 @@ from mobilecal_cli.readers import open_recording, read_description, sha256_of
 from mobilecal_cli.readers.messages import Channel
 from mobilecal_cli.readers.pictures import decode_image
 from tests.readers import recordings as r
+from tests.records import Record, written
 
 MEMORY_BYTES = 2**30
 SECONDS = 20  # on a busy machine; a few seconds on a quiet one
@@ -185,14 +185,9 @@ def test_a_file_that_decompresses_without_end(tmp_path):
 
 
 def test_a_message_that_decompresses_without_end(tmp_path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.NONE)
-        writer.start("ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/robot_description", "cdr", schema)
-        writer.add_message(channel, 1, zstandard.compress(bytes(2**28)), 1)
-        writer.finish()
+    data = zstandard.compress(bytes(2**28))
+    message = Record("/robot_description", "std_msgs/msg/String", b"string data", 1, data)
+    path = written(tmp_path / "log.mcap", [message])
     read_messages, damage = read(path)
     assert not read_messages
     assert any("decompresses to more than" in note for note in damage)

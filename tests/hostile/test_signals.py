@@ -16,6 +16,8 @@ import pytest
 import zstandard
 
 from mobilecal_cli.files.scratch import abandoned, scratch_directory
+from tests.command import python
+from tests.hostile.refusals import extraction
 
 SEMAPHORES = Path("/dev/shm")
 KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
@@ -167,7 +169,7 @@ def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
     assert {path.name for path in (tmp_path / "out").iterdir()} == {".mobilecal_batch"}
 
 
-def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_path):
+def test_an_interruption_after_the_output_is_in_place_says_so(tmp_path):
     code = (
         "import os, signal, sys\n"
         "from mobilecal_cli import __main__, export\n"
@@ -176,13 +178,9 @@ def test_an_interruption_after_the_output_is_in_place_says_so(sample_logs, tmp_p
         "placing._sync = lambda folder: (sync(folder), os.kill(os.getpid(), signal.SIGINT))\n"
         "__main__.main()\n"
     )
+    extraction(tmp_path)
     (tmp_path / "work").mkdir()
-    result = subprocess.run(
-        [sys.executable, "-c", code, "calibrate", sample_logs / "straight.mcap", "-o", "out"],
-        cwd=tmp_path / "work",
-        capture_output=True,
-        text=True,
-    )
+    result = python("-c", code, "calibrate", tmp_path / "e.npz", "-o", "out", cwd=tmp_path / "work")
     assert result.returncode == 130
     assert result.stderr == f"interrupted: written: {tmp_path / 'work' / 'out'}\n"
     assert whole_or_nothing(tmp_path / "work")
@@ -256,8 +254,7 @@ def interrupted(*given, **named):
 with ExitStack() as stack:
     enter_scratch(stack)
 """
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    result = python("-c", code, TMPDIR=str(tmp_path))
     assert (result.returncode, result.stderr) == (128 + TERM, "")
     assert not list(tmp_path.iterdir())
 
@@ -280,8 +277,7 @@ def task():
 
 {end}
 """
-    environment = {**os.environ, "TMPDIR": str(tmp_path)}
-    result = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    result = python("-c", code, TMPDIR=str(tmp_path))
     assert (result.returncode, result.stderr) == (143, "")
     assert not list(tmp_path.iterdir())
 

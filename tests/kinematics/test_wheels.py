@@ -29,40 +29,35 @@ def one_leg(*steps: tuple[float, float]) -> Increments:
     return Increments(right, left, np.zeros(len(steps), dtype=np.int64), 1)
 
 
-def test_straight_ahead():
-    # Both wheels roll 1 m: right turns 1 / 0.2 = 5 rad, left 1 / 0.25 = 4 rad.
-    motion = integrate(one_leg((5.0, 4.0)), WHEELS)
-    assert motion.psi_rad[0] == pytest.approx(0.0, abs=1e-15)
-    assert motion.t_m[0] == pytest.approx([1.0, 0.0], abs=1e-15)
+# Base on a circle of radius 1 m for 90 degrees: the right wheel runs on 1.25 m, the left on 0.75 m.
+QUARTER = np.array([1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25])
+# On the spot, each wheel runs 0.25 m times the angle, forward on the right, back on the left.
+ON_THE_SPOT = 0.25 * np.array([1 / 0.2, -1 / 0.25])
 
 
-def test_quarter_circle_to_the_left():
-    # Base on a circle of radius 1 m for 90 degrees: the right wheel runs on 1.25 m, the left on 0.75 m.
-    right, left = 1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25
-    motion = integrate(one_leg((right, left)), WHEELS)
-    assert motion.psi_rad[0] == pytest.approx(math.pi / 2)
-    assert motion.t_m[0] == pytest.approx([1.0, 1.0])
-
-
-def test_quarter_circle_in_many_steps_is_the_same_arc():
-    right, left = 1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25
-    shares = np.array([0.1, 0.25, 0.05, 0.6])
-    motion = integrate(one_leg(*[(right * s, left * s) for s in shares]), WHEELS)
-    assert motion.t_m[0] == pytest.approx([1.0, 1.0], abs=1e-14)
-
-
-def test_turn_on_the_spot_by_three_quarters_is_not_wrapped():
-    # Each wheel runs 0.25 m * 3 pi / 2, forward on the right, back on the left.
-    run = 0.25 * 1.5 * math.pi
-    motion = integrate(one_leg((run / 0.2, -run / 0.25)), WHEELS)
-    assert motion.psi_rad[0] == pytest.approx(1.5 * math.pi)
-    assert motion.t_m[0] == pytest.approx([0.0, 0.0], abs=1e-15)
-
-
-def test_turn_then_drive():
-    run = 0.25 * math.pi / 2
-    motion = integrate(one_leg((run / 0.2, -run / 0.25), (2 / 0.2, 2 / 0.25)), WHEELS)
-    assert motion.t_m[0] == pytest.approx([0.0, 2.0], abs=1e-14)
+@pytest.mark.parametrize(
+    ("steps", "psi_rad", "t_m"),
+    [
+        pytest.param([(5.0, 4.0)], 0.0, (1.0, 0.0), id="straight ahead: both wheels roll 1 m"),
+        pytest.param([QUARTER], math.pi / 2, (1.0, 1.0), id="quarter circle to the left"),
+        pytest.param(
+            [share * QUARTER for share in (0.1, 0.25, 0.05, 0.6)],
+            math.pi / 2,
+            (1.0, 1.0),
+            id="the same arc in many steps",
+        ),
+        pytest.param(
+            [1.5 * math.pi * ON_THE_SPOT], 1.5 * math.pi, (0.0, 0.0), id="three quarter turns are not wrapped"
+        ),
+        pytest.param(
+            [math.pi / 2 * ON_THE_SPOT, (2 / 0.2, 2 / 0.25)], math.pi / 2, (0.0, 2.0), id="turn, then drive"
+        ),
+    ],
+)
+def test_motions_by_hand(steps, psi_rad, t_m):
+    motion = integrate(one_leg(*steps), WHEELS)
+    assert motion.psi_rad[0] == pytest.approx(psi_rad, abs=1e-15)
+    assert motion.t_m[0] == pytest.approx(t_m, abs=1e-14)
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -38,6 +38,12 @@ def driven(exact, right_rad, left_rad, T_w_v):
     return replace(exact, observations=seen, wheels=(track,))
 
 
+def ahead(exact):
+    """One meter straight ahead, with wheels of 100 mm."""
+    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
+    return driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+
+
 def test_the_truth_predicts_exactly_and_does_not_drift(exact):
     found = evaluate(exact, TRUTH, None)
     assert found.stations == 12
@@ -51,8 +57,7 @@ def test_the_truth_predicts_exactly_and_does_not_drift(exact):
 
 def test_drift_of_large_wheels_on_a_straight_way(exact):
     """By hand: 10 rad of wheels of 100 mm are 1 m; taken for 102 mm, dead reckoning has 1.02 m."""
-    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
-    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    extraction = ahead(exact)
     true = Parameters(TRUTH.T_h_c, WheelGeometry(0.1, 0.1, 0.5))
     found = evaluate(extraction, true, WheelGeometry(0.102, 0.102, 0.5))
     assert found.driven_m == pytest.approx(1.0)
@@ -65,8 +70,7 @@ def test_drift_of_large_wheels_on_a_straight_way(exact):
 @pytest.mark.parametrize("factor", [0.1, 10.0])
 def test_drift_is_not_measured_against_the_wheels_under_test(exact, factor):
     """Ten times the radius: dead reckoning is off by nine times the way, whatever these wheels call the way."""
-    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
-    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    extraction = ahead(exact)
     wrong = Parameters(TRUTH.T_h_c, WheelGeometry(0.1 * factor, 0.1 * factor, 0.5))
     found = evaluate(extraction, wrong, None)
     assert found.driven_m == pytest.approx(1.0)
@@ -121,8 +125,7 @@ def test_logs_stand_alone():
 
 def test_path_and_rotation_do_not_come_from_the_wheels_under_test(exact):
     """By hand: a calibration in mm would divide its drift by a path of kilometers."""
-    T_w_v = se3.transform(np.tile(np.eye(3), (3, 1, 1)), np.array([[0, 0, 0], [0.4, 0, 0], [1.0, 0, 0]]))
-    extraction = driven(exact, [0.0, 4.0, 10.0], [0.0, 4.0, 10.0], T_w_v)
+    extraction = ahead(exact)
     wrong = Parameters(TRUTH.T_h_c, WheelGeometry(100.0, 100.0, 500.0))
     found = evaluate(extraction, wrong, None, reference=WheelGeometry(0.1, 0.1, 0.5))
     assert found.driven_m == pytest.approx(1.0)

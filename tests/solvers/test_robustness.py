@@ -28,7 +28,7 @@ from tests.extractions import (
     ideal_extraction,
     imperfect_extraction,
 )
-from tests.pairs import with_pair, with_views
+from tests.pairs import with_views
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
@@ -85,17 +85,13 @@ def test_far_starts_lead_to_the_same_estimate(number):
     assert e @ np.linalg.solve(fit.covariance[:9, :9], e) / 9 < 3
 
 
-def with_principal_point(extraction, by_px):
-    camera = extraction.rig.cameras.each[1]
-    K = camera.K.copy()
-    K[1, 2] -= by_px
-    cameras = with_pair(extraction.rig.cameras, right=replace(camera, K=K))
-    return replace(extraction, rig=replace(extraction.rig, cameras=cameras))
-
-
 @pytest.mark.parametrize("by_px", [1.0, 8.0])
 def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
-    extraction = with_principal_point(recorded("base_fixed", 1), by_px)
+    lower, route = (
+        Imperfection({"principal_right_y": by_px / 640}, NOISE),
+        plan_route(ROBOT, "base_fixed", seed=1),
+    )
+    extraction = imperfect_extraction(ROBOT, route, lower, 1)
     track = extraction.wheels[0]
     still = WheelTrack(
         replace(track.right, value=np.full_like(track.right.value, 1.234)),

@@ -11,6 +11,31 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera, CameraRig
+from mobilecal_cli.vision import Detection, Miss
+
+
+def detected(result: Detection | Miss) -> Detection:
+    """The corners of a board that must be found."""
+    assert isinstance(result, Detection), result
+    return result
+
+
+def missed(result: object) -> Miss:
+    """The reason where no board, or no points, may be found."""
+    assert isinstance(result, Miss), result
+    return result
+
+
+def bouguet() -> CameraRig:
+    """Bouguet's stereo calibration over all of his pairs, published with them; OpenCV's samples are seven of them."""
+    K = [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]], [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]]
+    D = [-0.288, 0.097, 0.001, -0.0003, 0], [-0.289, 0.107, 0.001, -0.0001, 0]
+    sides = zip(("left", "right"), K, D, strict=True)
+    left, right = (Camera(side, 640, 480, np.array(k), np.array(d), "plumb_bob") for side, k, d in sides)
+    turn = se3.exp_so3(np.array([0.00669, 0.00452, -0.00350]))
+    T_r_c = se3.transform(turn, np.array([-0.099802, 0.001124, 0.000050]))
+    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+
 
 K = np.array([[550.0, 0.0, 322.0], [0.0, 548.0, 241.0], [0.0, 0.0, 1.0]])
 K_RIGHT = np.array([[552.0, 0.0, 317.0], [0.0, 551.0, 245.0], [0.0, 0.0, 1.0]])

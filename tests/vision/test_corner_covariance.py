@@ -7,8 +7,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss
-from mobilecal_cli.vision.averaging import StationCorners
 from mobilecal_cli.vision.corner_model import fit_corners
+from mobilecal_cli.vision.observing import StationCorners
 from tests.pairs import board_pose, triangulate
 from tests.vision.scenes import pose, seen, stereo_rig
 

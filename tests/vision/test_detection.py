@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss, detect, identify_size
 from mobilecal_cli.vision.grid import smallest_edge_px
-from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
+from tests.vision.scenes import detected, missed, opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.05
@@ -22,11 +22,6 @@ FACING = pose(0.01, -0.02, 0.9, (0.25, -0.3, 0.1), BOARD, SQUARE_M)
 
 def truth(T_c_k: np.ndarray, board: Board = BOARD, camera=CAMERA) -> np.ndarray:
     return opencv_pixels(camera, se3.act(T_c_k, SQUARE_M * board.grid()))
-
-
-def missed(result: Detection | Miss) -> Miss:
-    assert isinstance(result, Miss)
-    return result
 
 
 def real(folder: Path, pattern: str) -> list[Path]:
@@ -64,8 +59,7 @@ class TestRendered:
             T_c_k = pose(0.05 * z, -0.04 * z, z, tilt, BOARD, SQUARE_M)
             expected = truth(T_c_k, camera=camera)
             assert smallest_edge_px(expected.reshape(6, 9, 2)) > 12
-            found = detect(render(camera, T_c_k, BOARD, SQUARE_M, blur_px=0.6, supersample=6), 9, 6)
-            assert isinstance(found, Detection)
+            found = detected(detect(render(camera, T_c_k, BOARD, SQUARE_M, blur_px=0.6, supersample=6), 9, 6))
             error = found.pixels - expected
             squares.append(error**2)
             biases.append(error.mean(axis=0))
@@ -79,8 +73,9 @@ class TestRendered:
     def test_claimed_noise_is_the_noise(self) -> None:
         errors, claims = [], []
         for seed in range(5):
-            found = detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, noise=5, seed=seed), 9, 6)
-            assert isinstance(found, Detection)
+            found = detected(
+                detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, noise=5, seed=seed), 9, 6)
+            )
             errors.append(found.pixels - truth(FACING))
             claims.append(found.sigma_px)
         assert np.mean(claims) == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.25)
@@ -91,8 +86,9 @@ class TestRendered:
         for roll in np.radians([0, 50, 95, 140, 185, 230, 275, 320][columns % 3 :: 3]):
             T_c_k = pose(0.0, 0.0, 1.0, (0, 0, roll), board, SQUARE_M)
             T_c_k[:3, :3] = se3.exp_so3(np.array([0.3, -0.2, 0.0])) @ T_c_k[:3, :3]
-            found = detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
-            assert isinstance(found, Detection)
+            found = detected(
+                detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
+            )
             expected = truth(T_c_k, board).reshape(rows, columns, 2)
             # Determined by the square colors as far as possible.
             possible = {(8, 8): (0, 1, 2, 3), (8, 6): (0, 2), (7, 7): (0, 2)}.get((columns, rows), (0,))
@@ -107,14 +103,12 @@ class TestRendered:
             assert miss.reason == "board extends beyond the grid"
 
     def test_narrow_outer_squares(self) -> None:
-        found = detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, outer=0.4), 9, 6)
-        assert isinstance(found, Detection)
+        found = detected(detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, outer=0.4), 9, 6))
         assert np.abs(found.pixels - truth(FACING)).max() < 0.12
 
     def test_low_contrast(self) -> None:
         image = render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, dark=100, light=118, noise=0.7)
-        found = detect(image, 9, 6)
-        assert isinstance(found, Detection)
+        found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - truth(FACING)).max() < 0.3
 
     def test_second_board_of_the_same_size(self) -> None:
@@ -131,8 +125,7 @@ class TestRendered:
         T_c_k = pose(0.25, 0.15, 0.95, (0.1, -0.2, 0.3), other, 0.03)
         near = pose(-0.18, -0.05, 0.9, (0.1, 0.2, 0.0), BOARD, 0.03)
         image = render(CAMERA, T_c_k, other, 0.03, picture=render(CAMERA, near, BOARD, 0.03, blur_px=0.7))
-        found = detect(image, 9, 6)
-        assert isinstance(found, Detection)
+        found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - opencv_pixels(CAMERA, se3.act(near, 0.03 * BOARD.grid()))).max() < 0.2
 
     @pytest.mark.parametrize(("x", "y"), [(-0.32, 0.0), (0.34, 0.0), (0.0, 0.3)])
@@ -147,8 +140,7 @@ class TestRendered:
         T_c_k = pose(0.0, 0.0, 0.9, (0.1, 0.0, 0.35), BOARD, SQUARE_M)
         right = truth(T_c_k)[:, 0].max() + squares * smallest_edge_px(truth(T_c_k).reshape(6, 9, 2))
         image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=1)[:, : int(right)]
-        found = detect(image, 9, 6)
-        assert isinstance(found, Detection), found
+        found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - truth(T_c_k)).max() < 0.1
         for wrong in ((8, 6), (9, 5), (10, 6)):
             assert isinstance(detect(image, *wrong), Miss), wrong
@@ -200,8 +192,7 @@ class TestRendered:
         image = cv2.resize(
             render(CAMERA, FACING, BOARD, SQUARE_M), (1280, 960), interpolation=cv2.INTER_CUBIC
         )
-        found = detect(image, 9, 6)
-        assert isinstance(found, Detection)
+        found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - ((truth(FACING) + 0.5) * 2 - 0.5)).max() < 0.25
 
     def test_nothing_there(self) -> None:
@@ -218,8 +209,7 @@ class TestReal:
             image = grey(path)
             agreed, corners = cv2.findChessboardCorners(image, (9, 6))
             assert agreed, path.name
-            found = detect(image, 9, 6)
-            assert isinstance(found, Detection), (path.name, found)
+            found = detected(detect(image, 9, 6))
             assert found.sigma_px < 0.2
             distance = np.linalg.norm(found.pixels[:, None] - corners.reshape(1, -1, 2), axis=-1)
             assert distance.min(axis=1).max() < 3

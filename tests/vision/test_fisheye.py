@@ -10,9 +10,9 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera
-from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect, identify_size
+from mobilecal_cli.vision import BoardFollower, Miss, detect, identify_size
 from mobilecal_cli.vision.grid_map import fit_grid
-from tests.vision.scenes import opencv_pixels, pose, render
+from tests.vision.scenes import detected, opencv_pixels, pose, render
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.05
@@ -37,8 +37,7 @@ def test_rendered_boards_are_found_exactly(T_c_k: np.ndarray) -> None:
     image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=2)
     grid = truth(T_c_k).reshape(6, 9, 2)
     assert fit_grid(grid).sigma_px > 0.5, "the lens is too weak for this test"
-    found = detect(image, 9, 6)
-    assert isinstance(found, Detection), found
+    found = detected(detect(image, 9, 6))
     assert np.abs(found.pixels - truth(T_c_k)).max() < 0.2
     assert found.sigma_px < 0.1
 
@@ -72,8 +71,7 @@ def test_a_board_is_tracked_under_a_fisheye_lens() -> None:
     for i in range(4):
         T_c_k = pose(0.02 * i, 0.01 * i, 0.17, (0.1, 0.1 + 0.03 * i, 0.0), BOARD, SQUARE_M)
         image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=2, seed=i)
-        found = follower.find(image, i * 50_000_000)
-        assert isinstance(found, Detection), (i, found)
+        found = detected(follower.find(image, i * 50_000_000))
         assert np.abs(found.pixels - truth(T_c_k)).max() < 0.2
 
 
@@ -92,8 +90,7 @@ def test_every_real_image(shared_data: Path, folder: str) -> None:
     assert len(expected.files) == 8
     for n, name in enumerate(expected.files):
         image = cv2.imread(str(shared_data / "fisheye" / folder / name), cv2.IMREAD_GRAYSCALE)
-        found = detect(image, columns, rows)
-        assert isinstance(found, Detection), (name, found)
+        found = detected(detect(image, columns, rows))
         distance = np.linalg.norm(found.pixels[:, None] - expected[name].reshape(1, -1, 2), axis=-1)
         assert distance.min(axis=1).max() < 2, name
         assert len(set(distance.argmin(axis=1))) == columns * rows, name

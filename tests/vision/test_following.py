@@ -11,7 +11,8 @@ from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
 from mobilecal_cli.vision.detection import find_board
 from mobilecal_cli.vision.following import follow
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from tests.vision.scenes import opencv_pixels, pose, render, stereo_rig
+from mobilecal_cli.vision.values import Appearance
+from tests.vision.scenes import detected, missed, opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
 CAMERA = stereo_rig("raw").each[0]
@@ -36,6 +37,15 @@ def film() -> list[tuple[np.ndarray, np.ndarray]]:
     return [frame(0.05 * i, seed=i) for i in range(10)]
 
 
+@pytest.fixture(scope="module")
+def first(film) -> tuple[np.ndarray, np.ndarray, Appearance]:
+    """The first image, its corners, and how the board looks in it."""
+    image, truth = film[0]
+    appearance = detected(detect(image, 9, 6)).appearance
+    assert appearance is not None
+    return image, truth, appearance
+
+
 def rms(off: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.square(off))))
 
@@ -56,22 +66,27 @@ def test_a_moving_board_is_followed_as_well_as_it_is_found(film, monkeypatch):
     searches = counted_searches(monkeypatch)
     followed, found = [], []
     for i, (image, truth) in enumerate(film):
-        seen, cold = follower.find(image, i * STEP_NS), detect(image, 9, 6)
-        assert isinstance(seen, Detection)
-        assert isinstance(cold, Detection)
-        followed.append(seen.pixels - truth)
-        found.append(cold.pixels - truth)
+        followed.append(detected(follower.find(image, i * STEP_NS)).pixels - truth)
+        found.append(detected(detect(image, 9, 6)).pixels - truth)
     assert len(searches) == 1
     assert rms(np.array(followed)) < 0.02
     assert rms(np.array(followed)) < 1.1 * rms(np.array(found))
+
+
+def test_a_board_that_stops_is_followed_by_optical_flow(film, monkeypatch):
+    """The extrapolation is 20 px off, as far as the board moved before."""
+    follower = BoardFollower(BOARD, thorough=False)
+    searches = counted_searches(monkeypatch)
+    for k, (image, truth) in enumerate((film[0], film[1], film[3], film[3])):
+        assert rms(detected(follower.find(image, k * STEP_NS)).pixels - truth) < 0.02
+    assert len(searches) == 1
 
 
 def test_the_claimed_covariances_are_the_errors(film):
     follower = BoardFollower(BOARD, thorough=True)
     squares = []
     for i, (image, truth) in enumerate(film):
-        seen = follower.find(image, i * STEP_NS)
-        assert isinstance(seen, Detection)
+        seen = detected(follower.find(image, i * STEP_NS))
         off = seen.pixels - truth
         squares += list(np.einsum("mi,mij,mj->m", off, np.linalg.inv(seen.cov), off) / 2)
     # 1 if the model were all: rendered pixels hold their light to a sixteenth of an edge's share.
@@ -81,15 +96,12 @@ def test_the_claimed_covariances_are_the_errors(film):
 @pytest.mark.parametrize(
     "shift", [(1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 2), (-1, 0), (0, -2), (-1, -1)]
 )
-def test_a_grid_some_squares_beside_is_let_go(film, shift):
-    image, truth = film[0]
-    seen = detect(image, 9, 6)
-    assert isinstance(seen, Detection)
-    assert seen.appearance is not None
+def test_a_grid_some_squares_beside_is_let_go(first, shift):
+    image, truth, appearance = first
     grid = truth.reshape(6, 9, 2)
     right, down = grid[2, 5] - grid[2, 4], grid[3, 4] - grid[2, 4]
-    assert isinstance(follow(image, truth + 0.5, seen.appearance, 9, 6), Detection)
-    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, seen.appearance, 9, 6), Miss)
+    assert isinstance(follow(image, truth + 0.5, appearance, 9, 6), Detection)
+    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, appearance, 9, 6), Miss)
 
 
 def test_a_hidden_board_is_lost_and_found_again(film):
@@ -98,8 +110,7 @@ def test_a_hidden_board_is_lost_and_found_again(film):
     wall = np.clip(np.full((480, 640), 110.0) + np.random.default_rng(3).normal(0, 2, (480, 640)), 0, 255)
     for i in range(1, 4):
         assert isinstance(follower.find(wall.astype(np.uint8), i * STEP_NS), Miss)
-    again = follower.find(film[4][0], 4 * STEP_NS)
-    assert isinstance(again, Detection)
+    again = detected(follower.find(film[4][0], 4 * STEP_NS))
     assert rms(again.pixels - film[4][1]) < 0.02
 
 
@@ -110,8 +121,7 @@ def test_searches_in_vain_are_rare(film, monkeypatch):
         rough = np.clip(110 + random.normal(0, 12, (480, 640)), 0, 255).astype(np.uint8)
         assert isinstance(follower.find(rough, 100_000_000 * i), Miss)
     assert len(searches) == 5  # at 0, 0.4, 0.8, 1.2 and 1.6 s
-    again = follower.find(film[4][0], 2_000_000_000)
-    assert isinstance(again, Detection)
+    assert isinstance(follower.find(film[4][0], 2_000_000_000), Detection)
     assert len(searches) == 6
 
 
@@ -129,8 +139,7 @@ def test_images_without_saddle_points_are_not_searched(film, monkeypatch):
     follower.find(film[0][0], 0)
     monkeypatch.setattr("mobilecal_cli.vision.following.find_board", lambda *_: pytest.fail("searched"))
     smooth = np.full((480, 640), 110, np.uint8)
-    missed = follower.find(smooth, STEP_NS)
-    assert isinstance(missed, Miss)
+    missed(follower.find(smooth, STEP_NS))
 
 
 def test_saddle_points_of_a_board_are_stronger_than_those_of_noise(film):
@@ -141,39 +150,28 @@ def test_saddle_points_of_a_board_are_stronger_than_those_of_noise(film):
     assert least_response(np.full((480, 640), 90, np.uint8), 54) == 0.0
 
 
-def test_a_board_that_leaves_the_picture_is_said_to(film):
-    image, truth = film[0]
-    seen = detect(image, 9, 6)
-    assert isinstance(seen, Detection)
-    assert seen.appearance is not None
-    gone = follow(image, truth - [truth[:, 0].min(), 0.0], seen.appearance, 9, 6)
-    assert isinstance(gone, Miss)
+def test_a_board_that_leaves_the_picture_is_said_to(first):
+    image, truth, appearance = first
+    gone = missed(follow(image, truth - [truth[:, 0].min(), 0.0], appearance, 9, 6))
     assert gone.reason == "board partly occluded or outside the image"
 
 
 @pytest.mark.parametrize("corner", [0, 8, 45, 53, 4, 22])
-def test_a_corner_predicted_wrongly_is_found_by_the_others(film, corner):
+def test_a_corner_predicted_wrongly_is_found_by_the_others(first, corner):
     """An outermost corner draws the smooth grid to itself; it was once kept 7 px off."""
-    image, truth = film[0]
-    seen = detect(image, 9, 6)
-    assert isinstance(seen, Detection)
-    assert seen.appearance is not None
+    image, truth, appearance = first
     for off in ([7.0, 0.0], [-6.0, 4.0], [0.0, -8.0], [10.0, 10.0]):
         expected = truth.copy()
         expected[corner] += off
-        found = follow(image, expected, seen.appearance, 9, 6)
-        assert isinstance(found, Detection), (off, found)
+        found = detected(follow(image, expected, appearance, 9, 6))
         assert np.abs(found.pixels - truth).max() < 0.1, off
 
 
-def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(film):
-    image, truth = film[0]
-    seen = detect(image, 9, 6)
-    assert isinstance(seen, Detection)
-    assert seen.appearance is not None
+def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(first):
+    image, truth, appearance = first
     for corner in (0, 45, 22):
         hidden = image.copy()
         u, v = np.rint(truth[corner]).astype(int)
         hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
         assert isinstance(detect(hidden, 9, 6), Miss), corner
-        assert isinstance(follow(hidden, truth, seen.appearance, 9, 6), Miss), corner
+        assert isinstance(follow(hidden, truth, appearance, 9, 6), Miss), corner

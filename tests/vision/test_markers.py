@@ -13,7 +13,8 @@ from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.scenario import PRINTED
-from mobilecal_cli.vision import Detection, Miss, find_board
+from mobilecal_cli.vision import Miss, find_board
+from tests.vision.scenes import detected, missed
 from tests.vision.test_observing import observe
 
 ROBOT = paper_robot()
@@ -56,8 +57,7 @@ def test_seen_corners_are_where_they_are(kind, look):
     x, y, z, turn = LOOKS[look]
     board, made = views(kind, centred(kind, x, y, z, turn))
     for image, truth in made:
-        found = find_board(image, board)
-        assert isinstance(found, Detection), found
+        found = detected(find_board(image, board))
         height, width = image.shape
         inside = np.all((truth > 15) & (truth < [width - 15, height - 15]), axis=1)
         assert found.seen.sum() > 0.5 * inside.sum()
@@ -77,8 +77,7 @@ def test_too_little_of_a_board_is_a_miss(kind):
     board, made = views(kind, centred(kind, 0.0, 0.0, 2.2, (0, 0, 0)))
     image = made[0][0].copy()
     image[:, 60:] = 120
-    found = find_board(image, board)
-    assert isinstance(found, Miss)
+    found = missed(find_board(image, board))
     assert found.reason in ("no board found", "board partly occluded or outside the image")
 
 
@@ -87,8 +86,7 @@ def test_other_markers_are_not_this_board(kind):
     board, made = views(kind, centred(kind, 0.0, 0.0, 2.2, (0, 0, 0)))
     other = replace(board, markers=replace(board.markers, first_id=board.markers.first_id + 300))
     assert isinstance(find_board(made[0][0], other), Miss)
-    plain = find_board(made[0][0], Board(9, 6))
-    assert isinstance(plain, Miss)
+    assert isinstance(find_board(made[0][0], Board(9, 6)), Miss)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -135,7 +133,6 @@ def test_one_wrong_corner_among_many_is_left_out():
     spoiled = image.copy()
     u, v = truth[80].astype(int)
     spoiled[v - 2 : v + 3, u - 2 : u + 9] = 250
-    found = find_board(spoiled, board)
-    assert isinstance(found, Detection)
+    found = detected(find_board(spoiled, board))
     error = np.linalg.norm((found.pixels - truth)[found.seen], axis=1)
     assert error.max() < 1.5

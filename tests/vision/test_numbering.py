@@ -20,73 +20,43 @@ UPRIGHT = np.array(
 LYING = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
+def observed(
+    station: int, points: np.ndarray, T: np.ndarray, cov: np.ndarray, pixels: np.ndarray | None = None
+) -> Observation:
+    """Both cameras see the board where the first one sees points (M, 3)."""
+    corners = Corners((points @ K.T)[:, :2] / points[:, 2:] if pixels is None else pixels, 0.1, 1)
+    none, pose_cov = np.zeros(0), 1e-6 * np.eye(6)
+    views = (corners, corners)
+    return Observation(
+        0, station, 1000 * station, True, none, none, views, points, cov, T, pose_cov, SQUARE_M, 0.1
+    )
+
+
 def world(
-    board: Board,
-    R_w_k: np.ndarray,
-    count: int,
-    rng: np.random.Generator,
-    turn_rad: float = 0.6,
-    pan: float = 0.5,
+    board: Board, R_w_k: np.ndarray, count: int, rng: np.random.Generator, moves: bool = True
 ) -> tuple[list[Observation], np.ndarray]:
-    """Observations in the true numbering, and R_v_h; pose errors of half a degree."""
+    """Observations in the true numbering, and R_v_h; pose errors of half a degree. The head moves, or is at rest."""
+    cov = np.tile(1e-6 * np.eye(3), (board.corners, 1, 1)) * np.arange(1, board.corners + 1)[:, None, None]
     observations, heads = [], []
     for i in range(count):
-        R_w_v = se3.rotation_z(np.array(rng.uniform(-turn_rad, turn_rad)))
-        R_v_h = se3.from_rpy(np.array([0.0, rng.uniform(-0.3, 0.3), rng.uniform(-pan, pan)]))
+        R_w_v = se3.rotation_z(np.array(rng.uniform(-0.6, 0.6)))
+        R_v_h = se3.from_rpy(moves * np.array([0.0, rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.5)]))
         R_c_k = (R_w_v @ R_v_h @ R_H_C).T @ R_w_k @ se3.exp_so3(rng.normal(0, 0.009, 3))
-        p = rng.uniform([-0.3, -0.2, 1.0], [0.3, 0.2, 2.0])
-        T = se3.transform(R_c_k, p)
-        points = se3.act(T, SQUARE_M * board.grid())
-        pixels = (points @ K.T)[:, :2] / points[:, 2:]
-        corners = Corners(pixels, 0.1, 1)
-        covariance = (
-            np.tile(1e-6 * np.eye(3), (board.corners, 1, 1)) * np.arange(1, board.corners + 1)[:, None, None]
-        )
-        observations.append(
-            Observation(
-                0,
-                i,
-                1000 * i,
-                True,
-                np.zeros(0),
-                np.zeros(0),
-                (corners, corners),
-                points,
-                covariance,
-                T,
-                1e-6 * np.eye(6),
-                SQUARE_M,
-                0.1,
-            )
-        )
+        T = se3.transform(R_c_k, rng.uniform([-0.3, -0.2, 1.0], [0.3, 0.2, 2.0]))
+        observations.append(observed(i, se3.act(T, SQUARE_M * board.grid()), T, cov))
         heads.append(R_v_h)
     return observations, np.array(heads)
 
 
 def renumbered(observation: Observation, board: Board, k: int) -> Observation:
     """As if the detector had started from another corner."""
-    points = turned(observation.points_c, board.columns, board.rows, k)
-    pixels = turned(observation.views[0].pixels, board.columns, board.rows, k)
+    points = turned(observation.points_c, board, k)
     grid = points.reshape(board.rows, board.columns, 3)
     x, y = (grid[0, -1] - grid[0, 0]), (grid[-1, 0] - grid[0, 0])
     x, y = x / np.linalg.norm(x), y / np.linalg.norm(y)
     T = se3.transform(np.column_stack([x, y, np.cross(x, y)]), points[0])
-    corners = Corners(pixels, 0.1, 1)
-    return Observation(
-        0,
-        observation.station,
-        observation.time_ns,
-        True,
-        np.zeros(0),
-        np.zeros(0),
-        (corners, corners),
-        points,
-        turned(observation.points_cov, board.columns, board.rows, k),
-        T,
-        observation.T_c_k_cov,
-        SQUARE_M,
-        0.1,
-    )
+    cov, pixels = (turned(v, board, k) for v in (observation.points_cov, observation.views[0].pixels))
+    return observed(observation.station, points, T, cov, pixels)
 
 
 def same_numbering(resolved: tuple[Observation, ...], truth: list[Observation], board: Board) -> bool:
@@ -142,31 +112,7 @@ def test_board_lying_on_the_floor_cannot_be_told() -> None:
 def test_head_that_never_moves() -> None:
     board = Board(8, 6)
     rng = np.random.default_rng(2)
-    truth, _ = world(board, UPRIGHT, 10, rng)
-    heads = np.tile(np.eye(3), (10, 1, 1))
-    still = []
-    for o in truth:
-        R_w_v = se3.rotation_z(np.array(rng.uniform(-0.6, 0.6)))
-        T = se3.transform((R_w_v @ R_H_C).T @ UPRIGHT @ se3.exp_so3(rng.normal(0, 0.005, 3)), o.T_c_k[:3, 3])
-        points = se3.act(T, SQUARE_M * board.grid())
-        pixels = Corners((points @ K.T)[:, :2] / points[:, 2:], 0.1, 1)
-        still.append(
-            Observation(
-                0,
-                o.station,
-                o.time_ns,
-                True,
-                np.zeros(0),
-                np.zeros(0),
-                (pixels, pixels),
-                points,
-                o.points_cov,
-                T,
-                o.T_c_k_cov,
-                SQUARE_M,
-                0.1,
-            )
-        )
+    still, heads = world(board, UPRIGHT, 10, rng, moves=False)
     mixed = [renumbered(o, board, int(rng.choice([0, 2]))) for o in still]
     resolved, rejections = resolve_numbering(mixed, heads, board)
     assert rejections == ()

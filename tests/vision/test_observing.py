@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Camera, CameraRig, Observation, Rejection, Shot, Station
+from mobilecal_cli.model import Board, Observation, Rejection, Shot, Station
 from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square, snapshot_jpeg
 from mobilecal_cli.vision.grid import turned
 from tests.pairs import measure
-from tests.vision.scenes import pose, render, seen, stereo_rig
+from tests.vision.scenes import bouguet, pose, render, seen, stereo_rig
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.06
@@ -165,8 +165,8 @@ def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, row
     board = Board(columns, rows)
     T_c_k = pose(0.05, 0.02, 1.2, (0.3, -0.2, 0.1), board, SQUARE_M)
     left, right = pairs(3, 0.02, board, T_c_k)
-    right = [Detection(turned(d.pixels, columns, rows, 2), 0.02) for d in right]
-    left[2] = Detection(turned(left[2].pixels, columns, rows, 2), 0.02)
+    right = [Detection(turned(d.pixels, Board(columns, rows), 2), 0.02) for d in right]
+    left[2] = Detection(turned(left[2].pixels, Board(columns, rows), 2), 0.02)
     found = observed(observe(0, station(3), left, right, RIG, board, SQUARE_M))
     np.testing.assert_allclose(found.T_c_k, T_c_k, atol=2e-3)
     assert found.reprojection_px < 0.1
@@ -193,30 +193,6 @@ def test_snapshot() -> None:
     decoded = cv2.imdecode(np.frombuffer(snapshot_jpeg(image[:, 5:]), np.uint8), cv2.IMREAD_UNCHANGED)
     assert decoded.shape == (480, 635)
     assert np.abs(decoded.astype(int) - image[:, 5:]).mean() < 2
-
-
-def bouguet() -> CameraRig:
-    """Bouguet's published calibration of the OpenCV samples' cameras."""
-    left = Camera(
-        "left",
-        640,
-        480,
-        [[533.5, 0, 341.6], [0, 533.5, 235.2], [0, 0, 1]],
-        [-0.288, 0.097, 0.001, -0.0003, 0],
-        "plumb_bob",
-    )
-    right = Camera(
-        "right",
-        640,
-        480,
-        [[536.8, 0, 326.3], [0, 536.5, 250.1], [0, 0, 1]],
-        [-0.289, 0.107, 0.001, -0.0001, 0],
-        "plumb_bob",
-    )
-    T_r_c = se3.transform(
-        se3.exp_so3(np.array([0.00669, 0.00452, -0.00350])), np.array([-0.099802, 0.001124, 0.00005])
-    )
-    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
 
 
 def test_real_pairs_show_squares_of_30_mm(shared_data: Path) -> None:

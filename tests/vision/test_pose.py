@@ -122,4 +122,4 @@ def test_the_pose_by_one_camera_is_the_better_one_of_two() -> None:
         T_c_k = se3.transform(se3.exp_so3(turn), np.array([*rng.uniform(-0.3, 0.3, 2), 4.0]))
         pixels = project(rig.each[0], se3.act(T_c_k, POINTS_K)) + 0.3 * rng.standard_normal((54, 2))
         least = vision.board_pose(rig, POINTS_K, [pixels], [0.3], T_c_k).rms_px
-        assert pose_from_one(rig, POINTS_K, pixels, 0.3).rms_px <= least * (1 + 1e-6)
+        assert pose_from_one(rig, POINTS_K, [pixels], [0.3]).rms_px <= least * (1 + 1e-6)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Board, Camera
-from mobilecal_cli.vision import Detection, detect
-from mobilecal_cli.vision.averaging import StationCorners, roughness_px
-from mobilecal_cli.vision.grid_map import fit_grid
-from tests.vision.scenes import random_pose, render, seen, stereo_rig
+from mobilecal_cli.vision import detect
+from mobilecal_cli.vision.grid_map import fit_grid, roughness_px
+from mobilecal_cli.vision.observing import StationCorners
+from tests.vision.scenes import detected, random_pose, render, seen, stereo_rig
 
 NOISE_PX = 0.05
 
@@ -72,8 +72,7 @@ def test_rendered_boards_claim_their_errors() -> None:
     for seed in range(8):
         T = random_pose(rng, board, 0.08)
         image = render(rig.each[0], T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
-        found = detect(image, 6, 4)
-        assert isinstance(found, Detection)
+        found = detected(detect(image, 6, 4))
         corners = StationCorners.of([found], board).average(board, rig.each[0])
         truth = seen(rig, T, board, 0.08)[1]
         errors.append(min(np.mean((found.pixels - t) ** 2) for t in (truth, truth[::-1])))
@@ -88,8 +87,7 @@ def test_a_real_board_under_a_fisheye_lens(shared_data: Path) -> None:
         np.array([-8.3238e-3, -9.8244e-4, 1.95207e-3, -1.3119e-3]), "equidistant",
     )  # fmt: skip
     image = cv2.imread(str(shared_data / "fisheye/boofcv/3.jpg"), cv2.IMREAD_GRAYSCALE)
-    found = detect(image, 6, 4)
-    assert isinstance(found, Detection)
+    found = detected(detect(image, 6, 4))
     grid = found.pixels.reshape(4, 6, 2)
     assert fit_grid(grid).sigma_px > 0.6
     assert roughness_px(camera, grid) == pytest.approx(0.078, rel=0.1)

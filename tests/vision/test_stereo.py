@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import Board
-from mobilecal_cli.vision.values import Miss, StereoPoints
+from mobilecal_cli.vision.values import StereoPoints
 from tests.pairs import triangulate, with_pair
-from tests.vision.scenes import random_pose, seen, stereo_rig
+from tests.vision.scenes import missed, random_pose, seen, stereo_rig
 
 BOARD = Board(9, 6)
 SQUARE_M = 0.06
@@ -66,27 +66,22 @@ def test_unequal_noise_moves_the_point_to_the_better_camera() -> None:
     np.testing.assert_allclose(u, left[:, 1], atol=1e-4)
 
 
-def test_swapped_cameras_are_a_miss() -> None:
-    rig = stereo_rig("rectified")
-    _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    found = triangulate(rig, right, left, 0.1, 0.1)
-    assert isinstance(found, Miss)
-    assert found.detail == "triangulated corners are behind a camera"
+BARREL = replace(stereo_rig("rectified").each[0], D=np.array([-0.3, 0, 0, 0, 0]), distortion="plumb_bob")
 
 
-def test_points_that_are_not_the_same_are_a_miss() -> None:
+@pytest.mark.parametrize(
+    ("exchanged", "left_px", "right_px", "camera", "detail"),
+    [
+        (True, (0.0, 0.0), (0.0, 0.0), None, "triangulated corners are behind a camera"),
+        (False, (0.0, 0.0), (0.0, 60.0), None, "distance from the epipolar lines"),
+        (False, (500.0, 0.0), (0.0, 0.0), BARREL, "corners are outside the valid range"),
+    ],
+    ids=["exchanged cameras", "points that are not the same", "pixels that no ray reaches"],
+)
+def test_a_miss(exchanged, left_px, right_px, camera, detail) -> None:
     rig = stereo_rig("rectified")
     _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    found = triangulate(rig, left, right + np.array([0.0, 60.0]), 0.1, 0.1)
-    assert isinstance(found, Miss)
+    both = (right, left) if exchanged else (left + left_px, right + right_px)
+    found = missed(triangulate(with_pair(rig, left=camera), *both, 0.1, 0.1))
     assert found.reason == "left and right images inconsistent"
-    assert "from the epipolar lines" in found.detail
-
-
-def test_pixels_that_no_ray_reaches_are_a_miss() -> None:
-    rig = stereo_rig("rectified")
-    _, left, right = seen(rig, random_pose(np.random.default_rng(1), BOARD, SQUARE_M), BOARD, SQUARE_M)
-    barrel = replace(rig.each[0], D=np.array([-0.3, 0, 0, 0, 0]), distortion="plumb_bob")
-    found = triangulate(with_pair(rig, left=barrel), left + np.array([500.0, 0.0]), right, 0.1, 0.1)
-    assert isinstance(found, Miss)
-    assert "outside the valid range" in found.detail
+    assert detail in found.detail
