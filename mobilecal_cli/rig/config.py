@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -22,10 +23,10 @@ from pydantic import (
     model_validator,
 )
 
-from mobilecal_cli import ranges
+from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model import FloatArray, WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -135,6 +136,12 @@ class Pose(_Section):
         if abs(norm - 1) > 1e-3:
             raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
         return self
+
+    @property
+    def transform(self) -> FloatArray:
+        """(4, 4), m."""
+        rotation = se3.from_quaternion_xyzw(np.array(self.quaternion_xyzw))
+        return se3.transform(rotation, np.array(self.translation_m))
 
 
 class CameraTopics(_Section):
