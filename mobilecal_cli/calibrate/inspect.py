@@ -278,17 +278,17 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tu
 
 
 def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> TopicView:
-    if times_ns is None or not len(times_ns):
-        return TopicView(info.name, info.type, info.count, None, None, None, None)
-    ordered = np.sort(times_ns)
-    intervals_s = np.diff(ordered) * 1e-9
-    back = int(np.sum(np.diff(times_ns) < 0))
-    if not len(intervals_s):
-        return TopicView(info.name, info.type, info.count, None, None, None, back)
-    usual, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
-    since = float(ordered[longest] - (recording.start_ns or 0)) * 1e-9
-    rate_hz = 1 / usual if usual > 0 else None
-    return TopicView(info.name, info.type, info.count, rate_hz, float(intervals_s[longest]), since, back)
+    rate_hz = longest_s = since_s = back = None
+    if times_ns is not None and len(times_ns):
+        back = int(np.sum(np.diff(times_ns) < 0))
+        ordered = np.sort(times_ns)
+        intervals_s = np.diff(ordered) * 1e-9
+        if len(intervals_s):
+            usual_s, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
+            longest_s = float(intervals_s[longest])
+            since_s = float(ordered[longest] - (recording.start_ns or 0)) * 1e-9
+            rate_hz = 1 / usual_s if usual_s > 0 else None
+    return TopicView(info.name, info.type, info.count, rate_hz, longest_s, since_s, back)
 
 
 def _motion(
