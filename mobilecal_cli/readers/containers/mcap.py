@@ -120,16 +120,13 @@ class McapStorage(BlockStorage):
             times = (index.message_start_time, index.message_end_time)
             self.blocks.append(Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None))
 
-    def load(self, block: Block) -> bytes:
-        """Decompressed records of a block, checksum verified."""
-        data = self.read_at(block.offset, block.size)
-        if not block.is_chunk:
-            return data
-        if data[:1] != bytes([Opcode.CHUNK]):
+    def decompressed(self, chunk: bytes) -> bytes:
+        """The records in a chunk, checksum verified."""
+        if chunk[:1] != bytes([Opcode.CHUNK]):
             raise ValueError("no chunk begins there")
-        chunk = records.Chunk.read(_stream(data[_HEAD.size :]))
-        whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
-        if chunk.uncompressed_crc and zlib.crc32(whole) != chunk.uncompressed_crc:
+        record = records.Chunk.read(_stream(chunk[_HEAD.size :]))
+        whole = decompress(record.data, record.compression, record.uncompressed_size)
+        if record.uncompressed_crc and zlib.crc32(whole) != record.uncompressed_crc:
             raise ValueError("wrong checksum")
         return whole
 
