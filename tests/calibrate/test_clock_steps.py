@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.writer import Writer
 
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import solve
+from tests.readers import recordings as r
 from tests.truth import truth_of
 
 S = 10**9
@@ -21,29 +21,23 @@ _STAMP = struct.Struct("<iI")
 
 def stepped(source: Path, target: Path, step_s: float, topics: str) -> Path:
     """A recording whose header stamps on some topics step 20 s after its start."""
-    with source.open("rb") as stream, target.open("wb") as sink:
-        reader, writer = make_reader(stream), Writer(sink)
-        writer.start("ros2")
-        channels: dict[int, int] = {}
+
+    def messages(stream):
         first_ns = None
-        for schema, channel, message in reader.iter_messages():
+        for schema, channel, message in make_reader(stream).iter_messages():
             assert schema is not None
-            if channel.id not in channels:
-                number = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, "cdr", number)
             first_ns = first_ns or message.log_time
             data = bytearray(message.data)
-            if (
-                message.log_time >= first_ns + 20 * S
-                and topics in channel.topic
-                and "String" not in schema.name
-            ):
+            late = message.log_time >= first_ns + 20 * S
+            if late and topics in channel.topic and "String" not in schema.name:
                 seconds, nanoseconds = _STAMP.unpack_from(data, 4)
                 stamp_ns = seconds * S + nanoseconds + round(step_s * S)
                 _STAMP.pack_into(data, 4, stamp_ns // S, stamp_ns % S)
-            writer.add_message(channels[channel.id], message.log_time, bytes(data), message.log_time)
-        writer.finish()
-    return target
+            described = (schema.name, schema.encoding, schema.data)
+            yield r.Raw(channel.topic, message.log_time, bytes(data), described)
+
+    with source.open("rb") as stream:
+        return r.write_raw(target, messages(stream))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,6 @@ import numpy as np
 import pytest
 import zstandard
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description, sha256_of
@@ -185,14 +184,9 @@ def test_a_file_that_decompresses_without_end(tmp_path):
 
 
 def test_a_message_that_decompresses_without_end(tmp_path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.NONE)
-        writer.start("ros2")
-        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        channel = writer.register_channel("/robot_description", "cdr", schema)
-        writer.add_message(channel, 1, zstandard.compress(bytes(2**28)), 1)
-        writer.finish()
+    schema = ("std_msgs/msg/String", "ros2msg", b"string data")
+    raw = r.Raw("/robot_description", 1, zstandard.compress(bytes(2**28)), schema)
+    path = r.write_raw(tmp_path / "log.mcap", [raw], compression=CompressionType.NONE)
     read_messages, damage = read(path)
     assert not read_messages
     assert any("decompresses to more than" in note for note in damage)
@@ -287,15 +281,11 @@ def test_message_definitions_without_end(definition, payload, encoding):
 
 
 def test_json_that_is_deeper_than_the_stack(tmp_path):
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
-        schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
-        channel = writer.register_channel("/joint_states", "json", schema)
-        writer.add_message(channel, 1, b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}", 1)
-        writer.add_message(channel, 2, json.dumps({"name": ["pan"], "position": [1.0]}).encode(), 2)
-        writer.finish()
+    deep = b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}"
+    payloads = (deep, json.dumps({"name": ["pan"], "position": [1.0]}).encode())
+    schema = ("sensor_msgs/JointState", "jsonschema", b"{}")
+    messages = (r.Raw("/joint_states", k, payload, schema, "json") for k, payload in enumerate(payloads, 1))
+    path = r.write_raw(tmp_path / "log.mcap", messages, "")
     with bounded(), open_recording([path]) as recording:
         assert read_description(recording).joint_names == {"/joint_states": ("pan",)}
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -231,28 +231,51 @@ def write_bag2(path: Path, items: list[Item], storage: str = "SQLITE3", compress
     return path
 
 
-def write_mcap(
-    path: Path, items: list[Item], profile="ros2", ros1=False, pack=False, encoding=None, **options
-) -> Path:
-    store = ROS1 if ros1 else ROS2
-    options.setdefault("chunk_size", 4096)
+class Raw(NamedTuple):
+    """One message of an MCAP file as it is stored; `schema`: name, language and text of its definition."""
+
+    topic: str
+    log_ns: int
+    payload: bytes
+    schema: tuple[str, str, bytes]
+    encoding: str = "cdr"
+
+
+def schema_of(store: Typestore, kind: str) -> tuple[str, str, bytes]:
+    """The definition of a ROS type, for `Raw`."""
+    ros = 1 if store is ROS1 else 2
+    name = kind.replace("/msg/", "/") if ros == 1 else kind
+    return name, f"ros{ros}msg", store.generate_msgdef(kind, ros_version=ros)[0].encode()
+
+
+def write_raw(path: Path, messages: Iterable[Raw], profile="ros2", **options) -> Path:
     with path.open("wb") as stream:
         writer = McapWriter(stream, **options)
         writer.start(profile)
         channels = {}
-        for item in items:
-            if item.topic not in channels:
-                definition = store.generate_msgdef(item.type, ros_version=1 if ros1 else 2)[0]
-                name = item.type.replace("/msg/", "/") if ros1 else item.type
-                schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", definition.encode())
-                wire = "ros1" if ros1 else "cdr"
-                channels[item.topic] = writer.register_channel(item.topic, encoding or wire, schema)
-            message = item.make(store)
-            data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.type)
-            payload = zstandard.compress(bytes(data)) if pack else bytes(data)
-            writer.add_message(channels[item.topic], item.log_ns, payload, item.log_ns)
+        for message in messages:
+            if message.topic not in channels:
+                schema = writer.register_schema(*message.schema)
+                channels[message.topic] = writer.register_channel(message.topic, message.encoding, schema)
+            writer.add_message(channels[message.topic], message.log_ns, message.payload, message.log_ns)
         writer.finish()
     return path
+
+
+def write_mcap(
+    path: Path, items: list[Item], profile="ros2", ros1=False, pack=False, encoding=None, **options
+) -> Path:
+    store = ROS1 if ros1 else ROS2
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    schemas = {kind: schema_of(store, kind) for kind in {item.type for item in items}}
+
+    def raw(item: Item) -> Raw:
+        data = bytes(serialize(item.make(store), item.type))
+        payload = zstandard.compress(data) if pack else data
+        wire = encoding or ("ros1" if ros1 else "cdr")
+        return Raw(item.topic, item.log_ns, payload, schemas[item.type], wire)
+
+    return write_raw(path, map(raw, items), profile, **{"chunk_size": 4096, **options})
 
 
 def _bare(path: Path, items: list[Item], suffix: str, storage: str) -> Path:
