@@ -17,8 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.files.interruption import Interrupted, unwind_on_signals
@@ -145,7 +144,7 @@ class Task(Generic[Result]):
         return result
 
 
-class Processes:
+class Processes(ExitStack):
     """A pool of worker processes, from `start` to the end of a `with` block.
 
     Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
@@ -153,18 +152,10 @@ class Processes:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._pool: ProcessPoolExecutor | None = None
         self._files: Path | None = None
-        self._stack = ExitStack()
         self._numbers = itertools.count()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
 
     @property
     def started(self) -> bool:
@@ -175,8 +166,8 @@ class Processes:
         """Start worker processes, each of which calls `get_ready` first; none if that fails."""
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
             if self._files is None:
-                self._files = enter_scratch(self._stack)
-            self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
+                self._files = enter_scratch(self)
+            self._pool = self.enter_context(workers(count, self._files, get_ready, *given))
 
     def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
         """Submit a task to the next free process.

@@ -101,7 +101,7 @@ class BoardConfig(_Section):
     border_bits: int = Field(1, ge=1, le=3, description="width of the markers' black border, in cells")
 
     @model_validator(mode="after")
-    def _markers_told(self) -> BoardConfig:
+    def _consistent(self) -> BoardConfig:
         if self.kind == "checkerboard":
             for key in ("dictionary", "marker_share", "gap_share"):
                 if getattr(self, key) is not None:
@@ -110,17 +110,13 @@ class BoardConfig(_Section):
                     )
             if min(self.columns or 3, self.rows or 3) < 3:
                 raise ValueError("board.columns and board.rows of a checkerboard must be 3 or more")
+            if (self.columns is None) != (self.rows is None):
+                raise ValueError("give both columns and rows")
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
         for key in ("columns", "rows", *needed):
             if getattr(self, key) is None:
                 raise ValueError(f"a board of kind {self.kind} requires {key}")
-        return self
-
-    @model_validator(mode="after")
-    def _both_counts(self) -> BoardConfig:
-        if (self.columns is None) != (self.rows is None):
-            raise ValueError("give both columns and rows")
         return self
 
 

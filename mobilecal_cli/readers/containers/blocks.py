@@ -269,7 +269,7 @@ class BlockStorage(Storage):
         except _UnindexedError:
             return
         channel, log_ns = np.concatenate(parts, axis=1)
-        steps = steps_back(channel, log_ns) if goes_back(channel, log_ns) else []
+        steps = steps_back(channel, log_ns)
         sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
         if not steps:
             return

@@ -26,7 +26,6 @@ from mobilecal_cli.readers.containers.storage import (
     Extent,
     Message,
     Storage,
-    goes_back,
     message_payload,
     steps_back,
 )
@@ -167,7 +166,7 @@ class SqliteStorage(Storage):
             return  # noted when the messages are read
         log = _Log(*(np.array(column, dtype=np.int64) for column in columns))
         self.counts = dict(counts)
-        steps = steps_back(log.channel, log.log_ns) if goes_back(log.channel, log.log_ns) else []
+        steps = steps_back(log.channel, log.log_ns)
         for first, size_ns in steps:
             log.log_ns[first:] += size_ns
             self._steps.append((int(log.row[first]), size_ns))
