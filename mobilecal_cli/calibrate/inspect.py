@@ -14,7 +14,7 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
-from mobilecal_cli.calibrate.sample import sample_board
+from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import (
     ConfigError,
     MobilecalError,
@@ -76,7 +76,7 @@ class _Findings:
         self.notes: list[str] = []
 
     def miss(self, about: str, error: MobilecalError) -> None:
-        self.missing.append(_lack(about, error))
+        self.missing.append(lack_of(about, error))
 
     def add_gaps(self, about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> None:
         """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others are missing.
@@ -129,7 +129,7 @@ def inspect(
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:
-            findings.missing += [_lack(part, error) for part, error in survey.lacks]
+            findings.missing += [lack_of(part, error) for part, error in survey.lacks]
         elif survey is not None:
             rig, rig_notes = complete_rig(survey, config)
             findings.notes += rig_notes
@@ -194,7 +194,7 @@ def check(
         about = "recording"
         return inspect(logs, config_path, flags, progress)
     except (ConfigError, RecordingError) as error:
-        return Inspection(str(logs[0]), missing=(_lack(about, error),))
+        return Inspection(str(logs[0]), missing=(lack_of(about, error),))
 
 
 def _parts(survey: Survey) -> Parts:
@@ -208,10 +208,6 @@ def _parts(survey: Survey) -> Parts:
 def _size_bytes(logs: Sequence[Path]) -> int:
     files = [p for log in logs for p in (log.rglob("*") if log.is_dir() else [log])]
     return sum(p.stat().st_size for p in files if p.is_file())
-
-
-def _lack(about: str, error: MobilecalError) -> Lack:
-    return Lack(about, error.message, error.hint, error.exit_code)
 
 
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:

@@ -11,13 +11,13 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.files.interruption import Interrupted, unwind_on_signals
@@ -130,20 +130,6 @@ def _do(question: Path, answer: Path) -> None:
     answer.write_bytes(pickle.dumps(task(*given), pickle.HIGHEST_PROTOCOL))
 
 
-class Task(Generic[Result]):
-    """A task submitted to a worker process."""
-
-    def __init__(self, done: Future[None], answer: Path) -> None:
-        self._done, self._answer = done, answer
-
-    def result(self) -> Result:
-        """Wait for the result; call it once. Raises the task's error, or one of `FAILED`."""
-        self._done.result()
-        result: Result = pickle.loads(self._answer.read_bytes())
-        self._answer.unlink()
-        return result
-
-
 class Processes(ExitStack):
     """A pool of worker processes, from `start` to the end of a `with` block.
 
@@ -169,8 +155,11 @@ class Processes(ExitStack):
                 self._files = enter_scratch(self)
             self._pool = self.enter_context(workers(count, self._files, get_ready, *given))
 
-    def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
+    def submit(self, task: Callable[..., Result], *given: Any) -> Callable[[], Result]:  # noqa: ANN401
         """Submit a task to the next free process.
+
+        Returns:
+            Waits for the result; call it once. Raises the task's error, or one of `FAILED`.
 
         Raises:
             OSError, BrokenProcessPool: see `FAILED`.
@@ -180,4 +169,12 @@ class Processes(ExitStack):
         number = next(self._numbers)
         question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
         question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
-        return Task(self._pool.submit(work, _do, question, answer), answer)
+        done = self._pool.submit(work, _do, question, answer)
+
+        def result() -> Result:
+            done.result()
+            returned: Result = pickle.loads(answer.read_bytes())
+            answer.unlink()
+            return returned
+
+        return result

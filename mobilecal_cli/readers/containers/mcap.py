@@ -25,7 +25,7 @@ from mobilecal_cli.readers.containers.storage import (
     message_payload,
 )
 from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.messages.types import DefinitionFormat
+from mobilecal_cli.readers.messages.types import LANGUAGES
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -36,13 +36,6 @@ _CHUNK = struct.Struct("<QQQI")
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
-_FORMATS: dict[str, DefinitionFormat] = {
-    "ros1msg": "msg",
-    "ros2msg": "msg",
-    "ros2idl": "idl",
-    "omgidl": "idl",
-    "protobuf": "protobuf",
-}
 
 
 class McapStorage(BlockStorage):
@@ -177,7 +170,7 @@ class McapStorage(BlockStorage):
         if channel.id in self.channels:
             return
         schema = self._schemas.get(channel.schema_id)
-        kind = _FORMATS.get(schema.encoding, "") if schema else ""
+        kind = LANGUAGES.get(schema.encoding, "") if schema else ""
         definition: str | bytes = schema.data if schema else ""
         if isinstance(definition, bytes) and kind != "protobuf":
             definition = definition.decode(errors="replace")

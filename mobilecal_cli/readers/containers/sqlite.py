@@ -30,7 +30,7 @@ from mobilecal_cli.readers.containers.storage import (
     steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
-from mobilecal_cli.readers.messages.types import DefinitionFormat
+from mobilecal_cli.readers.messages.types import LANGUAGES
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -41,8 +41,6 @@ MOST_FAILURES = 10_000
 #: Rows per query; older versions of SQLite accept 999 values at most.
 _BATCH = 500
 _SELECT = "SELECT id, topic_id, timestamp, {} FROM messages"
-
-_FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
 class _Log(NamedTuple):
@@ -145,7 +143,7 @@ class SqliteStorage(Storage):
                 ros2_spelling(str(name)),
                 str(encoding),
                 text,
-                _FORMATS.get(language, ""),
+                LANGUAGES.get(language, ""),
             )
 
     def _scan(self) -> None:
