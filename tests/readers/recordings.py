@@ -55,6 +55,11 @@ class Item:
     make: Callable[[Typestore], Any]
 
 
+def every(recording):
+    """All messages of all topics."""
+    return list(recording.messages({info.name for info in recording.topics}))
+
+
 def one_log(recording, sources, joints, *options, **more):
     """Signals of a recording without clock steps."""
     (signals,) = read_signals(recording, sources, joints, *options, **more)
@@ -202,19 +207,22 @@ def world(messages: int = 60) -> list[Item]:
     return items
 
 
+def _fill(writer, items: list[Item], store: Typestore, serialize: Callable) -> None:
+    """Write a bag and close it."""
+    with writer:
+        connections = {}
+        for item in items:
+            if item.topic not in connections:
+                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=store)
+            writer.write(connections[item.topic], item.log_ns, serialize(item.make(store), item.type))
+
+
 def write_bag(path: Path, items: list[Item], compression: str = "") -> Path:
     writer = BagWriter(path)
     writer.chunk_threshold = 4096
     if compression:
         writer.set_compression(BagWriter.CompressionFormat[compression])
-    with writer:
-        connections = {}
-        for item in items:
-            if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS1)
-            writer.write(
-                connections[item.topic], item.log_ns, ROS1.serialize_ros1(item.make(ROS1), item.type)
-            )
+    _fill(writer, items, ROS1, ROS1.serialize_ros1)
     return path
 
 
@@ -222,12 +230,7 @@ def write_bag2(path: Path, items: list[Item], storage: str = "SQLITE3", compress
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin[storage])
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for item in items:
-            if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS2)
-            writer.write(connections[item.topic], item.log_ns, ROS2.serialize_cdr(item.make(ROS2), item.type))
+    _fill(writer, items, ROS2, ROS2.serialize_cdr)
     return path
 
 

@@ -40,11 +40,6 @@ def originals(tmp_path_factory) -> dict[str, bytes]:
     return {name: r.CONTAINERS[name](folder / name, ITEMS).read_bytes() for name in FILES}
 
 
-def every(recording):
-    """All messages of all topics."""
-    return list(recording.messages({info.name for info in recording.topics}))
-
-
 def written(folder: Path, data: bytes, name: str = "damaged") -> Path:
     path = folder / name
     path.write_bytes(data)
@@ -54,7 +49,7 @@ def written(folder: Path, data: bytes, name: str = "damaged") -> Path:
 def read_all(path: Path) -> int:
     """Everything that a calibration reads; the number of messages."""
     with open_recording([path]) as recording:
-        count = len(every(recording))
+        count = len(r.every(recording))
         read_description(recording)
         signals = r.one_log(recording, r.SOURCES, r.JOINTS)
         wanted = {side: index.stamp_ns.tolist() for side, index in signals.images.items()}
@@ -93,7 +88,7 @@ def test_truncated_file_gives_its_whole_messages_and_says_so(originals, tmp_path
     data = originals[name]
     path = written(tmp_path, data[: int(len(data) * 0.4)])
     with open_recording([path]) as recording:
-        times = [m.log_time_ns for m in every(recording)]
+        times = [m.log_time_ns for m in r.every(recording)]
         note = " ".join(recording.damage)
     assert 10 < len(times) < len(ITEMS)
     assert times == [item.log_ns for item in ITEMS[: len(times)]]
@@ -114,7 +109,7 @@ def test_a_truncated_chunk_of_an_mcap_gives_its_whole_messages(tmp_path, chunk):
     with path.open("r+b") as stream:
         stream.truncate(cut.offset + cut.size * 3 // 4)
     with open_recording([path]) as recording:
-        found = [m.decode().data for m in every(recording)]
+        found = [m.decode().data for m in r.every(recording)]
         assert found == list(range(len(found)))
         assert sum(whole[:-1]) + 0.5 * whole[-1] < len(found) < sum(whole)
         note, *_ = recording.damage
@@ -126,7 +121,7 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
     data = originals["bare-db3"]
     path = written(tmp_path, data[: int(len(data) * 0.7)])
     with open_recording([path]) as recording:
-        count = len(every(recording))
+        count = len(r.every(recording))
         note = " ".join(recording.damage)
     assert 0 < count < len(ITEMS)
     assert f"damaged; {count} messages of the topics in use could be read" in note
@@ -177,7 +172,7 @@ def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path):
     data[block.offset + block.size // 2] ^= 255
     path.write_bytes(data)
     with open_recording([path]) as recording:
-        count = len(every(recording))
+        count = len(r.every(recording))
         notes = recording.damage
     assert count == len(ITEMS) - lost
     assert any(f"the chunk at byte {block.offset}" in note for note in notes)
@@ -192,7 +187,7 @@ def test_checksum_finds_a_flip_in_an_uncompressed_chunk(originals, tmp_path):
     data[block.offset + block.size // 2] ^= 1
     path.write_bytes(data)
     with open_recording([path]) as recording:
-        every(recording)
+        r.every(recording)
         assert any("checksum" in note for note in recording.damage)
 
 
@@ -203,7 +198,7 @@ def test_bag_without_index_reads_like_the_whole_one(originals, tmp_path):
     path = written(tmp_path, data, "unindexed.bag")
     with open_recording([path]) as recording:
         assert sum(t.count or 0 for t in recording.topics) == len(ITEMS)
-        assert len(every(recording)) == len(ITEMS)
+        assert len(r.every(recording)) == len(ITEMS)
         assert recording.damage == (
             "unindexed.bag: the bag has no usable index (was the recorder stopped properly?); "
             f"a scan found {len(ITEMS)} messages",
@@ -289,7 +284,7 @@ def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):
     data[place + 7] = 255
     path = written(tmp_path, data)
     with open_recording([path]) as recording:
-        assert len(every(recording)) == len(ITEMS) - 1
+        assert len(r.every(recording)) == len(ITEMS) - 1
         assert any(f"{ITEMS[20].topic}: " in note and "could be read" in note for note in recording.damage)
 
 
