@@ -230,7 +230,9 @@ def _fixed_root(urdf: Urdf, link: str) -> tuple[str, FloatArray]:
     """The highest link that carries a link by fixed joints alone, and the pose of the link on it, (4, 4)."""
     above = {joint.child: joint for joint in urdf.joints.values()}
     T = np.eye(4)
-    while link in above and above[link].kind == "fixed":
+    for _ in above:  # transforms may go in a circle
+        if link not in above or above[link].kind != "fixed":
+            break
         T, link = above[link].T_parent_child @ T, above[link].parent
     return link, T
 
