@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import os
 import reprlib
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import Protocol
 
 from mobilecal_cli.errors import ConfigError
 
-
-class Progress(Protocol):
-    """Callback for progress."""
-
-    def __call__(self, stage: str, done: int, total: int | None) -> None:
-        """Report that `done` of `total` (None: unknown) items of a stage are done."""
+#: Callback for progress: a stage, how many of its items are done, and of how many (None: unknown).
+Progress = Callable[[str, int, int | None], None]
 
 
 def silent(stage: str, done: int, total: int | None) -> None:

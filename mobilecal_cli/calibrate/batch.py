@@ -114,7 +114,7 @@ def fleet_jobs(
         FleetJob(
             robot.name,
             tuple(log.absolute() for log in robot.logs),
-            (robot.config or config).absolute() if robot.config or config else None,  # type: ignore[union-attr]
+            own.absolute() if (own := robot.config or config) else None,
             output.absolute(),
             flags,
             tuple(gates),

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 
 from mobilecal_cli.calibrate import Progress
-from mobilecal_cli.calibrate.workers import FAILED, Processes, Task, resources
+from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
     Board,
@@ -297,14 +297,14 @@ class DetectionWorkers(Processes):
     ) -> list[StationDetections]:
         """`detect_segment` for all segments; `count` receives the number of images processed since its last call."""
         detections: list[StationDetections] = []
-        waiting: deque[Task[tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+        waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
         done, ahead = 0, iter(segments)
         self.call(len(segments) // 2)
         while self.started and 1 < len(segments) > done:
             try:
                 for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
                     waiting.append(self.submit(_detect, rig, board, segment))
-                found, damage = waiting.popleft().result()
+                found, damage = waiting.popleft()()
             except FAILED:
                 break
             for note in damage:
@@ -329,11 +329,11 @@ class DetectionWorkers(Processes):
             starts = range(0, len(stations), _MEASURED_AT_ONCE)
             some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
             with suppress(*FAILED):
-                tasks = [
+                results = [
                     self.submit(measure_stations, log, cameras, board, stations[part], detections[part])
                     for part in some
                 ]
-                return [measured for task in tasks for measured in task.result()]
+                return [measured for result in results for measured in result()]
         return measure_stations(log, cameras, board, stations, detections)
 
 

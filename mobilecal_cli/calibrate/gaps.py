@@ -85,37 +85,34 @@ def gaps_between(
     if seen.shows_wheels:
         return tuple(gaps)
     turned, driven = seen.turned_rad, seen.driven_rad
+    parameters: tuple[str, ...]
+    closed_by: tuple[tuple[str, ...], ...]
     if not (seen.turns or seen.drives):
-        gaps.append(
-            Gap(
-                ("radius_right", "radius_left", "separation"),
-                f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
-                f"between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)",
-                "drive and turn the base between stations",
-                (NINE[6:],),
-            )
+        parameters, closed_by = ("radius_right", "radius_left", "separation"), (NINE[6:],)
+        because = (
+            f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
+            f"between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)"
         )
+        cure = "drive and turn the base between stations"
     elif not seen.turns:
-        because, cure = (
+        parameters, closed_by = ("separation", "ratio of the radii"), (("separation",),)
+        because = (
             f"the base only drives straight: the rotations of the two wheels differ by at most "
-            f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)",
-            "turn the base by 20 degrees or more between some stations",
+            f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)"
         )
+        cure = "turn the base by 20 degrees or more between some stations"
         if not turned:
             because = "the left and the right wheel have identical readings between all stations"
             cure = f"check that the driver publishes both wheels, or {cure}"
-        gaps.append(Gap(("separation", "ratio of the radii"), because, cure, (("separation",),)))
     else:
-        gaps.append(
-            Gap(
-                ("common scale of radius_right, radius_left, separation",),
-                f"the base only turns in place: the mean rotation of the two wheels is at most "
-                f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)",
-                "drive forward or back by 20 cm or more between some stations",
-                tuple((name,) for name in NINE[6:]),
-            )
+        parameters = ("common scale of radius_right, radius_left, separation",)
+        closed_by = tuple((name,) for name in NINE[6:])
+        because = (
+            f"the base only turns in place: the mean rotation of the two wheels is at most "
+            f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)"
         )
-    return tuple(gaps)
+        cure = "drive forward or back by 20 cm or more between some stations"
+    return (*gaps, Gap(parameters, because, cure, closed_by))
 
 
 def require_stations(extraction: Extraction) -> None:

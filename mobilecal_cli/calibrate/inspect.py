@@ -14,7 +14,7 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
-from mobilecal_cli.calibrate.sample import sample_board
+from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import (
     ConfigError,
     MobilecalError,
@@ -76,7 +76,7 @@ class _Findings:
         self.notes: list[str] = []
 
     def miss(self, about: str, error: MobilecalError) -> None:
-        self.missing.append(_lack(about, error))
+        self.missing.append(lack_of(about, error))
 
     def add_gaps(self, about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> None:
         """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others are missing.
@@ -129,7 +129,7 @@ def inspect(
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:
-            findings.missing += [_lack(part, error) for part, error in survey.lacks]
+            findings.missing += [lack_of(part, error) for part, error in survey.lacks]
         elif survey is not None:
             rig, rig_notes = complete_rig(survey, config)
             findings.notes += rig_notes
@@ -194,7 +194,7 @@ def check(
         about = "recording"
         return inspect(logs, config_path, flags, progress)
     except (ConfigError, RecordingError) as error:
-        return Inspection(str(logs[0]), missing=(_lack(about, error),))
+        return Inspection(str(logs[0]), missing=(lack_of(about, error),))
 
 
 def _parts(survey: Survey) -> Parts:
@@ -208,10 +208,6 @@ def _parts(survey: Survey) -> Parts:
 def _size_bytes(logs: Sequence[Path]) -> int:
     files = [p for log in logs for p in (log.rglob("*") if log.is_dir() else [log])]
     return sum(p.stat().st_size for p in files if p.is_file())
-
-
-def _lack(about: str, error: MobilecalError) -> Lack:
-    return Lack(about, error.message, error.hint, error.exit_code)
 
 
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
@@ -278,17 +274,17 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tu
 
 
 def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> TopicView:
-    if times_ns is None or not len(times_ns):
-        return TopicView(info.name, info.type, info.count, None, None, None, None)
-    ordered = np.sort(times_ns)
-    intervals_s = np.diff(ordered) * 1e-9
-    back = int(np.sum(np.diff(times_ns) < 0))
-    if not len(intervals_s):
-        return TopicView(info.name, info.type, info.count, None, None, None, back)
-    usual, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
-    since = float(ordered[longest] - (recording.start_ns or 0)) * 1e-9
-    rate_hz = 1 / usual if usual > 0 else None
-    return TopicView(info.name, info.type, info.count, rate_hz, float(intervals_s[longest]), since, back)
+    rate_hz = longest_s = since_s = back = None
+    if times_ns is not None and len(times_ns):
+        back = int(np.sum(np.diff(times_ns) < 0))
+        ordered = np.sort(times_ns)
+        intervals_s = np.diff(ordered) * 1e-9
+        if len(intervals_s):
+            usual_s, longest = float(np.median(intervals_s)), int(np.argmax(intervals_s))
+            longest_s = float(intervals_s[longest])
+            since_s = float(ordered[longest] - (recording.start_ns or 0)) * 1e-9
+            rate_hz = 1 / usual_s if usual_s > 0 else None
+    return TopicView(info.name, info.type, info.count, rate_hz, longest_s, since_s, back)
 
 
 def _motion(

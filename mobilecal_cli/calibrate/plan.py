@@ -59,7 +59,7 @@ def _joints_first(recording: Recording, rig: Rig, pictures: Pictures) -> Planned
     alone, *others = read_signals(recording, replace(rig.sources, image={}), joints, clocks=pictures.clocks)
     if others or any(CAMERA_INFO_CHANGES in note for note in alone.notes):
         return None
-    signals = replace(alone, images={side: pictures.index(topic) for side, topic in images.items()})
+    signals = replace(alone, images={side: pictures.index[topic] for side, topic in images.items()})
     try:
         (plan,) = plan_stations([signals], joints, sliding)
     except RecordingError:  # the header stamps may solve this, or give the reason

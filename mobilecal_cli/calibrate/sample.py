@@ -62,18 +62,22 @@ def sample_board(
     if not readable:
         broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
-        return None, [_lack("cameras", f"no image can be read{why}", "record the cameras' images")], []
+        lack = Lack(
+            "cameras", f"no image can be read{why}", "record the cameras' images", ObservationError.exit_code
+        )
+        return None, [lack], []
     lacks = [] if cameras is None else _wrong_sizes(samples, cameras)
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
         if vote.size is not None and board is not None and set(vote.size) != {board.columns, board.rows}:
             lacks.append(
-                _lack(
+                Lack(
                     "board",
                     f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
                     f"{vote.size[0]} x {vote.size[1]}",
                     "correct board.columns and board.rows",
+                    ObservationError.exit_code,
                 )
             )
         board = None if vote.size is None else Board(*vote.size)
@@ -85,7 +89,7 @@ def sample_board(
         where = "an image" if cameras is None else cameras.images_words
         where = "both images" if len(images) == 2 else where
         cure = f"keep the whole board in {where}, in good light, with squares of 7 pixels or more"
-        lacks.append(_lack("board", what, cure))
+        lacks.append(Lack("board", what, cure, ObservationError.exit_code))
         return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
     detections = {
         name: [None if isinstance(image, Rejection) else find_board(image, board) for image in some]
@@ -108,28 +112,30 @@ def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
     """A stated size of the squares that `calibrate` refuses, or that several stereo pairs do not confirm."""
     median = float(np.median(squares_m))
     if abs(median - stated_m) > SQUARE_TOLERANCE * stated_m:
-        return _lack(
+        return Lack(
             "square size",
             f"the squares measure {median * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
             f"(limit {100 * SQUARE_TOLERANCE:g} %)",
             square_cure(stated_m, median),
+            ObservationError.exit_code,
         )
     if len(squares_m) < _FEWEST_SQUARES:
         return None
     mean, noise = float(np.mean(squares_m)), float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m))
     if abs(mean - stated_m) <= max(_SQUARE_PERCENT / 100 * stated_m, 3 * noise):
         return None
-    return _lack(
+    return Lack(
         "square size",
         f"the squares measure {mean * 1e3:.2f} mm in {len(squares_m)} stereo pairs, {stated_m * 1e3:.2f} mm "
         f"are stated (limit {_SQUARE_PERCENT:g} %)",
         square_cure(stated_m, mean),
-        QualityError,
+        QualityError.exit_code,
     )
 
 
-def _lack(about: str, what: str, cure: str, kind: type[MobilecalError] = ObservationError) -> Lack:
-    return Lack(about, what, cure, kind.exit_code)
+def lack_of(about: str, error: MobilecalError) -> Lack:
+    """An error as a lack of a recording."""
+    return Lack(about, error.message, error.hint, error.exit_code)
 
 
 def _wrong_sizes(samples: Mapping[str, Sequence[GrayImage | Rejection]], cameras: CameraRig) -> list[Lack]:
@@ -141,7 +147,7 @@ def _wrong_sizes(samples: Mapping[str, Sequence[GrayImage | Rejection]], cameras
             if image is not None:
                 check_picture(image, name, cameras)
         except RecordingError as error:
-            lacks.append(_lack("camera infos", error.message, error.hint, RecordingError))
+            lacks.append(lack_of("camera infos", error))
     return lacks
 
 

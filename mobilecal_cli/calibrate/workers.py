@@ -11,14 +11,13 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
-from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, TypeVar
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.files.interruption import Interrupted, unwind_on_signals
@@ -131,21 +130,7 @@ def _do(question: Path, answer: Path) -> None:
     answer.write_bytes(pickle.dumps(task(*given), pickle.HIGHEST_PROTOCOL))
 
 
-class Task(Generic[Result]):
-    """A task submitted to a worker process."""
-
-    def __init__(self, done: Future[None], answer: Path) -> None:
-        self._done, self._answer = done, answer
-
-    def result(self) -> Result:
-        """Wait for the result; call it once. Raises the task's error, or one of `FAILED`."""
-        self._done.result()
-        result: Result = pickle.loads(self._answer.read_bytes())
-        self._answer.unlink()
-        return result
-
-
-class Processes:
+class Processes(ExitStack):
     """A pool of worker processes, from `start` to the end of a `with` block.
 
     Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
@@ -153,18 +138,10 @@ class Processes:
     """
 
     def __init__(self) -> None:
+        super().__init__()
         self._pool: ProcessPoolExecutor | None = None
         self._files: Path | None = None
-        self._stack = ExitStack()
         self._numbers = itertools.count()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stack.__exit__(kind, error, trace)
 
     @property
     def started(self) -> bool:
@@ -175,11 +152,14 @@ class Processes:
         """Start worker processes, each of which calls `get_ready` first; none if that fails."""
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
             if self._files is None:
-                self._files = enter_scratch(self._stack)
-            self._pool = self._stack.enter_context(workers(count, self._files, get_ready, *given))
+                self._files = enter_scratch(self)
+            self._pool = self.enter_context(workers(count, self._files, get_ready, *given))
 
-    def submit(self, task: Callable[..., Result], *given: Any) -> Task[Result]:  # noqa: ANN401
+    def submit(self, task: Callable[..., Result], *given: Any) -> Callable[[], Result]:  # noqa: ANN401
         """Submit a task to the next free process.
+
+        Returns:
+            Waits for the result; call it once. Raises the task's error, or one of `FAILED`.
 
         Raises:
             OSError, BrokenProcessPool: see `FAILED`.
@@ -189,4 +169,12 @@ class Processes:
         number = next(self._numbers)
         question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
         question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
-        return Task(self._pool.submit(work, _do, question, answer), answer)
+        done = self._pool.submit(work, _do, question, answer)
+
+        def result() -> Result:
+            done.result()
+            returned: Result = pickle.loads(answer.read_bytes())
+            answer.unlink()
+            return returned
+
+        return result

@@ -199,13 +199,18 @@ def _of_topic(
     if first is None:
         return ()
     decoded = first.decode()
-    paths = [FieldPath.parse(path) for path in _paths(decoded) if wanted(topic, path)]
+    paths = [
+        FieldPath.parse(path)
+        for path, value in leaves_of(decoded)
+        if isinstance(value, (int, float, np.number))
+        and not isinstance(value, bool)
+        and _NOT_READINGS.isdisjoint(path.split("."))
+        and wanted(topic, path)
+    ]
     if not paths:
         return ()
-    series: dict[str, list[int | float]] = {
-        path.text: [path.number(decoded, topic, "the field")] for path in paths
-    }
-    for message in messages:
+    series: dict[str, list[int | float]] = {path.text: [] for path in paths}
+    for message in chain([first], messages):
         decoded = message.decode()
         for path in paths:
             series[path.text].append(path.number(decoded, topic, "the field"))
@@ -215,17 +220,6 @@ def _of_topic(
         NumberField(topic, name, isinstance(values[0], int), bits, *_wraps(values))
         for name, values in series.items()
     )
-
-
-def _paths(message: Any) -> list[str]:  # noqa: ANN401 - the type is the recording's
-    """Paths to the single numbers in a message."""
-    return [
-        path
-        for path, value in leaves_of(message)
-        if isinstance(value, (int, float, np.integer, np.floating))
-        and not isinstance(value, bool)
-        and _NOT_READINGS.isdisjoint(path.split("."))
-    ]
 
 
 def _wraps(values: list[int | float]) -> tuple[int | None, int | None]:

@@ -31,25 +31,17 @@ _LOOKS = 9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """Log times of all images, and the lag of a few of them.
+    """All images by their log times, and how far these are from the stamps.
 
     Attributes:
-        logged_ns: topic → (n,) increasing log times.
-        lag_ns: topic → median of log time minus stamp.
+        index: topic → its images, with approximate stamps: log times minus the median lag of a few images.
         spread_ns: largest range of the lags of one topic.
         clocks: statistics of the stamps of those few images.
     """
 
-    logged_ns: Mapping[str, IntArray]
-    lag_ns: Mapping[str, int]
+    index: Mapping[str, PictureIndex]
     spread_ns: int
     clocks: tuple[Clock, ...]
-
-    def index(self, topic: str) -> PictureIndex:
-        """A topic's images, with approximate stamps: log times minus the lag."""
-        logged_ns = self.logged_ns[topic]
-        stamp_ns = logged_ns - self.lag_ns[topic]
-        return PictureIndex(stamp_ns, stamp_ns, logged_ns)
 
 
 def find_pictures(recording: Recording, image_topics: Mapping[str, str]) -> Pictures | None:
@@ -69,11 +61,9 @@ def find_pictures(recording: Recording, image_topics: Mapping[str, str]) -> Pict
     times = recording.log_times()
     if any(topic not in times for topic in topics):
         return None
-    logged = {topic: np.unique(times[topic]) for topic in topics}
-    lags: dict[str, list[int]] = {}
-    clocks = []
-    for topic, logged_ns in logged.items():
-        clock = Clock(topic)
+    index, clocks, spread_ns = {}, [], 0
+    for topic in topics:
+        clock, logged_ns, lags_ns = Clock(topic), np.unique(times[topic]), []
         some = np.linspace(0, len(logged_ns) - 1, _LOOKS).astype(int)
         moments = logged_ns[np.union1d(some, np.minimum(some + 1, len(logged_ns) - 1))]
         before, content = 0, b""
@@ -86,16 +76,17 @@ def find_pictures(recording: Recording, image_topics: Mapping[str, str]) -> Pict
                 if message.log_time_ns > before and content == last != b"":
                     return None
                 before = message.log_time_ns
-                stamp_ns = clock.count(header_stamp_ns(decoded), message.log_time_ns)
-                lags.setdefault(topic, []).append(message.log_time_ns - stamp_ns)
+                log_ns = message.log_time_ns
+                lags_ns.append(log_ns - clock.count(header_stamp_ns(decoded), log_ns))
         except (RecordingError, *NOT_ITS_TYPE):
             return None
         if not clock.messages or clock.unstamped:
             return None
         clocks.append(clock)
-    middle = {topic: sorted(found)[len(found) // 2] for topic, found in lags.items()}
-    spread = max(max(found) - min(found) for found in lags.values())
-    return Pictures(logged, middle, spread, tuple(clocks))
+        spread_ns = max(spread_ns, max(lags_ns) - min(lags_ns))
+        stamp_ns = logged_ns - sorted(lags_ns)[len(lags_ns) // 2]
+        index[topic] = PictureIndex(stamp_ns, stamp_ns, logged_ns)
+    return Pictures(index, spread_ns, tuple(clocks))
 
 
 def read_stamps(

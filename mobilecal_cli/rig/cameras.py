@@ -64,7 +64,9 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
     cameras = config.cameras
     configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
-    if not configured:
+    if cameras.both is not None:
+        configured = {"both": cameras.both.image}
+    elif not configured:
         configured = {side: cameras.of(side).image for side in SIDES}
     for name, topic in configured.items():
         if topic is not None and topic not in present:
@@ -79,13 +81,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
             f"joints; topics present: {_present(description)}",
         )
     if cameras.both is not None:
-        both = cameras.both.image
-        if both not in present:
-            raise RecordingError(
-                f"cameras.both.image: the topic {both} contains no images in this recording",
-                f"image topics present: {listed(sorted(present))}",
-            )
-        return {"left": both, "right": both}
+        return dict.fromkeys(SIDES, cameras.both.image)
     chosen = {name: topic for name, topic in configured.items() if topic is not None}
     if len(chosen) == len(configured):
         for one, other in itertools.combinations(chosen, 2):
@@ -98,9 +94,9 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     pair = _pair(config, description, present, chosen)
     single = None if chosen else _single(present, cameras.rectified, acceptable=pair is not None)
     if pair is not None:
-        of_rgbd = config.board.square_m is not None and single is not None and _is_infrared(pair["left"])
-        if not (of_rgbd and single is not None and _is_color(single)):
-            return {"left": pair["left"], "right": pair["right"]}
+        of_rgbd = single is not None and _COLOR & {*words(single)} and _INFRARED & {*words(pair["left"])}
+        if config.board.square_m is None or not of_rgbd:
+            return {side: pair[side] for side in SIDES}
     if single is not None:
         return {SINGLE: single}
     raise RecordingError(
@@ -118,23 +114,15 @@ _INFRARED = {"infra", "infra1", "infra2", "ir", "infrared"}
 _COLOR = {"color", "colour", "rgb"}
 
 
-def _is_infrared(topic: str) -> bool:
-    return bool(_INFRARED & set(words(topic)))
-
-
-def _is_color(topic: str) -> bool:
-    return bool(_COLOR & set(words(topic)))
-
-
 def _is_depth(topic: str) -> bool:
     """Whether the name of an image topic indicates depth, or another image in which no board is found."""
     found = set(words(topic))
     return bool(found & _DEPTH) or ("stereo" in found and side_of(topic) is None)
 
 
-def _camera_of(topic: str) -> tuple[str, ...]:
+def _camera_of(topic_words: Iterable[str]) -> tuple[str, ...]:
     """Words in a topic's name that name the camera, not the form of its images."""
-    return tuple(w for w in mirrored(topic) if w not in _FORMS and not w.startswith("rect"))
+    return tuple(word for word in topic_words if word not in _FORMS and not word.startswith("rect"))
 
 
 def _preferred(topics: Iterable[str], present: Mapping[str, TopicInfo]) -> str:
@@ -165,7 +153,7 @@ def _pair(
         return None
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
     for pair in candidates:
-        cameras.setdefault(_camera_of(pair["left"]), pair)
+        cameras.setdefault(_camera_of(mirrored(pair["left"])), pair)
     if len(cameras) > 1 and not chosen:
         several = "; ".join(f"{pair['left']} and {pair['right']}" for pair in cameras.values())
         raise ConfigError(
@@ -193,8 +181,7 @@ def _each_camera(topics: Iterable[str], rectified: bool | None) -> dict[tuple[st
     # Not `mirrored`: the two cameras of a pair are two cameras.
     cameras: dict[tuple[str, ...], list[str]] = {}
     for name in topics:
-        own = tuple(w for w in words(name) if w not in _FORMS and not w.startswith("rect"))
-        cameras.setdefault(own, []).append(name)
+        cameras.setdefault(_camera_of(words(name)), []).append(name)
     return cameras
 
 
@@ -221,8 +208,8 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable
         ConfigError: several cameras, unless they are acceptable.
     """
     cameras = _each_camera(present, rectified)
-    color = {own: names for own, names in cameras.items() if any(_is_color(name) for name in names)}
-    visible = {own: names for own, names in cameras.items() if not _is_infrared(names[0])}
+    color = {own: names for own, names in cameras.items() if any(_COLOR & {*words(name)} for name in names)}
+    visible = {own: names for own, names in cameras.items() if _INFRARED.isdisjoint(words(names[0]))}
     for some in (cameras, color, visible):
         if len(some) == 1:
             ((_, names),) = some.items()
@@ -244,7 +231,8 @@ def note_on_choice(
     if tuple(images) != (SINGLE,) or SINGLE in config.cameras.named:
         return ()
     others = [topic.name for topic in description.topics if topic.type in IMAGES]
-    others = [name for name in others if _camera_of(name) != _camera_of(images[SINGLE]) or _is_depth(name)]
+    own = _camera_of(mirrored(images[SINGLE]))
+    others = [name for name in others if _camera_of(mirrored(name)) != own or _is_depth(name)]
     if not others:
         return ()
     return (
@@ -392,8 +380,7 @@ def camera_rig(
     for name in names[1:]:
         pose = config.cameras.of(name).pose
         if pose is not None:
-            rotation = se3.from_quaternion_xyzw(np.array(pose.quaternion_xyzw))
-            poses.append(se3.transform(rotation, np.array(pose.translation_m)))
+            poses.append(pose.transform)
             continue
         T = drawn(first.frame_id, infos[name].frame_id)
         if T is None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -22,10 +23,10 @@ from pydantic import (
     model_validator,
 )
 
-from mobilecal_cli import ranges
+from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model import FloatArray, WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -100,7 +101,7 @@ class BoardConfig(_Section):
     border_bits: int = Field(1, ge=1, le=3, description="width of the markers' black border, in cells")
 
     @model_validator(mode="after")
-    def _markers_told(self) -> BoardConfig:
+    def _consistent(self) -> BoardConfig:
         if self.kind == "checkerboard":
             for key in ("dictionary", "marker_share", "gap_share"):
                 if getattr(self, key) is not None:
@@ -109,17 +110,13 @@ class BoardConfig(_Section):
                     )
             if min(self.columns or 3, self.rows or 3) < 3:
                 raise ValueError("board.columns and board.rows of a checkerboard must be 3 or more")
+            if (self.columns is None) != (self.rows is None):
+                raise ValueError("give both columns and rows")
             return self
         needed = {"charuco": ("dictionary", "marker_share"), "aprilgrid": ("gap_share",)}[self.kind]
         for key in ("columns", "rows", *needed):
             if getattr(self, key) is None:
                 raise ValueError(f"a board of kind {self.kind} requires {key}")
-        return self
-
-    @model_validator(mode="after")
-    def _both_counts(self) -> BoardConfig:
-        if (self.columns is None) != (self.rows is None):
-            raise ValueError("give both columns and rows")
         return self
 
 
@@ -135,6 +132,12 @@ class Pose(_Section):
         if abs(norm - 1) > 1e-3:
             raise ValueError(f"quaternion_xyzw has norm {norm:.6g} (must be 1)")
         return self
+
+    @property
+    def transform(self) -> FloatArray:
+        """(4, 4), m."""
+        rotation = se3.from_quaternion_xyzw(np.array(self.quaternion_xyzw))
+        return se3.transform(rotation, np.array(self.translation_m))
 
 
 class CameraTopics(_Section):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -20,7 +20,6 @@ from mobilecal_cli.model import (
     SIDES,
     BoardView,
     FixedLink,
-    FloatArray,
     HeadChain,
     Nominal,
     NumberField,
@@ -41,6 +40,7 @@ from mobilecal_cli.rig.config import (
     NoiseConfig,
     RigConfig,
     WheelsConfig,
+    WheelsNominal,
 )
 from mobilecal_cli.rig.joints import pan_and_tilt
 from mobilecal_cli.rig.names import counters, joint_state_names, named_as
@@ -113,6 +113,22 @@ class Draft:
 def _quoted(text: str) -> str:
     """YAML string that any loader reads back unchanged, without characters that control a terminal."""
     return visible(json.dumps(text, ensure_ascii=False))  # YAML reads the escapes of both
+
+
+def _flow(value: object) -> str:
+    """A value as YAML on one line; lengths and angles below 1e-12 are rounding."""
+    if isinstance(value, Mapping):
+        return f"{{{_entries(value)}}}"
+    if isinstance(value, list | tuple | np.ndarray):
+        return f"[{', '.join(_flow(item) for item in value)}]"
+    if isinstance(value, float):
+        return f"{0.0 if abs(value) < 1e-12 else value:.10g}"
+    return _quoted(value) if isinstance(value, str) and value != TODO else str(value)
+
+
+def _entries(values: Mapping[str, object]) -> str:
+    """Keys and values of a YAML mapping on one line, without those that are None."""
+    return ", ".join(f"{key}: {_flow(value)}" for key, value in values.items() if value is not None)
 
 
 def _one_line(error: MobilecalError) -> str:
@@ -295,9 +311,9 @@ def _cameras(page: _Page) -> None:
     page.add("cameras:")
     for name, image in images.items():
         info = infos.get(name)
-        entry = f"image: {_quoted(image)}" + ("" if info is None else f", info: {_quoted(info)}")
         value = image if info is None else f"{image}, {info}"
-        page.fill(f"cameras.{name}", f"{{{entry}}}", "recording: names and types of the topics", value)
+        entry = _flow({"image": image, "info": info})
+        page.fill(f"cameras.{name}", entry, "recording: names and types of the topics", value)
     page.ask_for("camera infos", "cameras", indent="  ")
     page.add(f"  reference: {next(iter(images))}  # default: camera of the head-eye transform")
     rectified = "true" if page.survey.rectified else "false"
@@ -351,32 +367,29 @@ def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
     parts = source.every
     where = ", ".join(f"{one.joint or one.field} on {one.topic}" for one in parts)
     if source.joint is not None:
-        joints = ", ".join(_quoted(one.joint or "") for one in parts)
-        named = f"joint: {joints}" if len(parts) == 1 else f"joints: [{joints}]"
-        topic = f"topic: {_quoted(source.topic)}, " if len({one.topic for one in parts}) == 1 else ""
+        topic = source.topic if len({one.topic for one in parts}) == 1 else None
+        joints = [one.joint for one in parts]
+        several = {"joint": joints[0]} if len(parts) == 1 else {"joints": joints}
         kind = "pair of joints" if len(parts) == 1 else "set of joints"
         page.fill(
             f"wheels.{side}",
-            f"{{{topic}{named}, sign: {source.sign}}}",
+            _flow({"topic": topic, **several, "sign": source.sign}),
             f"recording: the only {kind} named as wheels",
             where,
         )
         return
-    entry = f"ticks_per_revolution: {source.ticks_per_revolution:g}"
-    entry += f", bits: {source.bits}" if source.bits is not None else ""
-    value = f"{{{_fields([(one.topic, one.field or '') for one in parts])}, {entry}}}"
-    page.fill(f"wheels.{side}", value, "recording: counters of a known driver", where)
+    counted = {"ticks_per_revolution": source.ticks_per_revolution, "bits": source.bits}
+    places = _fields([(one.topic, one.field or "") for one in parts])
+    page.fill(f"wheels.{side}", _flow(places | counted), "recording: counters of a known driver", where)
 
 
-def _fields(places: Sequence[tuple[str, str]]) -> str:
+def _fields(places: Sequence[tuple[str, str]]) -> dict[str, object]:
     """Topics and fields of counters, as in a `wheels.left`."""
-    topics = [_quoted(topic) for topic, _ in places]
-    paths = [_quoted(path) for _, path in places]
+    topics, paths = [topic for topic, _ in places], [path for _, path in places]
     if len(places) == 1:
-        return f"topic: {topics[0]}, field: {paths[0]}"
-    alike = len(set(topics)) == 1
-    where = f"topic: {topics[0]}" if alike else f"topics: [{', '.join(topics)}]"
-    return f"{where}, fields: [{', '.join(paths)}]"
+        return {"topic": topics[0], "field": paths[0]}
+    where: dict[str, object] = {"topic": topics[0]} if len(set(topics)) == 1 else {"topics": topics}
+    return {**where, "fields": paths}
 
 
 def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
@@ -386,12 +399,14 @@ def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
         said = f"bits: it starts again after 2^{number.wraps} steps"
     elif width is not None:
         said = "bits: width of its type"
-    bits = "" if width is None else f", bits: {width}"
-    fields = _fields([(one.topic, one.path) for one in numbers])
+    entry = _fields([(one.topic, one.path) for one in numbers]) | {
+        "ticks_per_revolution": TODO,
+        "bits": width,
+    }
     kind = "pair" if len(numbers) == 1 else "set"
     source = f"recording: the only {kind} of whole numbers named as counters; {said}"
     shown = ", ".join(f"{one.path} on {one.topic}" for one in numbers)
-    page.fill(f"wheels.{side}", f"{{{fields}, ticks_per_revolution: {TODO}{bits}}}", source, f"{shown}{bits}")
+    page.fill(f"wheels.{side}", _flow(entry), source, shown + ("" if width is None else f", bits: {width}"))
 
 
 def _described(number: NumberField) -> str:
@@ -453,19 +468,15 @@ def _links(chain: HeadChain) -> list[str]:
         if isinstance(link, FixedLink):
             T = link.T_parent_child
             turned = se3.to_rpy(T[:3, :3])
-            rpy = f", rpy_rad: {_numbers(turned)}" if np.any(np.abs(turned) > 1e-12) else ""
-            lines.append(f"{{xyz_m: {_numbers(T[:3, 3])}{rpy}}}")
+            rpy = turned if np.any(np.abs(turned) > 1e-12) else None
+            lines.append(_flow({"xyz_m": T[:3, 3], "rpy_rad": rpy}))
             continue
-        kind = ", kind: prismatic" if link.kind == "prismatic" else ""
-        mimic = ""
+        line = f"joint: {_quoted(link.joint)}, axis: {_flow(link.axis)}"
+        line = f"{{{line}, kind: prismatic}}" if link.kind == "prismatic" else f"{{{line}}}"
         if (link.multiplier, link.offset) != (1.0, 0.0):
-            mimic = f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
-        lines.append(f"{{joint: {_quoted(link.joint)}, axis: {_numbers(link.axis)}{kind}}}{mimic}")
+            line += f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
+        lines.append(line)
     return lines
-
-
-def _numbers(values: FloatArray) -> str:
-    return f"[{', '.join(f'{0.0 if abs(value) < 1e-12 else value:.10g}' for value in values)}]"
 
 
 def _nominal(page: _Page) -> None:
@@ -480,11 +491,7 @@ def _nominal(page: _Page) -> None:
     indent, inner = ("  ", "") if filled else ("", "  ")
     page.add("nominal:" if filled else "# nominal:")
     if drawn.wheels is not None:
-        wheels = drawn.wheels
-        value = (
-            f"radius_left_m: {wheels.radius_left_m:.10g}, radius_right_m: {wheels.radius_right_m:.10g}, "
-            f"separation_m: {wheels.separation_m:.10g}"
-        )
+        value = _entries({name: getattr(drawn.wheels, name) for name in WheelsNominal.model_fields})
         source = "URDF: cylinders of the wheels' links, distance of the wheels' joints"
         page.fill("nominal.wheels", f"{{{value}}}", source, value)
     else:
@@ -499,8 +506,7 @@ def _nominal(page: _Page) -> None:
         )
     if drawn.T_h_reference is not None:
         T = drawn.T_h_reference
-        quaternion = se3.quaternion_xyzw(T[:3, :3])
-        value = f"translation_m: {_numbers(T[:3, 3])}, quaternion_xyzw: {_numbers(quaternion)}"
+        value = _entries({"translation_m": T[:3, 3], "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3])})
         source = "URDF: fixed joints from the head to the camera's frame"
         page.fill("nominal.head_eye", f"{{{value}}}", source, value)
     else:

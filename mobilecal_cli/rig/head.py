@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from mobilecal_cli.model import (
     WheelSource,
     listed,
 )
+from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
 from mobilecal_cli.rig.joints import pan_and_tilt
 from mobilecal_cli.rig.names import joint_state_names
@@ -134,7 +134,7 @@ def _mounted(
     base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
     chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
-    drawn = Nominal(_drawn_head_eye(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
 
 
@@ -149,16 +149,6 @@ def _chain_link(link: ChainLink) -> FixedLink | JointLink:
 def _base_of(config: RigConfig, urdf: Urdf) -> str:
     usual = (name for name in ("base_link", "base_footprint") if name in urdf.links)
     return config.head.base_frame or next(usual, urdf.root)
-
-
-def _carried(urdf: Urdf, link: str, other: str) -> bool:
-    """Whether another link is below a link."""
-    above = {joint.child: joint.parent for joint in urdf.joints.values()}
-    while other in above:
-        other = above[other]
-        if other == link:
-            return True
-    return False
 
 
 def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str, camera_frame: str) -> str:
@@ -176,9 +166,10 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
         return moving[-1].child if moving else base
     if tilt not in urdf.joints and pan in urdf.joints:
         head = urdf.joints[pan].child
-        if not any(
-            _carried(urdf, head, joint.child) for joint in urdf.joints.values() if joint.kind != "fixed"
-        ):
+        roots = {
+            _fixed_root(urdf, joint.parent)[0] for joint in urdf.joints.values() if joint.kind != "fixed"
+        }
+        if head not in roots:
             return head
     if tilt not in urdf.joints:
         camera = f"the camera's frame {camera_frame!r} is not in it, and " if camera_frame else ""
@@ -188,13 +179,8 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
             f"base), or joints.tilt; links present: {listed(urdf.links)}; joints present: {listed(urdf.joints)}",
         )
     carried = urdf.joints[tilt].child
-    if "head_link" in urdf.links and carried != "head_link":
-        above = {joint.child: joint for joint in urdf.joints.values()}
-        link = "head_link"
-        while link in above and above[link].kind == "fixed":
-            link = above[link].parent
-        if link == carried:
-            return "head_link"
+    if "head_link" in urdf.links and _fixed_root(urdf, "head_link")[0] == carried:
+        return "head_link"
     return carried
 
 
@@ -231,33 +217,24 @@ def _chain_from_urdf(
     return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
 
 
-def _drawn_head_eye(urdf: Urdf, head: str, camera_frame: str) -> FloatArray | None:
-    """(4, 4) camera-to-head transform of the URDF; None unless only fixed joints connect the two frames."""
-    if camera_frame not in urdf.links:
-        return None
-    try:
-        path = urdf.path(head, camera_frame)
-    except ConfigError:
-        return None  # the camera is not below the head
-    if any(joint.kind != "fixed" for joint in path):
-        return None
-    return reduce(np.matmul, (joint.T_parent_child for joint in path), np.eye(4))
-
-
 def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:
     """(4, 4) pose of another frame in a frame, by fixed joints of the URDF; None unless these connect them."""
     if urdf is None or not {frame, other} <= set(urdf.links):
         return None
+    (root, T_root_frame), (other_root, T_root_other) = _fixed_root(urdf, frame), _fixed_root(urdf, other)
+    T = se3.inverse(T_root_frame) @ T_root_other
+    return T if root == other_root and all(value in POSITION for value in T[:3, 3]) else None
+
+
+def _fixed_root(urdf: Urdf, link: str) -> tuple[str, FloatArray]:
+    """The highest link that carries a link by fixed joints alone, and the pose of the link on it, (4, 4)."""
     above = {joint.child: joint for joint in urdf.joints.values()}
-
-    def rooted(link: str) -> tuple[str, FloatArray]:
-        T = np.eye(4)
-        while link in above and above[link].kind == "fixed":
-            T, link = above[link].T_parent_child @ T, above[link].parent
-        return link, T
-
-    (root, T_root_frame), (other_root, T_root_other) = rooted(frame), rooted(other)
-    return se3.inverse(T_root_frame) @ T_root_other if root == other_root else None
+    T = np.eye(4)
+    for _ in above:  # transforms may go in a circle
+        if link not in above or above[link].kind != "fixed":
+            break
+        T, link = above[link].T_parent_child @ T, above[link].parent
+    return link, T
 
 
 def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:

@@ -104,49 +104,41 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         assumed or given.wheels or drawn.wheels,
     )
 
-    def source_of(key: str, otherwise: str = "log") -> str:
-        return config.source_of(key) or otherwise
-
-    head_sources = {f"camera fixed to {chain.base_frame}": head.origin}
-    if chain.joints:
-        head_sources = {
-            f"joint states {', '.join(joints)}": source_of("joints.topic"),
-            f"pan joint {chain.pan or 'none'}": source_of("joints.pan", "joint name"),
-            f"tilt joint {chain.tilt or 'none'}": source_of("joints.tilt", "joint name"),
-            f"head chain {chain.base_frame} to {chain.head_frame}": head.origin,
-        }
-    setting_sources = {
-        "board size": source_of("board.columns", "images"),
-        "board square_m": source_of("board.square_m", "stereo"),
-        **{f"{name} images {topic}": source_of(f"cameras.{name}.image") for name, topic in images.items()},
-        **{
-            f"{camera_words(name)} info {topic}": source_of(f"cameras.{name}.info")
+    # What each setting is, its key in rig.yaml, and its source if neither a flag nor the file gives it.
+    rows = [
+        ("board size", "board.columns", "images"),
+        ("board square_m", "board.square_m", "stereo"),
+        *((f"{name} images {topic}", f"cameras.{name}.image", "log") for name, topic in images.items()),
+        *(
+            (f"{camera_words(name)} info {topic}", f"cameras.{name}.info", "log")
             for name, topic in infos.items()
-        },
-        f"images are {'rectified' if survey.rectified else 'raw'}": source_of(
-            "cameras.rectified", "topic name"
         ),
-        **(
-            {f"reference camera {cameras.reference}": source_of("cameras.reference", "default")}
-            if len(images) > 1
-            else {}
-        ),
-        **head_sources,
-        **{
-            f"{side} wheel {source.topic} {source.where}": source_of(f"wheels.{side}")
-            for side, source in wheels.items()
-        },
-        "nominal wheels": source_of(
-            "nominal.wheels", "assumed" if assumed else "URDF" if drawn.wheels else "none"
-        ),
-        "nominal head_eye": source_of("nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
-    }
+        (f"images are {'rectified' if survey.rectified else 'raw'}", "cameras.rectified", "topic name"),
+    ]
+    if len(images) > 1:
+        rows.append((f"reference camera {cameras.reference}", "cameras.reference", "default"))
+    if chain.joints:
+        rows += [
+            (f"joint states {', '.join(joints)}", "joints.topic", "log"),
+            (f"pan joint {chain.pan or 'none'}", "joints.pan", "joint name"),
+            (f"tilt joint {chain.tilt or 'none'}", "joints.tilt", "joint name"),
+            (f"head chain {chain.base_frame} to {chain.head_frame}", "", head.origin),
+        ]
+    else:
+        rows.append((f"camera fixed to {chain.base_frame}", "", head.origin))
+    rows += [
+        (f"{side} wheel {own.topic} {own.where}", f"wheels.{side}", "log") for side, own in wheels.items()
+    ]
+    rows += [
+        ("nominal wheels", "nominal.wheels", "assumed" if assumed else "URDF" if drawn.wheels else "none"),
+        ("nominal head_eye", "nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
+    ]
     rig = Rig(
         cameras,
         chain,
         nominal,
         sources,
-        setting_sources,
+        {what: config.source_of(key) or otherwise for what, key, otherwise in rows},
         KnownNoise(**config.noise.model_dump()),
         prior_sigmas(config.priors, cameras, chain),
     )

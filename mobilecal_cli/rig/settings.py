@@ -184,11 +184,9 @@ def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadCha
 def nominal_of(config: RigConfig) -> Nominal:
     """Nominal values that the configuration gives; None where it gives none."""
     head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
-    T_h_reference = None
-    if head_eye is not None:
-        rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
-        T_h_reference = se3.transform(rotation, np.array(head_eye.translation_m))
-    return Nominal(T_h_reference, None if wheels is None else wheels.geometry)
+    return Nominal(
+        None if head_eye is None else head_eye.transform, None if wheels is None else wheels.geometry
+    )
 
 
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.

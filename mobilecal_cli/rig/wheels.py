@@ -112,12 +112,11 @@ def _joined(parts: Sequence[WheelSource]) -> WheelSource:
 
 def _stated(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource | None:
     """The wheels of a side as configured; None where no joint or field is configured."""
-    count = len(wheel.joints or wheel.fields) or 1
-    signs = wheel.signs or (wheel.sign,) * count
     fields = wheel.fields or ((wheel.field,) if wheel.field is not None else ())
     if fields:
         present = {topic.name for topic in description.topics}
-        topics = wheel.topics or (wheel.topic or "",) * count
+        topics = wheel.topics or (wheel.topic or "",) * len(fields)
+        signs = wheel.signs or (wheel.sign,) * len(fields)
         for topic in topics:
             if topic not in present:
                 raise RecordingError(
@@ -131,20 +130,14 @@ def _stated(side: Side, wheel: WheelConfig, description: RobotDescription) -> Wh
             ]
         )
     joints = wheel.joints or ((wheel.joint,) if wheel.joint is not None else ())
-    if not joints:
-        return None
-    return _of_joints(side, joints, signs, wheel, description)
+    return _of_joints(side, joints, wheel, description) if joints else None
 
 
 def _of_joints(
-    side: Side,
-    joints: Sequence[str],
-    signs: Sequence[Literal[1, -1]],
-    wheel: WheelConfig,
-    description: RobotDescription,
+    side: Side, joints: Sequence[str], wheel: WheelConfig, description: RobotDescription
 ) -> WheelSource:
     parts = []
-    for joint, sign in zip(joints, signs, strict=True):
+    for joint, sign in zip(joints, wheel.signs or (wheel.sign,) * len(joints), strict=True):
         topics = [topic for topic, names in description.joint_names.items() if joint in names]
         if wheel.topic:
             topics = [wheel.topic]
@@ -173,18 +166,13 @@ def _found(config: RigConfig, description: RobotDescription) -> dict[Side, Wheel
             "set wheels.left.joint and wheels.right.joint in rig.yaml",
         )
     if sets:
-        return {side: _of_found_joints(side, sets[0][side], config, description) for side in SIDES}
+        return {
+            side: _of_joints(side, sets[0][side], getattr(config.wheels, side), description) for side in SIDES
+        }
     counted = counters(description.numbers)
     if counted:
         return _of_counters(config, description, counted)
     return _odometry(config, description, _odometry_topic(description))
-
-
-def _of_found_joints(
-    side: Side, joints: Sequence[str], config: RigConfig, description: RobotDescription
-) -> WheelSource:
-    wheel: WheelConfig = getattr(config.wheels, side)
-    return _of_joints(side, joints, (wheel.sign,) * len(joints), wheel, description)
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:
@@ -263,12 +251,6 @@ def _or_odometry(description: RobotDescription) -> str:
         return ""
 
 
-def odometry_words(topic: str, description: RobotDescription) -> set[str]:
-    """Words of an odometry topic and of its child frame."""
-    _, child = description.odometry_frames.get(topic, ("", ""))
-    return {*words(topic), *words(child)}
-
-
 def _odometry_topic(description: RobotDescription) -> str:
     """The odometry that is from the wheels alone, by its topic and frames.
 
@@ -277,10 +259,10 @@ def _odometry_topic(description: RobotDescription) -> str:
         ConfigError: several are equal candidates, or all are filtered.
     """
     every = [t.name for t in description.topics if t.type == ODOMETRY and (t.count is None or t.count)]
-    told = {topic: odometry_words(topic, description) for topic in every}
-    parents = {topic: words(description.odometry_frames.get(topic, ("", ""))[0]) for topic in every}
+    frames = {topic: description.odometry_frames.get(topic, ("", "")) for topic in every}  # parent, child
+    told = {topic: {*words(topic), *words(child)} for topic, (_, child) in frames.items()}
     own = [topic for topic in every if not told[topic] & _NOT_WHEELS]
-    raw = [topic for topic in own if not told[topic] & _FUSED and "map" not in parents[topic]]
+    raw = [topic for topic in own if not told[topic] & _FUSED and "map" not in words(frames[topic][0])]
     named = [topic for topic in raw if told[topic] & _OF_WHEELS]
     best = named or raw
     if len(best) == 1:
@@ -311,8 +293,7 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
         )
     wheels = config.nominal.wheels
     if wheels is not None:
-        baked_in = WheelGeometry(**wheels.model_dump())
-        return {side: WheelSource(topic, baked_in=baked_in) for side in SIDES}
+        return {side: WheelSource(topic, baked_in=wheels.geometry) for side in SIDES}
     stated_m = config.wheels.odometry_separation_m
     assumed = replace(ASSUMED, separation_m=stated_m or ASSUMED.separation_m)
     share = 0.0 if stated_m else UNKNOWN_SHARE

@@ -191,6 +191,10 @@ def pose(xyz_m: FloatArray | Vector, rotation: Rotation) -> FloatArray:
     return T
 
 
+#: From the true head-eye transform to the nominal one: a few degrees and centimeters.
+_NOMINAL = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRobot:
     """A robot with known ground truth: `T_h_c` and `wheels` are the values that a calibration estimates.
@@ -203,7 +207,6 @@ class SimulatedRobot:
         T_h_c: (4, 4) true head-eye transform: first camera to head coordinates, m.
         wheels: true wheel radii and separation.
         nominal_wheels: nominal values, used in the URDF.
-        T_h_c_nominal: (4, 4) nominal head-eye transform, used in the URDF.
         encoder_step_rad: resolution of the wheel encoders, rad.
         wheel_signal: wheels as positions in the joint states, one or two for each side, as separate tick counters, or
             only as the odometry of a driver with the nominal wheels.
@@ -221,7 +224,6 @@ class SimulatedRobot:
     T_h_c: FloatArray
     wheels: WheelGeometry
     nominal_wheels: WheelGeometry
-    T_h_c_nominal: FloatArray
     pan: str = ""
     tilt: str = ""
     encoder_step_rad: float = 2 * np.pi / 4096
@@ -232,6 +234,11 @@ class SimulatedRobot:
     joint_noise_rad: float = np.radians(0.01)
     joint_rate_hz: int = 50
     mounted: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def T_h_c_nominal(self) -> FloatArray:
+        """(4, 4) nominal head-eye transform, used in the URDF."""
+        return np.asarray(self.T_h_c @ _NOMINAL)
 
     @property
     def base_frame(self) -> str:
@@ -293,17 +300,12 @@ class SimulatedRobot:
         return {side: (f"wheel_{side}_joint",) for side in SIDES}
 
 
-#: From the true head-eye transform to the nominal one: a few degrees and centimeters.
-_NOMINAL = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
-
-
 @cache
 def paper_robot() -> SimulatedRobot:
     """Robot of the paper's Table 1 (optimized column): pitch and roll joints below a pan-tilt head."""
     # Angles (ax, ay, az) with R = Rz(az) Ry(ay) Rx(ax). The lower-case sequence in scipy rotates about fixed axes:
     # first x, then y, then z.
     rotation = Rotation.from_euler("xyz", (-164.22, 89.38, -166.40), degrees=True)
-    T_h_c = pose(np.array((13.60, -64.34, -70.77)) / 1000, rotation)
     quarter = np.pi / 2
     return SimulatedRobot(
         name="paper",
@@ -322,10 +324,9 @@ def paper_robot() -> SimulatedRobot:
         pan="head_pan_joint",
         tilt="head_tilt_joint",
         infos=stereo_infos("stereo"),
-        T_h_c=T_h_c,
+        T_h_c=pose(np.array((13.60, -64.34, -70.77)) / 1000, rotation),
         wheels=WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870),
         nominal_wheels=WheelGeometry(radius_right_m=0.225, radius_left_m=0.225, separation_m=0.500),
-        T_h_c_nominal=T_h_c @ _NOMINAL,
         encoder_step_rad=np.radians(1.2),
     )
 
@@ -333,7 +334,6 @@ def paper_robot() -> SimulatedRobot:
 @cache
 def tick_robot() -> SimulatedRobot:
     """Small robot with a pan-tilt head and 16-bit tick counters with 4096 ticks per revolution."""
-    T_h_c = pose((0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL)
     return SimulatedRobot(
         name="tick",
         joints=(
@@ -344,10 +344,11 @@ def tick_robot() -> SimulatedRobot:
         pan="pan_joint",
         tilt="tilt_joint",
         infos=stereo_infos("stereo", focal_px=520.0, shift_px=6.0),
-        T_h_c=T_h_c,
+        T_h_c=pose(
+            (0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL
+        ),
         wheels=WheelGeometry(radius_right_m=0.0824, radius_left_m=0.0817, separation_m=0.3372),
         nominal_wheels=WheelGeometry(radius_right_m=0.082, radius_left_m=0.082, separation_m=0.340),
-        T_h_c_nominal=T_h_c @ _NOMINAL,
         wheel_signal="ticks",
     )
 
@@ -355,15 +356,15 @@ def tick_robot() -> SimulatedRobot:
 @cache
 def fixed_camera_robot() -> SimulatedRobot:
     """Robot with a stereo pair fixed to its base."""
-    T_h_c = pose((0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL)
     return SimulatedRobot(
         name="fixed_camera",
         joints=(),
         infos=stereo_infos("stereo"),
-        T_h_c=T_h_c,
+        T_h_c=pose(
+            (0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL
+        ),
         wheels=WheelGeometry(radius_right_m=0.0979, radius_left_m=0.0986, separation_m=0.3931),
         nominal_wheels=WheelGeometry(radius_right_m=0.098, radius_left_m=0.098, separation_m=0.390),
-        T_h_c_nominal=T_h_c @ _NOMINAL,
     )
 
 
@@ -395,18 +396,16 @@ def odometry_only_robot() -> SimulatedRobot:
 @cache
 def rgbd_robot() -> SimulatedRobot:
     """Small robot with the color camera of an RGB-D camera on its base."""
-    T_h_c = pose(
-        (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * OPTICAL
-    )
     color = replace(stereo_infos("camera_color", focal_px=605.0)[0], frame_id="camera_color_optical_frame")
     return SimulatedRobot(
         name="rgbd",
         joints=(),
         infos=(replace(color, R=np.eye(3), D=np.array([0.12, -0.24, 0.0005, -0.0003, 0.1])),),
-        T_h_c=T_h_c,
+        T_h_c=pose(
+            (0.121, 0.0163, 0.267), Rotation.from_euler("xyz", (-0.9, -3.2, 1.1), degrees=True) * OPTICAL
+        ),
         wheels=WheelGeometry(radius_right_m=0.0352, radius_left_m=0.0349, separation_m=0.2297),
         nominal_wheels=WheelGeometry(radius_right_m=0.035, radius_left_m=0.035, separation_m=0.230),
-        T_h_c_nominal=T_h_c @ _NOMINAL,
         mounted={"camera": np.eye(4)},
     )
 

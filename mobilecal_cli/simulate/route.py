@@ -183,20 +183,20 @@ class Planner:
     """Plans routes for one robot, with all random choices from one generator."""
 
     def __init__(self, robot: SimulatedRobot, board: Board, random: np.random.Generator) -> None:
-        self._robot = robot
-        self._random = random
+        self.robot = robot
+        self.random = random
         self.board = board
         T_v_h = robot.head_pose(np.zeros(len(robot.joint_names)))
         self.T_w_k = board_in_world(board, 2.1, float((T_v_h @ robot.T_h_c)[2, 3]) - 0.05)
         self._corners_k = board.grid() * (board.square_m or 0.0)
-        self._centre_w = (self.T_w_k @ [*self._corners_k.mean(axis=0), 1.0])[:3]
+        self.centre_w = (self.T_w_k @ [*self._corners_k.mean(axis=0), 1.0])[:3]
         names = robot.joint_names
         self._aim = [(k, names.index(name)) for k, name in enumerate((robot.pan, robot.tilt)) if name]
 
     def sees_board(self, base: Pose, joints_rad: FloatArray) -> bool:
         """Whether the images show the whole board, with squares large enough for detection."""
-        rig = self._robot.rig_cameras
-        T_w_c = base_in_world(np.array([base]))[0] @ self._robot.head_pose(joints_rad) @ self._robot.T_h_c
+        rig = self.robot.rig_cameras
+        T_w_c = base_in_world(np.array([base]))[0] @ self.robot.head_pose(joints_rad) @ self.robot.T_h_c
         # Other cameras than a stereo pair need not show the board together.
         for camera, T_c_x in list(zip(rig.each, rig.T_c_each, strict=True))[: 2 if rig.calibrated else 1]:
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
@@ -221,7 +221,7 @@ class Planner:
 
         def beside(aim: FloatArray) -> FloatArray:
             joints = self._aimed(resting_rad, aim)
-            seen = np.linalg.inv(self._robot.head_pose(joints) @ self._robot.T_h_c) @ point_v
+            seen = np.linalg.inv(self.robot.head_pose(joints) @ self.robot.T_h_c) @ point_v
             return np.asarray(seen[:2] / max(float(seen[2]), 0.1))
 
         aim = least_squares(beside, [math.atan2(point_v[1], point_v[0]), 0.0]).x
@@ -235,10 +235,10 @@ class Planner:
 
     def gaze(self, base: Pose) -> FloatArray | None:
         """Joint angles with the whole board in view, aimed near its center; None if there are none."""
-        limits_rad = np.array([joint.limit_rad for joint in self._robot.joints if joint.name])
+        limits_rad = np.array([joint.limit_rad for joint in self.robot.joints if joint.name])
         for reach in (0.30, 0.22, 0.15, 0.08):
-            point = self._centre_w + self._random.uniform(-reach, reach, 3)
-            body = self._random.uniform(-0.08, 0.08, len(limits_rad))  # joints other than pan and tilt
+            point = self.centre_w + self.random.uniform(-reach, reach, 3)
+            body = self.random.uniform(-0.08, 0.08, len(limits_rad))  # joints other than pan and tilt
             joints = self.look_at(base, point, body)
             if np.all(np.abs(joints) <= limits_rad) and self.sees_board(base, joints):
                 return joints
@@ -250,8 +250,8 @@ class Planner:
             return first
         if motion != "pan_only":
             return self.gaze(base)
-        point = self._centre_w + self._random.uniform(-0.2, 0.2, 3)
-        level = np.zeros(len(self._robot.joint_names))
+        point = self.centre_w + self.random.uniform(-0.2, 0.2, 3)
+        level = np.zeros(len(self.robot.joint_names))
         for of_aim, joint in self._aim:
             if of_aim == 0:
                 level[joint] = self.look_at(base, point, level)[joint]
@@ -259,9 +259,9 @@ class Planner:
 
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
         """Random motion from a pose: turn, drive (on an arc), turn."""
-        random = self._random
+        random = self.random
         turn, run, bend = random.uniform(-0.7, 0.7), random.uniform(-0.9, 0.9), random.uniform(-0.5, 0.5)
-        facing = math.atan2(self._centre_w[1] - base[1], self._centre_w[0] - base[0])
+        facing = math.atan2(self.centre_w[1] - base[1], self.centre_w[0] - base[0])
         if motion == "base_fixed":
             return []
         if motion == "straight":
@@ -273,7 +273,7 @@ class Planner:
         duration = abs(run) / _SPEED_MPS
         arc = Stretch(duration, math.copysign(_SPEED_MPS, run), bend / duration)
         there = moved(moved(base, first, first.duration_s), arc, arc.duration_s)
-        facing = math.atan2(self._centre_w[1] - there[1], self._centre_w[0] - there[0])
+        facing = math.atan2(self.centre_w[1] - there[1], self.centre_w[0] - there[0])
         still = motion == "head_fixed" or not self._aim
         spread = 0.12 if still else 1.1 if motion == "large_turns" else 0.6
         last_turn = math.remainder(facing - there[2], 2 * math.pi) + random.uniform(-spread, spread)
@@ -300,20 +300,18 @@ class Planner:
 
     def allowed(self, base: Pose) -> bool:
         """Whether a pose is suitable for a stop."""
-        distance = math.hypot(self._centre_w[0] - base[0], self._centre_w[1] - base[1])
-        return (
-            _NEAREST_M < distance < _FARTHEST_M and abs(base[1]) < 0.9 and base[0] < self._centre_w[0] - 0.9
-        )
+        distance = math.hypot(self.centre_w[0] - base[0], self.centre_w[1] - base[1])
+        return _NEAREST_M < distance < _FARTHEST_M and abs(base[1]) < 0.9 and base[0] < self.centre_w[0] - 0.9
 
 
-def plan_stops(planner: Planner, motion: Motion, stations: int, robot: SimulatedRobot) -> Route:
+def plan_stops(planner: Planner, motion: Motion, stations: int) -> Route:
     """Plan a route that stops at every station.
 
     Raises:
         ConfigError: the board cannot be kept in view (unusual size of the robot or the board).
     """
     base: Pose = (0.0, 0.0, 0.0)
-    fixed = planner.look_at(base, planner._centre_w, np.zeros(len(robot.joint_names)))
+    fixed = planner.look_at(base, planner.centre_w, np.zeros(len(planner.robot.joint_names)))
     stretches: list[Stretch] = [Stretch(REST_S)]
     first = planner.looking(base, motion, fixed)
     if first is None:
@@ -351,11 +349,10 @@ def plan_stops(planner: Planner, motion: Motion, stations: int, robot: Simulated
     return planner.route(motion, stretches, knots_s, knots, np.array(rests))
 
 
-def plan_moving(
-    planner: Planner, duration_s: float, random: np.random.Generator, robot: SimulatedRobot
-) -> Route:
+def plan_moving(planner: Planner, duration_s: float) -> Route:
     """Plan a route without rests: the base drives on arcs, and the head follows the board."""
     base: Pose = (0.0, 0.0, 0.0)
+    random = planner.random
     stretches: list[Stretch] = []
     clock, joints = 0.0, []
     knots_s = []
@@ -366,7 +363,7 @@ def plan_moving(
             )
             there = moved(base, stretch, _KNOT_S)
             # A head follows the board; a camera on the base must still see it when the base has moved.
-            looking = base if robot.joint_names else there
+            looking = base if planner.robot.joint_names else there
             gaze = planner.gaze(looking) if planner.allowed(there) and abs(there[2]) < 0.9 else None
             if gaze is not None:
                 break
@@ -400,12 +397,11 @@ def plan_route(
     Raises:
         ConfigError: the board cannot be kept in view.
     """
-    random = np.random.default_rng([seed, 1])
-    planner = Planner(robot, board or Board(9, 6, 0.08), random)
+    planner = Planner(robot, board or Board(9, 6, 0.08), np.random.default_rng([seed, 1]))
     if motion == "moving":
-        return plan_moving(planner, 3.0 * stations, random, robot)
+        return plan_moving(planner, 3.0 * stations)
     for _ in range(_LARGE_TURN_PLANS):
-        route = plan_stops(planner, motion, stations, robot)
+        route = plan_stops(planner, motion, stations)
         headings_rad = route.drive.poses(route.rests_s.mean(axis=1))[:, 2]
         if motion != "large_turns" or np.abs(np.diff(headings_rad)).max(initial=0.0) > math.pi:
             return route

@@ -22,7 +22,7 @@ from mobilecal_cli.calibrate.workers import Processes
 if __name__ == "__main__":
     with Processes() as some:
         some.start(1, int)
-        print(some.submit(os.getpid).result(), some._files, flush=True)
+        print(some.submit(os.getpid)(), some._files, flush=True)
         some.submit(bytes, {large})
         time.sleep(60)
 """
@@ -52,9 +52,9 @@ def test_tasks_are_done_in_other_processes_and_leave_no_files():
         some.start(2, int)
         assert some.started
         folder = some._files
-        tasks = [some.submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
-        assert [task.result() for task in tasks] == [b"A" * _LARGE, b"B" * _LARGE]
-        assert some.submit(os.getpid).result() != os.getpid()
+        results = [some.submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
+        assert [result() for result in results] == [b"A" * _LARGE, b"B" * _LARGE]
+        assert some.submit(os.getpid)() != os.getpid()
         assert list(folder.iterdir()) == []
     assert not folder.exists()
 
@@ -63,7 +63,7 @@ def test_an_error_comes_back():
     with Processes() as some:
         some.start(1, int)
         with pytest.raises(ValueError, match="invalid literal"):
-            some.submit(int, "one").result()
+            some.submit(int, "one")()
 
 
 def test_without_processes_nothing_is_taken():
@@ -74,11 +74,11 @@ def test_without_processes_nothing_is_taken():
 def test_a_death_among_large_tasks_is_told():
     with Processes() as some:
         some.start(1, int)
-        number = some.submit(os.getpid).result()
-        tasks = [some.submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
+        number = some.submit(os.getpid)()
+        results = [some.submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
         os.kill(number, signal.SIGKILL)
         with pytest.raises(FAILED):
-            tasks[-1].result()
+            results[-1]()
 
 
 def _runs(number: str) -> bool:

@@ -47,20 +47,15 @@ def at(message, seconds):
     return replace(message, header=replace(message.header, stamp=moved))
 
 
-def test_missing_file(tmp_path):
-    refused(run("calibrate", "none.mcap", cwd=tmp_path), 3, "none.mcap", "path")
-
-
-def test_empty_file(tmp_path, tmp_path_factory):
-    empty = tmp_path_factory.mktemp("logs") / "empty.mcap"
-    empty.touch()
-    refused(run("calibrate", empty, cwd=tmp_path), 3, "empty")
-
-
-def test_not_a_recording(tmp_path, tmp_path_factory):
-    text = tmp_path_factory.mktemp("logs") / "notes.mcap"
-    text.write_text("drove around a bit\n" * 100)
-    refused(run("calibrate", text, cwd=tmp_path), 3, "notes.mcap")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "none.mcap"), (b"", "empty"), (b"drove around a bit\n" * 100, "none.mcap")],
+)
+def test_no_recording(tmp_path, tmp_path_factory, content, message):
+    path = tmp_path_factory.mktemp("logs") / "none.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    refused(run("calibrate", path, cwd=tmp_path), 3, message, "path" if content is None else "")
 
 
 @pytest.mark.long
@@ -117,45 +112,66 @@ def test_the_wrong_board_size(paper, tmp_path):
     )
 
 
-def test_left_and_right_never_together(make, tmp_path):
-    log = make(lambda topic, m: at(m, 100) if topic == IMAGES[1] else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "no stereo pairs")
+def on(topics, change):
+    """An edit of the messages of some topics, found by the end of their names."""
+    return lambda topic, message: change(message) if topic.endswith(topics) else message
 
 
-def test_one_camera_only(make, tmp_path):
-    log = make(lambda topic, m: None if "right" in topic else m)
-    refused(run("calibrate", log, cwd=tmp_path), 2, "one camera does not show the size", "square_m")
+def without(joint):
+    """An edit of the joint states: one joint was not recorded."""
+
+    def change(message):
+        keep = [i for i, name in enumerate(message.name) if name != joint]
+        return replace(message, name=[message.name[i] for i in keep], position=message.position[keep])
+
+    return on("/joint_states", change)
 
 
-def test_joints_missing_around_the_pictures(make, tmp_path):
-    log = make(lambda topic, m: at(m, -1000) if topic == "/joint_states" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "stereo pairs has readings", "clock")
+def scaled(joint, factor):
+    """An edit of the joint states: the readings of one joint are multiplied."""
+
+    def change(message):
+        factors = [factor if name == joint else 1.0 for name in message.name]
+        return replace(message, position=message.position * factors)
+
+    return on("/joint_states", change)
 
 
-def without(message, *names):
-    keep = [i for i, name in enumerate(message.name) if name not in names]
-    return replace(message, name=[message.name[i] for i in keep], position=message.position[keep])
+def swapped(message):
+    other = {"wheel_left_joint": "wheel_right_joint", "wheel_right_joint": "wheel_left_joint"}
+    return replace(message, name=[other.get(name, name) for name in message.name])
 
 
-def test_a_wheel_that_was_not_recorded(make, tmp_path):
-    log = make(lambda topic, m: without(m, "wheel_left_joint") if topic == "/joint_states" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "wheels.left", "head_pan_joint")
+FLAT = np.array([1.0, 1, 1, 0, *[1] * 8])  # P without its baseline
+EDITS = {
+    "left and right never together": (on(IMAGES[1], lambda m: at(m, 100)), 3, "no stereo pairs", ""),
+    "one camera only": (
+        lambda topic, m: None if "right" in topic else m, 2, "one camera does not show the size", "square_m",
+    ),
+    "joints at another time": (
+        on("/joint_states", lambda m: at(m, -1000)), 3, "stereo pairs has readings", "clock",
+    ),
+    "a wheel was not recorded": (without("wheel_left_joint"), 3, "wheels.left", "head_pan_joint"),
+    "a head joint was not recorded": (without("torso_roll_joint"), 3, "torso_roll_joint", "head_pan_joint"),
+    "nothing but NaN in a joint": (scaled("head_pan_joint", math.nan), 3, "head_pan_joint", ""),
+    "a calibration of zeros": (
+        on("camera_info", lambda m: replace(m, k=np.zeros(9), p=np.zeros(12))), 3, "camera_info", "calibrat",
+    ),
+    "no baseline": (on("camera_info", lambda m: replace(m, p=m.p * FLAT)), 3, "no baseline", ""),
+    "no robot description": (
+        lambda topic, m: None if topic == "/robot_description" else m, 3, "the head chain is unknown",
+        "head.urdf",
+    ),
+    "swapped wheels": (
+        on("/joint_states", swapped), 5, "the left and right wheels are swapped", "exchange",
+    ),
+}  # fmt: skip
 
 
-def test_a_head_joint_that_was_not_recorded(make, tmp_path):
-    log = make(lambda topic, m: without(m, "torso_roll_joint") if topic == "/joint_states" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "torso_roll_joint", "head_pan_joint")
-
-
-def test_nothing_but_nan_in_a_joint(make, tmp_path):
-    def spoil(topic, message):
-        if topic != "/joint_states":
-            return message
-        position = message.position.copy()
-        position[list(message.name).index("head_pan_joint")] = math.nan
-        return replace(message, position=position)
-
-    refused(run("calibrate", make(spoil), cwd=tmp_path), 3, "head_pan_joint")
+@pytest.mark.parametrize("name", EDITS)
+def test_what_the_recording_lacks_is_named(make, tmp_path, name):
+    edit, code, message, hint = EDITS[name]
+    refused(run("calibrate", make(edit), cwd=tmp_path), code, message, hint)
 
 
 @pytest.mark.long
@@ -170,29 +186,6 @@ def test_a_few_nan_are_left_out_and_told(make, tmp_path):
     result = run("calibrate", make(spoil), "--output", "out", cwd=tmp_path)
     assert result.code == 0, result.err
     assert "NaN or infinite" in (tmp_path / "out/report.json").read_text()
-
-
-def test_a_calibration_of_zeros(make, tmp_path):
-    log = make(
-        lambda topic, m: replace(m, k=np.zeros(9), p=np.zeros(12)) if topic.endswith("camera_info") else m
-    )
-    refused(run("calibrate", log, cwd=tmp_path), 3, "camera_info", "calibrat")
-
-
-def test_no_baseline(make, tmp_path):
-    def flat(topic, message):
-        if not topic.endswith("camera_info"):
-            return message
-        p = message.p.copy()
-        p[3] = 0
-        return replace(message, p=p)
-
-    refused(run("calibrate", make(flat), cwd=tmp_path), 3, "no baseline")
-
-
-def test_no_robot_description(make, tmp_path):
-    log = make(lambda topic, m: None if topic == "/robot_description" else m)
-    refused(run("calibrate", log, cwd=tmp_path), 3, "the head chain is unknown", "head.urdf")
 
 
 @pytest.mark.parametrize(
@@ -216,30 +209,11 @@ def test_a_hidden_number_without_a_nominal_value(sample_logs, tmp_path):
 
 @pytest.mark.long
 def test_a_wheel_that_counts_backwards(make, tmp_path):
-    def backwards(topic, message):
-        if topic != "/joint_states":
-            return message
-        position = message.position.copy()
-        position[list(message.name).index("wheel_left_joint")] *= -1
-        return replace(message, position=position)
-
-    log = make(backwards)
+    log = make(scaled("wheel_left_joint", -1.0))
     words = "the left wheel's encoder has the wrong sign"
     refused(run("calibrate", log, cwd=tmp_path), 5, words, "wheels.left.sign")
     cured = run("calibrate", log, "--set", "wheels.left.sign=-1", "--output", "out", cwd=tmp_path)
     assert cured.code == 0, cured.err
-
-
-def test_swapped_wheels(make, tmp_path):
-    def swap(topic, message):
-        if topic != "/joint_states":
-            return message
-        other = {"wheel_left_joint": "wheel_right_joint", "wheel_right_joint": "wheel_left_joint"}
-        return replace(message, name=[other.get(name, name) for name in message.name])
-
-    refused(
-        run("calibrate", make(swap), cwd=tmp_path), 5, "the left and right wheels are swapped", "exchange"
-    )
 
 
 def test_bad_flags(paper, tmp_path):

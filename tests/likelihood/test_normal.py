@@ -86,13 +86,15 @@ class Case:
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
         legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, self.lin.processes).residual)
-        sigma = np.where(self.lin.inliers.readings, NOISE.joint_rad, 1.0)
+        read = np.hypot(NOISE.joint_rad, self.data.joints_between)
+        sigma = np.where(self.lin.inliers.readings, read, 1.0)
+        encoders = np.hypot(NOISE.encoder_rad * np.array([1, 0.25]), self.data.wheels_between)
         return np.concatenate(
             [
                 pixels.ravel(),
                 legs.ravel(),
                 (state.joint_errors / sigma).ravel(),
-                (state.encoder_errors / (NOISE.encoder_rad * np.array([1, 0.25]))).ravel(),
+                (state.encoder_errors / encoders).ravel(),
                 (state.sway / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]).ravel(),
                 self.innovations(state.processes),
                 state.stamp_errors / NOISE.stamp_s,

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -53,6 +53,11 @@ class Item:
     type: str
     log_ns: int
     make: Callable[[Typestore], Any]
+
+
+def every(recording):
+    """All messages of all topics."""
+    return list(recording.messages({info.name for info in recording.topics}))
 
 
 def one_log(recording, sources, joints, *options, **more):
@@ -202,19 +207,22 @@ def world(messages: int = 60) -> list[Item]:
     return items
 
 
+def _fill(writer, items: list[Item], store: Typestore, serialize: Callable) -> None:
+    """Write a bag and close it."""
+    with writer:
+        connections = {}
+        for item in items:
+            if item.topic not in connections:
+                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=store)
+            writer.write(connections[item.topic], item.log_ns, serialize(item.make(store), item.type))
+
+
 def write_bag(path: Path, items: list[Item], compression: str = "") -> Path:
     writer = BagWriter(path)
     writer.chunk_threshold = 4096
     if compression:
         writer.set_compression(BagWriter.CompressionFormat[compression])
-    with writer:
-        connections = {}
-        for item in items:
-            if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS1)
-            writer.write(
-                connections[item.topic], item.log_ns, ROS1.serialize_ros1(item.make(ROS1), item.type)
-            )
+    _fill(writer, items, ROS1, ROS1.serialize_ros1)
     return path
 
 
@@ -222,12 +230,38 @@ def write_bag2(path: Path, items: list[Item], storage: str = "SQLITE3", compress
     writer = Bag2Writer(path, version=9, storage_plugin=StoragePlugin[storage])
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for item in items:
-            if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=ROS2)
-            writer.write(connections[item.topic], item.log_ns, ROS2.serialize_cdr(item.make(ROS2), item.type))
+    _fill(writer, items, ROS2, ROS2.serialize_cdr)
+    return path
+
+
+class Raw(NamedTuple):
+    """One message of an MCAP file as it is stored; `schema`: name, language and text of its definition."""
+
+    topic: str
+    log_ns: int
+    payload: bytes
+    schema: tuple[str, str, bytes]
+    encoding: str = "cdr"
+
+
+def schema_of(store: Typestore, kind: str) -> tuple[str, str, bytes]:
+    """The definition of a ROS type, for `Raw`."""
+    ros = 1 if store is ROS1 else 2
+    name = kind.replace("/msg/", "/") if ros == 1 else kind
+    return name, f"ros{ros}msg", store.generate_msgdef(kind, ros_version=ros)[0].encode()
+
+
+def write_raw(path: Path, messages: Iterable[Raw], profile="ros2", **options) -> Path:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start(profile)
+        channels = {}
+        for message in messages:
+            if message.topic not in channels:
+                schema = writer.register_schema(*message.schema)
+                channels[message.topic] = writer.register_channel(message.topic, message.encoding, schema)
+            writer.add_message(channels[message.topic], message.log_ns, message.payload, message.log_ns)
+        writer.finish()
     return path
 
 
@@ -235,24 +269,16 @@ def write_mcap(
     path: Path, items: list[Item], profile="ros2", ros1=False, pack=False, encoding=None, **options
 ) -> Path:
     store = ROS1 if ros1 else ROS2
-    options.setdefault("chunk_size", 4096)
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, **options)
-        writer.start(profile)
-        channels = {}
-        for item in items:
-            if item.topic not in channels:
-                definition = store.generate_msgdef(item.type, ros_version=1 if ros1 else 2)[0]
-                name = item.type.replace("/msg/", "/") if ros1 else item.type
-                schema = writer.register_schema(name, "ros1msg" if ros1 else "ros2msg", definition.encode())
-                wire = "ros1" if ros1 else "cdr"
-                channels[item.topic] = writer.register_channel(item.topic, encoding or wire, schema)
-            message = item.make(store)
-            data = (store.serialize_ros1 if ros1 else store.serialize_cdr)(message, item.type)
-            payload = zstandard.compress(bytes(data)) if pack else bytes(data)
-            writer.add_message(channels[item.topic], item.log_ns, payload, item.log_ns)
-        writer.finish()
-    return path
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
+    schemas = {kind: schema_of(store, kind) for kind in {item.type for item in items}}
+
+    def raw(item: Item) -> Raw:
+        data = bytes(serialize(item.make(store), item.type))
+        payload = zstandard.compress(data) if pack else data
+        wire = encoding or ("ros1" if ros1 else "cdr")
+        return Raw(item.topic, item.log_ns, payload, schemas[item.type], wire)
+
+    return write_raw(path, map(raw, items), profile, **{"chunk_size": 4096, **options})
 
 
 def _bare(path: Path, items: list[Item], suffix: str, storage: str) -> Path:

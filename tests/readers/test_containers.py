@@ -225,8 +225,5 @@ def test_payloads_agree_with_rosbags(tmp_path, name):
     with AnyReader([path]) as reader:
         expected = sorted((t, c.topic, bytes(data)) for c, t, data in reader.messages())
     with open_recording([path]) as recording:
-        found = [
-            (m.log_time_ns, m.topic, bytes(m.payload))
-            for m in recording.messages({t.name for t in recording.topics})
-        ]
+        found = [(m.log_time_ns, m.topic, bytes(m.payload)) for m in r.every(recording)]
     assert sorted(found) == expected

@@ -40,10 +40,16 @@ def originals(tmp_path_factory) -> dict[str, bytes]:
     return {name: r.CONTAINERS[name](folder / name, ITEMS).read_bytes() for name in FILES}
 
 
+def written(folder: Path, data: bytes, name: str = "damaged") -> Path:
+    path = folder / name
+    path.write_bytes(data)
+    return path
+
+
 def read_all(path: Path) -> int:
     """Everything that a calibration reads; the number of messages."""
     with open_recording([path]) as recording:
-        count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
+        count = len(r.every(recording))
         read_description(recording)
         signals = r.one_log(recording, r.SOURCES, r.JOINTS)
         wanted = {side: index.stamp_ns.tolist() for side, index in signals.images.items()}
@@ -65,8 +71,7 @@ def test_fuzz_only_recording_errors_escape(originals, tmp_path, name):
         else:
             for place in rng.integers(0, len(data), rng.integers(1, 8)):
                 data[place] ^= 1 << int(rng.integers(8))
-        path = tmp_path / str(attempt)
-        path.write_bytes(data)
+        path = written(tmp_path, data, str(attempt))
         try:
             outcomes.append(read_all(path))
         except RecordingError as error:
@@ -81,10 +86,9 @@ def test_fuzz_only_recording_errors_escape(originals, tmp_path, name):
 )
 def test_truncated_file_gives_its_whole_messages_and_says_so(originals, tmp_path, name):
     data = originals[name]
-    path = tmp_path / "cut"
-    path.write_bytes(data[: int(len(data) * 0.4)])
+    path = written(tmp_path, data[: int(len(data) * 0.4)])
     with open_recording([path]) as recording:
-        times = [m.log_time_ns for m in recording.messages({t.name for t in recording.topics})]
+        times = [m.log_time_ns for m in r.every(recording)]
         note = " ".join(recording.damage)
     assert 10 < len(times) < len(ITEMS)
     assert times == [item.log_ns for item in ITEMS[: len(times)]]
@@ -105,7 +109,7 @@ def test_a_truncated_chunk_of_an_mcap_gives_its_whole_messages(tmp_path, chunk):
     with path.open("r+b") as stream:
         stream.truncate(cut.offset + cut.size * 3 // 4)
     with open_recording([path]) as recording:
-        found = [m.decode().data for m in recording.messages([info.name for info in recording.topics])]
+        found = [m.decode().data for m in r.every(recording)]
         assert found == list(range(len(found)))
         assert sum(whole[:-1]) + 0.5 * whole[-1] < len(found) < sum(whole)
         note, *_ = recording.damage
@@ -115,10 +119,9 @@ def test_a_truncated_chunk_of_an_mcap_gives_its_whole_messages(tmp_path, chunk):
 
 def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
     data = originals["bare-db3"]
-    path = tmp_path / "cut"
-    path.write_bytes(data[: int(len(data) * 0.7)])
+    path = written(tmp_path, data[: int(len(data) * 0.7)])
     with open_recording([path]) as recording:
-        count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
+        count = len(r.every(recording))
         note = " ".join(recording.damage)
     assert 0 < count < len(ITEMS)
     assert f"damaged; {count} messages of the topics in use could be read" in note
@@ -127,8 +130,7 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
 
 def test_the_share_of_a_truncated_bag_is_noted(originals, tmp_path):
     data = originals["bag"]
-    path = tmp_path / "cut.bag"
-    path.write_bytes(data[: len(data) // 2])
+    path = written(tmp_path, data[: len(data) // 2], "cut.bag")
     with open_recording([path]) as recording:
         (share,) = [note for note in recording.damage if "the file is truncated" in note]
     assert f"{len(data) // 2} of " in share
@@ -162,8 +164,7 @@ def test_damaged_metadata_is_done_without(tmp_path):
 
 
 def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path):
-    path = tmp_path / "flipped"
-    path.write_bytes(originals["mcap-zstd"])
+    path = written(tmp_path, originals["mcap-zstd"])
     with open_recording([path]) as recording:
         block = recording.parts[0].blocks[3]
         lost = sum(1 for _ in recording.parts[0].parse(recording.parts[0].load(block)))
@@ -171,7 +172,7 @@ def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path):
     data[block.offset + block.size // 2] ^= 255
     path.write_bytes(data)
     with open_recording([path]) as recording:
-        count = sum(1 for _ in recording.messages({t.name for t in recording.topics}))
+        count = len(r.every(recording))
         notes = recording.damage
     assert count == len(ITEMS) - lost
     assert any(f"the chunk at byte {block.offset}" in note for note in notes)
@@ -179,15 +180,14 @@ def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path):
 
 
 def test_checksum_finds_a_flip_in_an_uncompressed_chunk(originals, tmp_path):
-    path = tmp_path / "flipped"
-    path.write_bytes(originals["mcap-none"])
+    path = written(tmp_path, originals["mcap-none"])
     with open_recording([path]) as recording:
         block = recording.parts[0].blocks[3]
     data = bytearray(path.read_bytes())
     data[block.offset + block.size // 2] ^= 1
     path.write_bytes(data)
     with open_recording([path]) as recording:
-        list(recording.messages({t.name for t in recording.topics}))
+        r.every(recording)
         assert any("checksum" in note for note in recording.damage)
 
 
@@ -195,11 +195,10 @@ def test_bag_without_index_reads_like_the_whole_one(originals, tmp_path):
     data = bytearray(originals["bag-lz4"])
     place = data.index(b"index_pos=") + len(b"index_pos=")
     data[place : place + 8] = bytes(8)
-    path = tmp_path / "unindexed.bag"
-    path.write_bytes(data)
+    path = written(tmp_path, data, "unindexed.bag")
     with open_recording([path]) as recording:
         assert sum(t.count or 0 for t in recording.topics) == len(ITEMS)
-        assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS)
+        assert len(r.every(recording)) == len(ITEMS)
         assert recording.damage == (
             "unindexed.bag: the bag has no usable index (was the recorder stopped properly?); "
             f"a scan found {len(ITEMS)} messages",
@@ -246,8 +245,7 @@ def test_write_ahead_log_of_a_killed_recorder_is_read_and_nothing_is_written(ori
     ],
 )
 def test_what_is_no_recording_is_refused(tmp_path, content, message):
-    path = tmp_path / "file"
-    path.write_bytes(content)
+    path = written(tmp_path, content)
     with pytest.raises(RecordingError, match=message) as caught:
         open_recording([path])
     assert caught.value.hint
@@ -284,10 +282,9 @@ def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):
     time = ITEMS[20].log_ns.to_bytes(8, "little")
     place = data.index(time)
     data[place + 7] = 255
-    path = tmp_path / "flipped"
-    path.write_bytes(data)
+    path = written(tmp_path, data)
     with open_recording([path]) as recording:
-        assert sum(1 for _ in recording.messages({t.name for t in recording.topics})) == len(ITEMS) - 1
+        assert len(r.every(recording)) == len(ITEMS) - 1
         assert any(f"{ITEMS[20].topic}: " in note and "could be read" in note for note in recording.damage)
 
 
@@ -317,9 +314,7 @@ def in_block(path, offset, size):
 @pytest.fixture(params=CHUNKED)
 def whole(request, originals, tmp_path):
     """A recording without an index as the recorder's death leaves it, or with one."""
-    path = tmp_path / "whole"
-    path.write_bytes(originals[request.param])
-    return path
+    return written(tmp_path, originals[request.param], "whole")
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
@@ -328,8 +323,7 @@ def test_a_zeroed_block_costs_only_what_was_in_it(whole, tmp_path, share):
     at = int(len(data) * share)
     lost = in_block(whole, at, 512)
     data[at : at + 512] = bytes(512)
-    path = tmp_path / "zeroed"
-    path.write_bytes(data)
+    path = written(tmp_path, data)
     found, damage = messages_of(path)
     # A picture in an uncompressed chunk without a checksum may hold zeros and still be a message.
     assert len(ITEMS) - lost <= len(found) <= len(ITEMS)
@@ -343,8 +337,7 @@ def test_garbage_between_records_costs_nothing(whole, tmp_path, size):
     with open_recording([whole]) as recording:
         at = recording.parts[0].blocks[len(recording.parts[0].blocks) // 2].offset
     garbage = np.random.default_rng(size).integers(0, 256, size, dtype=np.uint8).tobytes()
-    path = tmp_path / "interleaved"
-    path.write_bytes(data[:at] + garbage + data[at:])
+    path = written(tmp_path, data[:at] + garbage + data[at:])
     found, damage = messages_of(path)
     assert sorted(found) == sorted((item.topic, item.log_ns) for item in ITEMS)
     assert any("are not valid records; skipped" in note for note in damage)
@@ -355,8 +348,7 @@ def test_a_chunk_that_is_gone_costs_only_its_messages(whole, tmp_path):
     with open_recording([whole]) as recording:
         block = recording.parts[0].blocks[2]
     lost = in_block(whole, block.offset, block.size)
-    path = tmp_path / "short"
-    path.write_bytes(data[: block.offset] + data[block.offset + block.size :])
+    path = written(tmp_path, data[: block.offset] + data[block.offset + block.size :])
     found, _ = messages_of(path)
     assert len(found) == len(ITEMS) - lost
 
@@ -372,8 +364,7 @@ def test_an_index_that_lies_is_done_without(originals, tmp_path, name):
         stated = struct.pack("<Q", offset)
         assert stated in data
         data = data.replace(stated, struct.pack("<Q", offset + 3))
-    path = tmp_path / "lying"
-    path.write_bytes(data)
+    path = written(tmp_path, data)
     assert sorted(messages_of(path)[0]) == sorted((item.topic, item.log_ns) for item in ITEMS)
 
 

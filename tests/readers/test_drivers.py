@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mobilecal_cli.model import Sources, WheelSource
@@ -61,21 +60,16 @@ def test_wheels_by_field_path(driver, tmp_path):
     types = get_types_from_msg(definition, kind)
     store.register(types)
     turns = np.linspace(0, 40, 60)
-    with (tmp_path / "log.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        full = store.generate_msgdef(kind, ros_version=2)[0]
-        schema = writer.register_schema(kind, "ros2msg", full.encode())
-        channel = writer.register_channel("/sensors", "cdr", schema)
-        for k, turn in enumerate(turns):
-            stamp = START_NS + k * STEP_NS
-            left, right = turn * per_turn, -turn * per_turn
-            if bits:
-                low = -(2**31) if bits == 32 else 0
-                left, right = ((round(v) + 60_000 - low) % 2**bits + low for v in (left, right))
-            message = value(kind, store, types, left, right, stamp)
-            writer.add_message(channel, stamp + 5, bytes(store.serialize_cdr(message, kind)), stamp + 5)
-        writer.finish()
+    messages = []
+    for k, turn in enumerate(turns):
+        stamp = START_NS + k * STEP_NS
+        left, right = turn * per_turn, -turn * per_turn
+        if bits:
+            low = -(2**31) if bits == 32 else 0
+            left, right = ((round(v) + 60_000 - low) % 2**bits + low for v in (left, right))
+        data = bytes(store.serialize_cdr(value(kind, store, types, left, right, stamp), kind))
+        messages.append(r.Raw("/sensors", stamp + 5, data, r.schema_of(store, kind)))
+    r.write_raw(tmp_path / "log.mcap", messages)
     wheels = {
         side: WheelSource("/sensors", field=path, ticks_per_revolution=per_turn, bits=bits)
         for side, path in zip(("left", "right"), paths, strict=True)

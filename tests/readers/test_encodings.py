@@ -10,7 +10,6 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.timestamp_pb2 import Timestamp
-from mcap.writer import Writer
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
@@ -62,17 +61,11 @@ def in_json(message):
 
 def written_in_json(out, messages):
     """An MCAP file of (topic, log time, schema name, object)."""
-    with out.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        channels = {}
-        for topic, log_ns, kind, fields in messages:
-            if topic not in channels:
-                schema = writer.register_schema(kind, "jsonschema", b'{"type": "object"}')
-                channels[topic] = writer.register_channel(topic, "json", schema)
-            writer.add_message(channels[topic], log_ns, json.dumps(fields).encode(), log_ns)
-        writer.finish()
-    return out
+    raw = (
+        r.Raw(topic, log_ns, json.dumps(fields).encode(), (kind, "jsonschema", b'{"type": "object"}'), "json")
+        for topic, log_ns, kind, fields in messages
+    )
+    return r.write_raw(out, raw, "")
 
 
 @pytest.fixture(scope="module")
@@ -231,13 +224,8 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     ],
 )
 def test_json_that_is_no_message(tmp_path, payload, said):
-    with (tmp_path / "log.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", b"{}")
-        writer.add_message(writer.register_channel("/eye", "json", schema), START_NS, payload, START_NS)
-        writer.finish()
-    with open_recording([tmp_path / "log.mcap"]) as recording:
+    raw = r.Raw("/eye", START_NS, payload, ("foxglove.CompressedImage", "jsonschema", b"{}"), "json")
+    with open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording:
         (message,) = recording.messages(["/eye"])
         with pytest.raises(RecordingError, match=said):
             message.decode()
@@ -245,14 +233,9 @@ def test_json_that_is_no_message(tmp_path, payload, said):
 
 @pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])
 def test_a_protobuf_definition_that_cannot_be_used(tmp_path, definition):
-    with (tmp_path / "log.mcap").open("wb") as stream:
-        writer = Writer(stream)
-        writer.start()
-        schema = writer.register_schema("foxglove.RawImage", "protobuf", definition)
-        writer.add_message(writer.register_channel("/eye", "protobuf", schema), START_NS, b"", START_NS)
-        writer.finish()
+    raw = r.Raw("/eye", START_NS, b"", ("foxglove.RawImage", "protobuf", definition), "protobuf")
     with (
-        open_recording([tmp_path / "log.mcap"]) as recording,
+        open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording,
         pytest.raises(RecordingError, match=r"definition of the protobuf type foxglove\.RawImage"),
     ):
         recording.messages(["/eye"])

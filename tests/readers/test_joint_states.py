@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -50,17 +49,12 @@ def channel(ros1: bool) -> Channel:
 
 def write(path: Path, ros1: bool, payloads: list[bytes]) -> Path:
     """An MCAP file of joint states, logged 3 ms after one another."""
-    profile, store = ("ros1", r.ROS1) if ros1 else ("ros2", r.ROS2)
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=4096)
-        writer.start(profile)
-        definition = store.generate_msgdef(JOINT_STATE, ros_version=1 if ros1 else 2)[0]
-        schema = writer.register_schema(JOINT_STATE, f"{profile}msg", definition.encode())
-        number = writer.register_channel("/joint_states", "ros1" if ros1 else "cdr", schema)
-        for k, data in enumerate(payloads):
-            writer.add_message(number, r.START_NS + k * 3_000_000, data, 0)
-        writer.finish()
-    return path
+    schema, wire = r.schema_of(r.ROS1 if ros1 else r.ROS2, JOINT_STATE), "ros1" if ros1 else "cdr"
+    messages = (
+        r.Raw("/joint_states", r.START_NS + k * 3_000_000, data, schema, wire)
+        for k, data in enumerate(payloads)
+    )
+    return r.write_raw(path, messages, "ros1" if ros1 else "ros2", chunk_size=4096)
 
 
 def outcome(path: Path, repeats: bool):
@@ -225,21 +219,12 @@ def test_dynamic_joint_states_without_a_definition(tmp_path):
 @pytest.mark.parametrize("fields", [("reference", "feedback"), ("desired", "actual")])
 def test_measured_states_of_trajectory_controllers(tmp_path, fields):
     name, store = "control_msgs/msg/JointTrajectoryControllerState", control_store(fields)
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        writer.start("ros2")
-        schema = writer.register_schema(
-            name, "ros2msg", store.generate_msgdef(name, ros_version=2)[0].encode()
-        )
-        number = writer.register_channel("/joint_states", "cdr", schema)
-        for k in range(5):
-            stamp_ns = r.START_NS + k * S // 10
-            writer.add_message(
-                number, stamp_ns, bytes(store.serialize_cdr(trajectory(store, k, stamp_ns), name)), 0
-            )
-        writer.finish()
-    check_control(path)
+    schema, stamps_ns = r.schema_of(store, name), r.START_NS + np.arange(5) * S // 10
+    messages = (
+        r.Raw("/joint_states", ns, bytes(store.serialize_cdr(trajectory(store, k, ns), name)), schema)
+        for k, ns in enumerate(stamps_ns.tolist())
+    )
+    check_control(r.write_raw(tmp_path / "log.mcap", messages))
 
 
 @pytest.mark.parametrize("ros1", [False, True])

@@ -95,7 +95,7 @@ def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, 
 def test_a_file_written_topic_by_topic_has_no_steps(tmp_path, write):
     items = sorted(stepping((30,)), key=lambda item: item.topic)
     with open_recording([write(tmp_path / "log", items)]) as recording:
-        times = [m.log_time_ns for m in recording.messages([info.name for info in recording.topics])]
+        times = [m.log_time_ns for m in r.every(recording)]
         assert times == sorted(item.log_ns for item in items)
         assert recording.damage == ()
 
@@ -106,7 +106,7 @@ def test_a_stray_log_time_is_no_step(tmp_path, write):
     stray = items[400]
     items[400] = r.Item(stray.topic, stray.type, stray.log_ns + 3600 * 10**9, stray.make)
     with open_recording([write(tmp_path / "log", items)]) as recording:
-        times = [m.log_time_ns for m in recording.messages([info.name for info in recording.topics])]
+        times = [m.log_time_ns for m in r.every(recording)]
         assert sorted(times) == sorted(item.log_ns for item in items)
         assert recording.damage == ()
 
@@ -136,7 +136,7 @@ def test_log_times_go_on_from_file_to_file(tmp_path, write, lengths_s):
     listed = "\n".join(f"    - {name}" for name in names)
     (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths:\n{listed}\n")
     with open_recording([folder]) as recording:
-        found = list(recording.messages([info.name for info in recording.topics]))
+        found = r.every(recording)
         values = [m.decode().position[0] for m in found]
         assert values == sorted(values)
         assert len(values) == len(items)
@@ -144,5 +144,5 @@ def test_log_times_go_on_from_file_to_file(tmp_path, write, lengths_s):
         assert np.abs(log_s - values).max() < 0.1
         # Workers open the files without the directory.
         with open_recording([part.opened for part in recording.parts]) as again:
-            times = [m.log_time_ns for m in again.messages([info.name for info in again.topics])]
+            times = [m.log_time_ns for m in r.every(again)]
         assert times == [m.log_time_ns for m in found]

@@ -229,7 +229,6 @@ def test_sign_turns_a_wheel_round(tmp_path):
         ),
         ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="name")}}, "is a list, not a number"),
         ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j", field="a..b")}}, "not a field path"),
-        ({"wheels": {**SOURCES.wheels, "left": WheelSource("/j")}}, "neither joint nor field"),
     ],
 )
 def test_wrong_sources_are_refused(tmp_path, change, message):

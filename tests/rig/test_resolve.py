@@ -21,7 +21,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.cameras import camera_rig, image_topics
 from mobilecal_cli.rig.config import RigConfig, load_rig
 from mobilecal_cli.rig.draft import draft_rig
-from mobilecal_cli.rig.head import urdf_of_transforms
+from mobilecal_cli.rig.head import fixed_pose, urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
 from mobilecal_cli.rig.resolve import resolve_rig
 
@@ -160,6 +160,15 @@ def test_the_urdf_draws_the_camera_on_the_head(kind, parent, drawn):
         assert np.allclose(rig.nominal.T_h_reference, expected)
     else:
         assert rig.nominal.T_h_reference is None
+
+
+def test_the_camera_may_be_beside_the_head_link():
+    """Fixed joints from both to the link that carries them state the pose as well."""
+    plate = '<joint name="plate" type="fixed"><parent link="tilt"/><child link="head_link"/><origin xyz="0 0 0.1"/></joint>'
+    urdf = AT_BASE.replace("</robot>", plate + CAMERA.format(kind="fixed", parent="tilt"))
+    rig = resolve_rig(RigConfig(), description(urdf=urdf))[0]
+    assert rig.chain.head_frame == "head_link"
+    assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.03, 0.06, -0.05])
 
 
 def test_known_noise_is_settled():
@@ -576,6 +585,12 @@ def test_transforms_that_do_not_lead_to_the_camera_are_said():
     transforms = {("base_link", "torso"): moving((0, 0, 1), np.zeros(3))}
     with pytest.raises(RecordingError, match="no transforms to the camera frame 'stereo_left_optical'"):
         resolve_rig(RigConfig(), replace(description(urdf=None), transforms=transforms))
+
+
+def test_transforms_in_a_circle_come_to_an_end():
+    still = np.stack([np.eye(4)] * 3)
+    urdf = urdf_of_transforms({("a", "b"): still, ("b", "a"): still, ("b", "c"): still})
+    np.testing.assert_array_equal(fixed_pose(urdf, "a", "c"), np.eye(4))
 
 
 SQUARE = RigConfig.model_validate({"board": {"square_m": 0.08}})

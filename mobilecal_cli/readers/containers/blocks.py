@@ -120,9 +120,14 @@ class BlockStorage(Storage):
     def cut_chunk(self, at: int, found: Reindex) -> Block | None:
         """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
 
-    @abstractmethod
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block."""
+        data = self.read_at(block.offset, block.size)
+        return self.decompressed(data) if block.is_chunk else data
+
+    @abstractmethod
+    def decompressed(self, chunk: bytes) -> bytes:
+        """The records in a chunk; its checksum is verified if it has one."""
 
     @abstractmethod
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
@@ -264,7 +269,7 @@ class BlockStorage(Storage):
         except _UnindexedError:
             return
         channel, log_ns = np.concatenate(parts, axis=1)
-        steps = steps_back(channel, log_ns) if goes_back(channel, log_ns) else []
+        steps = steps_back(channel, log_ns)
         sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
         if not steps:
             return

@@ -25,7 +25,7 @@ from mobilecal_cli.readers.containers.storage import (
     message_payload,
 )
 from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.messages.types import DefinitionFormat
+from mobilecal_cli.readers.messages.types import LANGUAGES
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -36,13 +36,6 @@ _CHUNK = struct.Struct("<QQQI")
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
-_FORMATS: dict[str, DefinitionFormat] = {
-    "ros1msg": "msg",
-    "ros2msg": "msg",
-    "ros2idl": "idl",
-    "omgidl": "idl",
-    "protobuf": "protobuf",
-}
 
 
 class McapStorage(BlockStorage):
@@ -120,16 +113,13 @@ class McapStorage(BlockStorage):
             times = (index.message_start_time, index.message_end_time)
             self.blocks.append(Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None))
 
-    def load(self, block: Block) -> bytes:
-        """Decompressed records of a block, checksum verified."""
-        data = self.read_at(block.offset, block.size)
-        if not block.is_chunk:
-            return data
-        if data[:1] != bytes([Opcode.CHUNK]):
+    def decompressed(self, chunk: bytes) -> bytes:
+        """The records in a chunk, checksum verified."""
+        if chunk[:1] != bytes([Opcode.CHUNK]):
             raise ValueError("no chunk begins there")
-        chunk = records.Chunk.read(_stream(data[_HEAD.size :]))
-        whole = decompress(chunk.data, chunk.compression, chunk.uncompressed_size)
-        if chunk.uncompressed_crc and zlib.crc32(whole) != chunk.uncompressed_crc:
+        record = records.Chunk.read(_stream(chunk[_HEAD.size :]))
+        whole = decompress(record.data, record.compression, record.uncompressed_size)
+        if record.uncompressed_crc and zlib.crc32(whole) != record.uncompressed_crc:
             raise ValueError("wrong checksum")
         return whole
 
@@ -180,7 +170,7 @@ class McapStorage(BlockStorage):
         if channel.id in self.channels:
             return
         schema = self._schemas.get(channel.schema_id)
-        kind = _FORMATS.get(schema.encoding, "") if schema else ""
+        kind = LANGUAGES.get(schema.encoding, "") if schema else ""
         definition: str | bytes = schema.data if schema else ""
         if isinstance(definition, bytes) and kind != "protobuf":
             definition = definition.decode(errors="replace")

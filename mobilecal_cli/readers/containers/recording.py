@@ -8,8 +8,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -37,8 +35,8 @@ def boundary(path: Path) -> Iterator[None]:
         ) from error
 
 
-class Recording:
-    """An open recording. Use it as a context manager.
+class Recording(ExitStack):
+    """An open recording. Use it as a context manager, or close it.
 
     Args:
         paths: as given by the user.
@@ -56,25 +54,14 @@ class Recording:
         notes: Sequence[str],
         resources: ExitStack,
     ) -> None:
+        super().__init__()
+        self.push(resources)
         self.paths = tuple(paths)
         self.parts = tuple(sorted(parts, key=lambda part: part.start_ns if part.start_ns is not None else -1))
         self._stated = dict(stated)
         self._notes = dict.fromkeys(notes)
-        self._resources = resources
         self.topics = self._list_topics()
         self._by_name = {info.name: info for info in self.topics}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the files."""
-        self._resources.close()
 
     @property
     def name(self) -> str:

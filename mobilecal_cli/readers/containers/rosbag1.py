@@ -166,13 +166,10 @@ class BagStorage(BlockStorage):
             self.blocks.append(Block(position, end - position, True, start_ns, end_ns, numbers))
         return ""
 
-    def load(self, block: Block) -> bytes:
-        """Decompressed records of a block."""
-        data = self.read_at(block.offset, block.size)
-        if not block.is_chunk:
-            return data
-        fields, body, end = _split(memoryview(data), 0)
-        return decompress(data[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
+    def decompressed(self, chunk: bytes) -> bytes:
+        """The records in a chunk."""
+        fields, body, end = _split(memoryview(chunk), 0)
+        return decompress(chunk[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
         """Connection id, log time and payload of every message; registers connections found on the way."""

@@ -26,12 +26,11 @@ from mobilecal_cli.readers.containers.storage import (
     Extent,
     Message,
     Storage,
-    goes_back,
     message_payload,
     steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
-from mobilecal_cli.readers.messages.types import DefinitionFormat
+from mobilecal_cli.readers.messages.types import LANGUAGES
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -42,8 +41,6 @@ MOST_FAILURES = 10_000
 #: Rows per query; older versions of SQLite accept 999 values at most.
 _BATCH = 500
 _SELECT = "SELECT id, topic_id, timestamp, {} FROM messages"
-
-_FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
 class _Log(NamedTuple):
@@ -146,7 +143,7 @@ class SqliteStorage(Storage):
                 ros2_spelling(str(name)),
                 str(encoding),
                 text,
-                _FORMATS.get(language, ""),
+                LANGUAGES.get(language, ""),
             )
 
     def _scan(self) -> None:
@@ -167,7 +164,7 @@ class SqliteStorage(Storage):
             return  # noted when the messages are read
         log = _Log(*(np.array(column, dtype=np.int64) for column in columns))
         self.counts = dict(counts)
-        steps = steps_back(log.channel, log.log_ns) if goes_back(log.channel, log.log_ns) else []
+        steps = steps_back(log.channel, log.log_ns)
         for first, size_ns in steps:
             log.log_ns[first:] += size_ns
             self._steps.append((int(log.row[first]), size_ns))

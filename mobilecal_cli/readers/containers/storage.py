@@ -298,6 +298,8 @@ def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
         Number of the first message after each step, and its size, ns, by which the log times after it are later when
         they go on where they were.
     """
+    if not goes_back(channel, log_ns):
+        return []
     order = np.argsort(channel, kind="stable")
     sets = np.split(order, np.flatnonzero(np.diff(channel[order])) + 1)
     steps: list[tuple[int, int]] = []

@@ -21,6 +21,14 @@ from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING
 
 Decoder = Callable[[bytes | memoryview], Any]
 DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
+#: Language of a definition as containers name it → its format.
+LANGUAGES: dict[str, DefinitionFormat] = {
+    "ros1msg": "msg",
+    "ros2msg": "msg",
+    "ros2idl": "idl",
+    "omgidl": "idl",
+    "protobuf": "protobuf",
+}
 
 
 def fields_of(message: Any) -> dict[str, Any]:  # noqa: ANN401 - the type is the recording's

@@ -83,8 +83,6 @@ class Subscriptions:
         self._takers: dict[str, list[Taker]] = {}
         self._joints: dict[str, JointStates] = {}
         self._decoders: dict[Channel, JointStateDecoder] = {}
-        self._elsewhere: dict[str, Quantity] = {}
-        self._wheels: dict[tuple[Side, WheelSource], Quantity] = {}
         self._odometry: dict[str, Odometry] = {}
         self._broken: dict[str, int] = {}
 
@@ -127,8 +125,11 @@ class Subscriptions:
             group.want(name, velocity=velocity)
         self.clocks.setdefault(topic, Clock(topic))
 
-    def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> None:
-        """Collect joints from messages other than JointState."""
+    def joints_elsewhere(
+        self, sources: Mapping[str, JointField | JointTransform]
+    ) -> dict[str, Callable[[list[str]], Quantity]]:
+        """Collect joints from messages other than JointState; each is available after the pass."""
+        found: dict[str, Callable[[list[str]], Quantity]] = {}
         moved: dict[str, dict[str, JointTransform]] = {}
         for name, source in sources.items():
             self.recording.topic(source.topic)
@@ -138,32 +139,28 @@ class Subscriptions:
             series = Series(source.topic, f"joint {name} ({source.topic} {source.field})")
             field = FieldSeries(source.field, "joints.fields", series, source.scale.__mul__)
             self._subscribe(source.topic, field.take)
-            self._elsewhere[name] = Quantity(series, _plain_track, field.check)
+            found[name] = partial(self._checked, Quantity(series, _plain_track, field.check))
         for topic, joints in moved.items():
             transforms = Transforms(topic, joints)
             self._subscribe(topic, transforms.take)
             for name, series in transforms.series.items():
                 track, check = partial(transforms.track, name), partial(transforms.check, name)
-                self._elsewhere[name] = Quantity(series, track, check)
+                found[name] = partial(self._checked, Quantity(series, track, check))
+        return found
 
-    def wheel(self, side: Side, source: WheelSource) -> None:
-        """Collect the readings of one wheel of a side."""
+    def wheel(self, side: Side, source: WheelSource) -> Callable[[list[str]], Quantity]:
+        """Collect the readings of one wheel of a side; it is available after the pass."""
         topic = source.topic
         if source.joint is not None:
             self.joints(topic, [source.joint], velocity=True)
-            return
+            return partial(self._wheel_of_joints, side, source, source.joint)
         if source.baked_in is not None:
             if topic not in self._odometry:
                 self._odometry[topic] = Odometry(topic, source.baked_in, assumed=source.assumed)
                 self._subscribe(topic, self._odometry[topic].take)
             odometry = self._odometry[topic]
-            self._wheels[side, source] = Quantity(odometry.series, partial(odometry.track, side))
-            return
-        if source.field is None:
-            raise RecordingError(
-                f"{side} wheel: neither joint nor field is set for {topic}",
-                f"set wheels.{side}.joint or wheels.{side}.field in rig.yaml",
-            )
+            return partial(self._checked, Quantity(odometry.series, partial(odometry.track, side)))
+        assert source.field is not None  # a source has one of the three
         self.recording.topic(topic)
         series = Series(topic, f"{side} wheel ({topic} {source.field})")
         counter = Counter(series.label, source.bits)
@@ -174,7 +171,7 @@ class Subscriptions:
             counter.check()
             field.check(notes)
 
-        self._wheels[side, source] = Quantity(series, partial(from_positions, source), check)
+        return partial(self._checked, Quantity(series, partial(from_positions, source), check))
 
     @property
     def topics(self) -> frozenset[str]:
@@ -233,10 +230,8 @@ class Subscriptions:
                 "record all cameras, or set other topics in rig.yaml",
             )
 
-    def joint_quantity(self, name: str, topics: Sequence[str], notes: list[str]) -> Quantity:
-        """A head joint from its own field or the JointState topic with most of its readings."""
-        if name in self._elsewhere:
-            return self._checked(self._elsewhere[name], notes)
+    def joint_quantity(self, name: str, topics: Sequence[str]) -> Quantity:
+        """A head joint from the JointState topic with most of its readings."""
         found = [self._joints[topic].position[name] for topic in topics]
         best = max(found, key=len, default=None)
         if best is None or not (len(best) or any(series.not_finite for series in found)):
@@ -250,11 +245,9 @@ class Subscriptions:
             best = max(found, key=lambda series: series.not_finite)
         return Quantity(best, _plain_track)
 
-    def wheel_quantity(self, side: Side, source: WheelSource, notes: list[str]) -> Quantity:
-        """One wheel of a side, from its own messages or joint states: positions, or velocities if there are none."""
-        if (side, source) in self._wheels:
-            return self._checked(self._wheels[side, source], notes)
-        group, name = self._joints[source.topic], source.joint or ""
+    def _wheel_of_joints(self, side: Side, source: WheelSource, name: str, notes: list[str]) -> Quantity:
+        """One wheel of a side from joint states: positions, or velocities if there are none."""
+        group = self._joints[source.topic]
         if name not in group.present:
             if not self.clocks[source.topic].messages:
                 raise self._empty(source.topic)
@@ -331,11 +324,8 @@ def read_signals(
     images = {name: read.images(name, topic) for name, topic in sources.image.items()}
     for topic in sources.joints:
         read.joints(topic, [name for name in joints if name not in sources.elsewhere])
-    read.joints_elsewhere(sources.elsewhere)
-    wheels = {side: sources.wheels[side].every for side in SIDES}
-    for side in SIDES:
-        for wheel in wheels[side]:
-            read.wheel(side, wheel)
+    elsewhere = read.joints_elsewhere(sources.elsewhere)
+    wheels = {side: [read.wheel(side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
     together = extent is EVERYTHING and infos.cheap_with(read.topics)
     read.run(extent, infos if together else None)
@@ -345,8 +335,11 @@ def read_signals(
     notes: list[str] = []
     for name, series in images.items():
         read.check_images(name, series)
-    turning = {side: [read.wheel_quantity(side, wheel, notes) for wheel in wheels[side]] for side in SIDES}
-    moving = {name: read.joint_quantity(name, sources.joints, notes) for name in joints}
+    turning = {side: [found(notes) for found in wheels[side]] for side in SIDES}
+    moving = {
+        name: elsewhere[name](notes) if name in elsewhere else read.joint_quantity(name, sources.joints)
+        for name in joints
+    }
     read_over_time = (*moving.values(), *(one for side in SIDES for one in turning[side]))
     every = dict.fromkeys([*images.values(), *(one.series for one in read_over_time)])
     samples = [series.samples(notes) for series in every]

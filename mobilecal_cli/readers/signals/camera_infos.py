@@ -149,25 +149,19 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     return ""
 
 
-def _field(message: Any, name: str) -> FloatArray:  # noqa: ANN401
+def _matrix(message: Any, name: str, shape: tuple[int, ...], topic: str) -> FloatArray:  # noqa: ANN401
     value = getattr(message, name, None)
     if value is None:
         value = getattr(message, name.lower())
-    return np.array(value, dtype=np.float64)
-
-
-def _matrix(message: Any, name: str, shape: tuple[int, int], topic: str) -> FloatArray:  # noqa: ANN401
-    matrix = _field(message, name).reshape(shape)
+    matrix = np.array(value, dtype=np.float64).reshape(shape)
     if not np.all(np.isfinite(matrix)):
         raise RecordingError(f"{topic}: {name} contains values that are not finite numbers", _ADVICE)
     return matrix
 
 
 def _distortion(message: Any, topic: str) -> tuple[Distortion, FloatArray]:  # noqa: ANN401
-    D = _field(message, "D").ravel()
+    D = _matrix(message, "D", (-1,), topic)
     name = str(message.distortion_model).strip().lower()
-    if not np.all(np.isfinite(D)):
-        raise RecordingError(f"{topic}: D contains values that are not finite numbers", _ADVICE)
     if D.size == 0 or (not name and not D.any()):
         return ("equidistant", np.zeros(4)) if _NAMES.get(name) == "equidistant" else ("none", np.zeros(0))
     model = _NAMES.get(name or "plumb_bob")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -173,8 +172,6 @@ _JUMP_M, _JUMP_RAD = 0.5, 1.5
 _ASIDE_M, _ASIDE_SHARE = 0.1, 0.1
 #: The axle is elsewhere than the base frame if it is this far away.
 _OFFSET_M = 0.01
-
-
 #: No robot in front of a checkerboard drives so fast; one whose positions are in millimeters seems to.
 _FAST_MPS = 20.0
 _LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
@@ -241,14 +238,9 @@ def check_forward(topic: str, pose: FloatArray) -> list[str]:
     Raises:
         RecordingError: it moves sideways.
     """
-    turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
-    step = np.diff(pose[:, :2], axis=0)
-    sound = (np.hypot(*step.T) < _JUMP_M) & (np.abs(turn) < _JUMP_RAD)
-    middle = pose[:-1, 2] + turn / 2
-    ahead = (step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle))[sound]
-    aside = (step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle))[sound]
-    turn = turn[sound]
-    offset_m = float(aside @ turn / max(turn @ turn, 1e-12))
+    *steps, jumps = _steps(pose[:, :2], pose[:, 2])
+    turn, ahead, aside = (values[~jumps] for values in steps)
+    offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
     aside_m, path_m = float(np.abs(aside - offset_m * turn).sum()), float(np.abs(ahead).sum())
     if aside_m > _ASIDE_M and aside_m > _ASIDE_SHARE * path_m:
         raise RecordingError(
@@ -285,6 +277,16 @@ def check_speed(topic: str, time_ns: IntArray, xy_m: FloatArray) -> None:
         )
 
 
+def _steps(xy_m: FloatArray, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps."""
+    turn = np.remainder(np.diff(heading_rad) + math.pi, 2 * math.pi) - math.pi
+    step = np.diff(xy_m, axis=0)
+    middle = heading_rad[:-1] + turn / 2
+    ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
+    left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
+    return turn, ahead, left, (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+
+
 def rotations(
     xy_m: FloatArray, heading_rad: FloatArray, wheels: WheelGeometry
 ) -> tuple[FloatArray, FloatArray, int]:
@@ -299,14 +301,10 @@ def rotations(
     Returns:
         (n,) right and left rotation starting at zero, rad, and the number of jumps.
     """
-    turn = np.remainder(np.diff(heading_rad) + math.pi, 2 * math.pi) - math.pi
-    step = np.diff(xy_m, axis=0)
+    turn, chord, _, jumps = _steps(xy_m, heading_rad)
     half = turn / 2
-    middle = heading_rad[:-1] + half
-    forward = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     small = np.abs(half) < _SMALL
-    way = forward * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
-    jumps = (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
+    way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
     way, turn = np.where(jumps, 0.0, way), np.where(jumps, 0.0, turn)
     ahead = turn * wheels.separation_m / 2
     right, left = (way + ahead) / wheels.radius_right_m, (way - ahead) / wheels.radius_left_m
@@ -329,43 +327,32 @@ _STILL_SHARE = 0.01
 _OPPOSITE_SHARE = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Windows:
-    """Rotation of the wheels of one side in each window with motion.
+def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """In which windows two wheels of a side differ, (K, K, W), and whether they agree over the recording, (K, K).
 
-    Attributes:
-        turned_rad: (W, K).
-        opposite: (W,) whether the opposite side turns too.
+    Args:
+        turned_rad: (W, K) rotation of the wheels in each window with motion.
     """
+    turned = turned_rad.T
+    size = np.abs(turned)
+    limit = np.maximum(_DIFFER_RAD, _DIFFER_SHARE * np.maximum(size[:, None], size))
+    differ = np.abs(turned[:, None] - turned) > limit
+    path = size.sum(axis=1)
+    alike = np.minimum.outer(path, path) >= (1 - _TOTAL_SHARE) * np.maximum.outer(path, path)
+    return differ, alike & (differ.sum(axis=2) <= _WINDOWS_SHARE * len(turned_rad))
 
-    turned_rad: FloatArray
-    opposite: BoolArray
 
-    def differ(self, a: int, b: int) -> BoolArray:
-        """(W,) windows in which two wheels differ."""
-        x, y = self.turned_rad[:, a], self.turned_rad[:, b]
-        limit = np.maximum(_DIFFER_RAD, _DIFFER_SHARE * np.maximum(np.abs(x), np.abs(y)))
-        return np.asarray(np.abs(x - y) > limit)
+def _stands(size: FloatArray, differ: BoolArray, opposite: BoolArray) -> bool:
+    """Whether a wheel stands still in most windows in which it differs from another, and the robot moves there.
 
-    def agree(self, a: int, b: int) -> bool:
-        """Whether two wheels turn alike over the recording."""
-        if not len(self.turned_rad):
-            return True
-        path = np.abs(self.turned_rad[:, [a, b]]).sum(axis=0)
-        alike = float(path.min()) >= (1 - _TOTAL_SHARE) * float(path.max())
-        return alike and bool(self.differ(a, b).mean() <= _WINDOWS_SHARE)
-
-    def stands(self, wheel: int) -> bool:
-        """Whether a wheel stands still in most windows in which it differs from another, and the robot moves there."""
-        for other in range(self.turned_rad.shape[1]):
-            differ = self.differ(wheel, other)
-            turned = np.abs(self.turned_rad[differ])
-            if self.agree(wheel, other) or not len(turned):
-                continue
-            still = turned[:, wheel] <= _STILL_SHARE * turned[:, other]
-            if still.mean() > 1 - _WINDOWS_SHARE and self.opposite[differ].mean() > _OPPOSITE_SHARE:
-                return True
-        return False
+    Args:
+        size: (2, W) absolute rotation of the wheel and of the other one.
+        differ: (W,) windows in which they differ.
+        opposite: (W,) windows in which the opposite side turns.
+    """
+    own, other = size[:, differ]
+    still = own <= _STILL_SHARE * other
+    return bool(still.mean() > 1 - _WINDOWS_SHARE and opposite[differ].mean() > _OPPOSITE_SHARE)
 
 
 def sides_of(wheels: Mapping[Side, Sequence[tuple[str, Track]]], notes: list[str]) -> dict[Side, Track]:
@@ -389,7 +376,7 @@ def sides_of(wheels: Mapping[Side, Sequence[tuple[str, Track]]], notes: list[str
     for side, opposite in zip(SIDES, reversed(SIDES), strict=True):
         moves = np.abs(turned[side]).max(axis=1) > _TURNS_RAD
         also = np.abs(turned[opposite][moves]).max(axis=1, initial=0.0) > _TURNS_RAD
-        kept = _kept(side, wheels[side], _Windows(turned[side][moves], also), notes)
+        kept = _kept(side, [name for name, _ in wheels[side]], turned[side][moves], also, notes)
         tracks[side] = _mean([wheels[side][k][1] for k in kept])
     return tracks
 
@@ -406,55 +393,52 @@ def _windows(wheels: Mapping[Side, Sequence[tuple[str, Track]]]) -> IntArray:
 
 
 def _kept(
-    side: Side, wheels: Sequence[tuple[str, Track]], windows: _Windows, notes: list[str]
+    side: Side, names: Sequence[str], turned_rad: FloatArray, opposite: BoolArray, notes: list[str]
 ) -> tuple[int, ...]:
-    """Indices of the wheels that turn alike: more than half of those that do not stand still, or all of them."""
-    stand = [k for k in range(len(wheels)) if windows.stands(k)]
-    moving = [k for k in range(len(wheels)) if k not in stand]
-    groups = (group for size in range(len(moving), 0, -1) for group in itertools.combinations(moving, size))
-    kept = next(
-        (group for group in groups if all(windows.agree(a, b) for a, b in itertools.combinations(group, 2))),
-        (),
-    )
+    """Indices of the wheels that turn alike: more than half of those that do not stand still, or all of them.
+
+    Args:
+        names: of the wheels, for messages.
+        turned_rad: (W, K) rotation of the wheels in each window with motion.
+        opposite: (W,) whether the opposite side turns too.
+        notes: receives what is left out.
+    """
+    every, size = range(len(names)), np.abs(turned_rad)
+    differ, agree = _compared(turned_rad)
+    stand = {
+        a
+        for a, b in itertools.permutations(every, 2)
+        if not agree[a, b] and differ[a, b].any() and _stands(size.T[[a, b]], differ[a, b], opposite)
+    }
+    moving = [k for k in every if k not in stand]
+    groups = (group for count in range(len(moving), 0, -1) for group in itertools.combinations(moving, count))
+    kept = next((group for group in groups if agree[np.ix_(group, group)].all()), ())
+    total, windows = size.sum(axis=0), len(turned_rad)
     if not kept or 2 * len(kept) <= len(moving):
-        raise _disagreement(side, wheels, windows, moving or list(range(len(wheels))))
-    total = np.abs(windows.turned_rad).sum(axis=0)
+        disagree = (pair for pair in itertools.combinations(moving or every, 2) if not agree[pair])
+        a, b = next(disagree, (0, 0))
+        x, y = turned_rad[:, [a, b]].T
+        opposite_ways = float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y))
+        what = "turn in opposite directions" if opposite_ways else "do not turn alike"
+        cure = "find out which is wrong"
+        if opposite_ways:
+            cure = f"set wheels.{side}.signs, with -1 for a wheel that counts backward"
+        raise RecordingError(
+            f"{names[a]} and {names[b]} {what}: they differ by more than 10 % in {int(differ[a, b].sum())} of "
+            f"{windows} seconds with motion, and turn by {total[a]:.1f} and {total[b]:.1f} rad; the data does not "
+            "show which of them is wrong",
+            f"{cure}, or name the wheels to read in wheels.{side}.joints or wheels.{side}.fields; the wheels "
+            "of mecanum and other omnidirectional robots differ always: they are not supported",
+        )
     usual = float(np.median(total[list(kept)]))
-    for k, (name, _) in enumerate(wheels):
+    for k in every:
         if k not in kept:
-            differ = windows.differ(k, kept[0])
             why = "stands still in" if k in stand else "differs by more than 10 % in"
             notes.append(
-                f"{name}: left out, it {why} {int(differ.sum())} of {len(differ)} seconds with motion; it turns by "
-                f"{total[k]:.1f} rad, the other {side} wheels by {usual:.1f} rad"
+                f"{names[k]}: left out, it {why} {int(differ[k, kept[0]].sum())} of {windows} seconds with motion; "
+                f"it turns by {total[k]:.1f} rad, the other {side} wheels by {usual:.1f} rad"
             )
     return kept
-
-
-def _disagreement(
-    side: Side, wheels: Sequence[tuple[str, Track]], windows: _Windows, moving: Sequence[int]
-) -> RecordingError:
-    a, b = next(
-        (pair for pair in itertools.combinations(moving, 2) if not windows.agree(*pair)),
-        (moving[0], moving[0]),
-    )
-    total = np.abs(windows.turned_rad).sum(axis=0)
-    x, y = windows.turned_rad[:, [a, b]].T
-    opposite = float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y))
-    differ = windows.differ(a, b)
-    names = f"{wheels[a][0]} and {wheels[b][0]}"
-    what = "turn in opposite directions" if opposite else "do not turn alike"
-    cure = (
-        f"set wheels.{side}.signs, with -1 for a wheel that counts backward"
-        if opposite
-        else "find out which is wrong"
-    )
-    return RecordingError(
-        f"{names} {what}: they differ by more than 10 % in {int(differ.sum())} of {len(differ)} seconds with motion, "
-        f"and turn by {total[a]:.1f} and {total[b]:.1f} rad; the data does not show which of them is wrong",
-        f"{cure}, or name the wheels to read in wheels.{side}.joints or wheels.{side}.fields; the wheels "
-        "of mecanum and other omnidirectional robots differ always: they are not supported",
-    )
 
 
 def _mean(tracks: Sequence[Track]) -> Track:
