@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
-from mobilecal_cli.model.arrays import freeze
+from mobilecal_cli.model.arrays import ReadOnly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Difference:
+class Difference(ReadOnly):
     """Change from one calibration a to another b.
 
     Attributes:
@@ -36,11 +37,11 @@ class Difference:
         assumed: wheels that the radii and the separation are factors of, where both calibrate odometry.
     """
 
-    change: FloatArray
-    std: FloatArray
-    known: BoolArray
-    unobservable: BoolArray
-    nominal_sigmas: FloatArray
+    change: Annotated[FloatArray, 9]
+    std: Annotated[FloatArray, 9]
+    known: Annotated[BoolArray, 9]
+    unobservable: Annotated[BoolArray, 9]
+    nominal_sigmas: Annotated[FloatArray, 9]
     chi2: float | None
     chance: float | None
     shared: bool
@@ -49,10 +50,6 @@ class Difference:
     heading_rad_per_m: float
     heading_rad_per_turn: float
     assumed: WheelGeometry | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, change=(9,), std=(9,), nominal_sigmas=(9,))
-        freeze(self, np.bool_, known=(9,), unobservable=(9,))
 
     @property
     def sigmas(self) -> FloatArray:
