@@ -174,9 +174,9 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
-        needed, measured = (
-            _SIGMA_SHARE * limit,
+        measured, needed = (
             f"{value_text(size, largest, 2)} ± {std_text(largest)} {unit}",
+            _SIGMA_SHARE * limit,
         )
         outcome: Outcome = "pass"
         why = cure = ""

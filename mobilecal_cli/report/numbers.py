@@ -215,11 +215,6 @@ def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     return T
 
 
-def reference_frame(cameras: CameraRig) -> str:
-    """Name of the optical frame of the reference camera."""
-    return cameras.of_reference.frame_id
-
-
 def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:
     """Name → value and standard deviation of the factors of odometry; empty for robots with wheels."""
     assumed, found = rig.sources.assumed_odometry, solution.uncertainty

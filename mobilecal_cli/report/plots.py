@@ -207,16 +207,10 @@ _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 @plot("stations", each="log")
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    picked, boards, path, everything = _from_above(solution, extraction, log)
     seen = [extraction.observations[i] for i in picked]
-    T_w_v, T_w_k = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked]
-    T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in seen]))
-    board, square_m = extraction.board, float(np.median([o.square_m for o in seen]))
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
-    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
-    times = np.array([o.time_ns for o in seen])
-    path = trail(extraction.wheels[log], times, solution.parameters.wheels)
-    everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    T_w_v = solution.residuals.T_w_v[picked]
+    T_w_c = solution.residuals.T_w_k[picked] @ se3.inverse(np.stack([o.T_c_k for o in seen]))
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
     x, y = (Scale.of(column) for column in everything.T)
     axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
@@ -225,7 +219,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
-        without = trail(extraction.wheels[log], times, nominal)
+        without = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), nominal)
         axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "with nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
@@ -251,17 +245,7 @@ def path_picture(solution: Solution, extraction: Extraction) -> str:
     log = min((o.log for o in extraction.observations), default=None)
     if log is None:
         return ""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
-    seen = [extraction.observations[i] for i in picked]
-    T_w_v, board, square_m = (
-        solution.residuals.T_w_v[picked],
-        extraction.board,
-        float(np.median([o.square_m for o in seen])),
-    )
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
-    ends = np.stack([se3.act(T, ends_k)[:, :2] for T in solution.residuals.T_w_k[picked]])
-    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
-    everything = np.concatenate([ends.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    picked, boards, path, everything = _from_above(solution, extraction, log)
     canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
     left, low = 10.0, canvas.height - 22.0
     x, y = (Scale.of(column) for column in everything.T)
@@ -269,20 +253,29 @@ def path_picture(solution: Solution, extraction: Extraction) -> str:
         canvas, replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
     ).with_equal_units()
     axes.line(path, "soft")
-    for i, end in zip(picked, ends, strict=True):
-        axes.line(end, "green thin", [i])
-        axes.dot(
-            float(solution.residuals.T_w_v[i, 0, 3]),
-            float(solution.residuals.T_w_v[i, 1, 3]),
-            "blue",
-            [i],
-            r=3,
-        )
+    for i, board in zip(picked, boards, strict=True):
+        axes.line(board, "green thin", [i])
+        x_m, y_m = solution.residuals.T_w_v[i, :2, 3].tolist()
+        axes.dot(x_m, y_m, "blue", [i], r=3)
     meter = axes.x(1.0) - axes.x(0.0)
     canvas.path(np.array([[left, canvas.height - 8], [left + meter, canvas.height - 8]]), "line ink")
     canvas.text(left + meter + 6, canvas.height - 4, "1 m")
     canvas.legend([("line green", "board")], HALF - 70.0, canvas.height - 4)
     return canvas.svg
+
+
+def _from_above(
+    solution: Solution, extraction: Extraction, log: int
+) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
+    """Observations of one recording (n), the board's ends as seen from each, (n, 2, 2), path, and all points, m."""
+    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    seen, board = [extraction.observations[i] for i in picked], extraction.board
+    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
+    ends_k *= float(np.median([o.square_m for o in seen]))
+    boards = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
+    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
+    stations = solution.residuals.T_w_v[picked, :2, 3]
+    return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
 
 
 def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> FloatArray:
@@ -371,11 +364,9 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
             axes.level(depth_mm, "orange dash")
         axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
     canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
-    worst, median = (
-        int(np.argmax(residuals.leg_reprojection_px)),
-        float(np.median(residuals.leg_reprojection_px)),
-    )
-    times = float(residuals.leg_reprojection_px[worst]) / median if median else 1.0
+    errors_px = residuals.leg_reprojection_px
+    worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
+    times = float(errors_px[worst]) / median if median else 1.0
     return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
 
 
@@ -457,10 +448,9 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     if solution.uncertainty is None:
         return ""
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
-    u, v = (
-        (np.arange(n) + 0.5) * size / n - 0.5
-        for n, size in zip(_CELLS, (camera.width, camera.height), strict=True)
-    )
+    (across, down) = _CELLS
+    u = (np.arange(across) + 0.5) * camera.width / across - 0.5
+    v = (np.arange(down) + 0.5) * camera.height / down - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     flat, reached = undistorted(camera, pixels)
     points = AHEAD_M * np.column_stack([flat, np.ones(len(flat))])

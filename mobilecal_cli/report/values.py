@@ -63,7 +63,6 @@ from mobilecal_cli.report.numbers import (
     numbers_of,
     odometry_factors,
     predicted_point_rms_m,
-    reference_frame,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
@@ -485,7 +484,7 @@ def build_report(case: Case) -> ReportData:
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
-            child_frame=reference_frame(cameras),
+            child_frame=cameras.of_reference.frame_id,
             camera=cameras.reference,
             rectified=cameras.rectified,
             odometry=_odometry(solution, extraction),
@@ -627,11 +626,8 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
     covariance = found.reference_covariance
     std = np.sqrt(np.diag(covariance))
     known = np.where(std > 0, std, 1.0)
-    by_name = {
-        name: getattr(found, name)
-        for name in ("observable", "fixed", "described", "jackknife_std", "widened")
-    }
-    by_name["std"] = std
+    names = ("observable", "fixed", "described", "jackknife_std", "widened")
+    by_name = {"std": std} | {name: getattr(found, name) for name in names}
     return like(
         UncertaintyData,
         found,
