@@ -69,10 +69,8 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
             raise TypeError(
                 f"type {type(robot).__name__} is not a calibration: give load(path), or the robot of a report"
             )
-    for frame, other, what in (
-        (first.parent_frame, second.parent_frame, "head"),
-        (first.child_frame, second.child_frame, "camera"),
-    ):
+    for attribute, what in (("parent_frame", "head"), ("child_frame", "camera")):
+        frame, other = getattr(first, attribute), getattr(second, attribute)
         if frame != other:
             raise ConfigError(
                 f"the {what} frames of the calibrations differ: {frame!r} in one and {other!r} in the other",
@@ -86,7 +84,10 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     if first.odometry is not None:
         second = second.with_assumed(first.odometry.wheels)
     change = nine_apart(first, second)
-    unobservable = _unobservable(first) | _unobservable(second)
+    unobservable = np.zeros(9, dtype=np.bool_)
+    for robot in (first, second):
+        if robot.knowledge is not None:
+            unobservable |= ~robot.knowledge.observable
     # Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
     known, covariance = np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
     if first.knowledge is not None and second.knowledge is not None:
@@ -128,13 +129,6 @@ def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
     """Change from a to b, (9,), in the order of `NINE`: rotation vector of R_b R_a^T, rad; lengths, m."""
     a, b = (Parameters(robot.T_parent_child, robot.wheels) for robot in (first, second))
     return b.minus(a)
-
-
-def _unobservable(robot: CalibratedRobot) -> BoolArray:
-    """(9,) parameters that a calibration does not determine; all False where it states no uncertainty."""
-    if robot.knowledge is None:
-        return np.zeros(9, dtype=np.bool_)
-    return np.asarray(~robot.knowledge.observable)
 
 
 def _chance(chi2: float, freedom: int) -> float:

@@ -257,8 +257,9 @@ def _fewer(pairs: list[Shot]) -> list[Shot]:
 def _stations(
     moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
 ) -> tuple[Station, ...]:
-    """Stations from groups of pairs, each with a flag for rest, in order of time."""
+    """Stations, in order of time, from groups of pairs, each with a flag for rest."""
     tracks = [signals.joints[name] for name in joints]
+    moments = sorted(moments, key=lambda moment: moment[0][0].time_ns)
     starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
     at_start, still = sampled(tracks, starts), np.zeros(len(tracks))
     return tuple(
@@ -465,10 +466,9 @@ def plan_stations(
             chosen = candidates if everything else _keyframes(candidates, log.channels, KEYFRAMES)
             moments += [([pair], False) for pair in chosen]
             moving, picked = moving + len(candidates), picked + len(chosen)
-        moments.sort(key=lambda moment: moment[0][0].time_ns)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-        stations = _stations(moments, joints, log.signals) if moments else ()
+        stations = _stations(moments, joints, log.signals)
         tracks = tuple(log.signals.joints[name] for name in joints)
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
@@ -548,6 +548,5 @@ def with_stamps(
             pairs = max(_rests(pairs, channels), key=len, default=[])
         if pairs:
             moments.append((pairs, station.at_rest))
-    moments.sort(key=lambda moment: moment[0][0].time_ns)
-    stations = _stations(moments, joints, signals) if moments else ()
+    stations = _stations(moments, joints, signals)
     return replace(plan, stations=stations, images=images_of(stations, images))

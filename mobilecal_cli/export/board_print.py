@@ -146,14 +146,13 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
         ConfigError: the board does not fit on the page, or the dictionary has too few markers.
     """
     assert board.square_m is not None
-    square_mm = board.square_m * 1e3
-    board_mm = (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
-    page, (width, height) = _page(board, paper, board_mm)
+    square_mm, board_mm = board.square_m * 1e3, _size_mm(board)
+    page, (width, height) = _page(board, paper)
     config = board_setting(board)
     # The longest scale bar that leaves place for its label.
     bar_mm = next(bar for bar in _BARS_MM if bar <= width - 2 * _MARGIN_MM - 20)
-    words = _words(board, square_mm, board_mm, page, bar_mm)
-    left, spare = (width - board_mm[0]) / 2, height - _needed(board, board_mm, width)[1]
+    words = _words(board, page, bar_mm)
+    left, spare = (width - board_mm[0]) / 2, height - _needed(board, width)[1]
     top = _MARGIN_MM + spare / 2
     rectangles = _dark(board) * square_mm + np.array([left, top, 0.0, 0.0])
     baseline = top + board_mm[1] + _GAP_MM + spare / 2
@@ -185,10 +184,15 @@ def board_setting(board: Board) -> str:
     )
 
 
-def _words(
-    board: Board, square_mm: float, board_mm: tuple[float, float], page: str, bar_mm: float
-) -> list[str]:
+def _size_mm(board: Board) -> tuple[float, float]:
+    """Width and height of a board with `square_m`."""
+    square_mm = (board.square_m or 0.0) * 1e3
+    return (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
+
+
+def _words(board: Board, page: str, bar_mm: float) -> list[str]:
     """What the page shows, and how to print and check it."""
+    square_mm, board_mm = (board.square_m or 0.0) * 1e3, _size_mm(board)
     size = f"{board.columns} x {board.rows} inner corners, squares of {square_mm:g} mm"
     if board.markers is None:
         what = f"Checkerboard, {size}."
@@ -208,20 +212,21 @@ def _wrapped(texts: list[str], page_width_mm: float) -> list[str]:
     return [line for text in texts for line in textwrap.wrap(text, width)]
 
 
-def _needed(board: Board, board_mm: tuple[float, float], page_width_mm: float) -> tuple[float, float]:
+def _needed(board: Board, page_width_mm: float) -> tuple[float, float]:
     """Width and height that a page of some width needs, mm."""
-    square_mm, width = (board.square_m or 0.0) * 1e3, max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
+    board_mm = _size_mm(board)
+    width = max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
     page_width_mm = max(page_width_mm, width)
-    longest = _words(board, square_mm, board_mm, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
+    longest = _words(board, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
     count = len(_wrapped([*longest, board_setting(board)], page_width_mm))
     height = board_mm[1] + _MARGIN_MM + _GAP_MM + _TICK_MM + (count + 0.2) * _PITCH_MM + _BOTTOM_MM
     return float(np.ceil(width)), float(np.ceil(height))
 
 
-def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
     """Description and size (mm) of the page to use, portrait or landscape."""
     if paper == Paper.exact:
-        size = _needed(board, board_mm, 0.0)
+        size = _needed(board, 0.0)
         if max(size) > LARGEST_MM:
             raise ConfigError(
                 f"the board needs a page of {size[0]:.0f} x {size[1]:.0f} mm (limit of a PDF: {LARGEST_MM:.0f} mm)",
@@ -229,13 +234,13 @@ def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[st
             )
         return f"a page of {size[0]:g} x {size[1]:g} mm", size
     for name in _AUTOMATIC if paper == Paper.auto else (paper,):
-        fitting = _placed(board, name, board_mm)
+        fitting = _placed(board, name)
         if fitting is not None:
             shown = name.value.upper() if name in _AUTOMATIC else name.value
             return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
     largest = _AUTOMATIC[-1] if paper == Paper.auto else paper
-    width, height = _PAGES_MM[largest]
-    larger = next((other for other in _PAGES_MM if _placed(board, other, board_mm)), Paper.exact)
+    (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
+    larger = next((other for other in _PAGES_MM if _placed(board, other)), Paper.exact)
     raise ConfigError(
         f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest.value} "
         f"({width:g} x {height:g} mm) with {_MARGIN_MM:g} mm around it and the text below",
@@ -243,11 +248,11 @@ def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[st
     )
 
 
-def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[float, float] | None:
+def _placed(board: Board, paper: Paper) -> tuple[float, float] | None:
     """A standard page, portrait or landscape, mm; None if the board does not fit."""
     portrait = _PAGES_MM[paper]
     for size in (portrait, portrait[::-1]):
-        needed = _needed(board, board_mm, size[0])
+        needed = _needed(board, size[0])
         if needed[0] <= size[0] and needed[1] <= size[1]:
             return size
     return None

@@ -38,7 +38,6 @@ from mobilecal_cli.model import (
     Knowledge,
     LogSource,
     Provenance,
-    Side,
     Solution,
     WheelGeometry,
     camera_words,
@@ -267,12 +266,7 @@ class _Odometry(_Section):
 
     @property
     def geometry(self) -> WheelGeometry:
-        factors = [
-            self.right_wheel_radius_multiplier,
-            self.left_wheel_radius_multiplier,
-            self.wheel_separation_multiplier,
-        ]
-        return WheelGeometry.of(self.assumed.wheels.vector * factors)
+        return WheelGeometry.of(self.assumed.wheels.vector * [getattr(self, name) for name in FACTORS[:3]])
 
 
 class _Constant(_Section):
@@ -356,8 +350,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
-    joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
-    several = {side: getattr(settings.wheels, side).joints for side in SIDES}
+    sides = {side: getattr(settings.wheels, side) for side in SIDES}
     odometry, sizes = checked.odometry, checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(
@@ -368,8 +361,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
-        wheel_joints={side: joint for side, joint in joints.items() if joint},
-        side_joints={side: names for side, names in several.items() if names},
+        wheel_joints={side: wheel.joint for side, wheel in sides.items() if wheel.joint},
+        side_joints={side: wheel.joints for side, wheel in sides.items() if wheel.joints},
         odometry=None if odometry is None else odometry.assumed,
         nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(
