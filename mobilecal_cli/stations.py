@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
+    NO_IMAGES,
     BoolArray,
     FloatArray,
     IntArray,
@@ -34,15 +35,16 @@ LARGEST_GAP_S = 0.5
 SHOTS_PER_REST = 10
 RESTS_ENOUGH = 6
 KEYFRAMES = 80
-# One camera records nothing for so long, while the other has so many images.
-_SILENT_S, _MISSED_IMAGES = 3.0, 5
+# One camera records nothing for so long, while the other has so many images; or all cameras for so many times the
+# longest other break between images, while the robot moves.
+_SILENT_S, _MISSED_IMAGES, _OTHER_BREAKS = 3.0, 5, 2
 _ALONE_S = 1.0  # an image of one camera this near to a group of images is not used
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 # Reasons for pairs that are not used, and what to do.
 _NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
 _NOT_USED = {
-    _NO_READINGS: "no readings of {0} around them. Check its cable and its driver.",
+    _NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
     _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }
 _NS = 1_000_000_000
@@ -196,8 +198,13 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
         _Channel(name, track, STILL_PRISMATIC_M if name in prismatic else STILL_REVOLUTE_RAD)
         for name, track in signals.joints.items()
     ]
+    together = np.array_equal(signals.wheels["right"].time_ns, signals.wheels["left"].time_ns)  # of one topic
     wheels = [
-        _Channel(f"{side} wheel", track, max(STILL_WHEEL_RAD, 1.1 * encoder_step_rad(track.value)))
+        _Channel(
+            "wheels" if together else f"{side} wheel",
+            track,
+            max(STILL_WHEEL_RAD, 1.1 * encoder_step_rad(track.value)),
+        )
         for side, track in signals.wheels.items()
     ]
     return joints + wheels
@@ -282,6 +289,25 @@ def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> 
         scatter.append(float(readings.std(ddof=1)))
     time_ns = int(times[0]) + round(float(np.mean(times - times[0])))
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
+
+
+def _blind(images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> Iterator[str]:
+    """A note where no camera records anything for a while, and the robot moves: a cable, a driver, or a full disk."""
+    taken = np.unique(np.concatenate([index.time_ns for index in images.values()]))
+    begin_ns = max(int(c.track.time_ns[0]) for c in channels)
+    end_ns = min(int(c.track.time_ns[-1]) for c in channels)
+    edges = np.unique([*taken[(taken > begin_ns) & (taken < end_ns)], begin_ns, end_ns])
+    breaks = np.diff(edges)
+    *others, longest = np.argsort(breaks, kind="stable").tolist()
+    usual_ns = max((int(breaks[k]) for k in others), default=0)
+    since, until = (int(at) for at in edges[longest : longest + 2])
+    moves = any(c.wander(since, until) > c.tolerance for c in channels)
+    if until - since > max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns) and moves:
+        which = camera_words(*images) if len(images) == 1 else "cameras"
+        yield (
+            f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
+            f"reading on, while the robot moves. Check the {which}, cables and drivers, and the recorder."
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -474,6 +500,7 @@ def plan_stations(
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
     notes += (note for log, _ in paired for note in _silences(log.signals.images))
+    notes += (note for log, _ in paired for note in _blind(log.signals.images, log.channels))
     notes += (note for log, _ in paired for note in _not_used(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"

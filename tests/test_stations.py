@@ -131,7 +131,7 @@ def test_pictures_without_readings_are_left_out():
     assert {r.detail for r in plan.rejections} == {"pan"}
     (note,) = (note for note in plan.notes if "stereo pairs" in note)
     assert note.startswith(f"{len(plan.rejections)} stereo pairs between ")
-    assert "no readings of pan around them" in note
+    assert "no readings around them (pan)" in note
 
 
 def test_readings_that_end_before_the_pictures_begin():
@@ -312,3 +312,32 @@ def test_cameras_that_are_frozen_from_the_start():
     swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
     plan = planned(swing, ("pan",))
     assert sum(len(station.shots) for station in plan.stations) == 1
+
+
+def lost_after(seconds, begin=0.0):
+    """Images of both cameras from a first second on, until a last one."""
+    return {side: indexed(ns(np.arange(begin + 0.1, seconds, 0.2))) for side in ("left", "right")}
+
+
+@pytest.mark.parametrize(("images", "words"), [
+    (lost_after(14.0), "No images for 10 s, from 14 s after the first reading on, while the robot moves."),
+    (lost_after(24.0, begin=9.0), "No images for 9 s, from 0 s after the first reading on"),
+    (lost_after(23.0), None),
+])  # fmt: skip
+def test_cameras_that_stop_while_the_robot_moves_are_named(images, words):
+    plan = planned(signals(staircase, lambda t: 3 * staircase(t), images=images), ("pan",))
+    notes = [note for note in plan.notes if "No images" in note]
+    assert bool(notes) == (words is not None)
+    assert words is None or words in notes[0]
+
+
+def test_images_of_rests_alone_are_no_silence():
+    taken = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in range(8)])
+    images = {"left": indexed(ns(taken))}
+    plan = planned(signals(staircase, lambda t: 3 * staircase(t), images=images), ("pan",))
+    assert not any("No images" in note for note in plan.notes)
+
+
+def test_a_robot_that_waits_at_the_end_needs_no_images():
+    still = signals(staircase, lambda t: 3 * staircase(t), duration_s=60.0, images=lost_after(26.0))
+    assert not any("No images" in note for note in planned(still, ("pan",)).notes)

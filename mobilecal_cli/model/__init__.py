@@ -70,7 +70,16 @@ from mobilecal_cli.model.robot_description import (
     RobotDescription,
     TopicInfo,
 )
-from mobilecal_cli.model.signals import PictureIndex, Rejection, Shot, Signals, Station, Track, sampled
+from mobilecal_cli.model.signals import (
+    NO_IMAGES,
+    PictureIndex,
+    Rejection,
+    Shot,
+    Signals,
+    Station,
+    Track,
+    sampled,
+)
 from mobilecal_cli.model.solution import (
     EXACT,
     Drift,

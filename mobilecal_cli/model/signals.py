@@ -77,6 +77,10 @@ class PictureIndex(ReadOnly):
         return self.rows(np.isin(self.time_ns, np.array(sorted(times_ns), dtype=np.int64)))
 
 
+#: Begin of a note on cameras that recorded nothing while the robot moved.
+NO_IMAGES = "No images for"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Signals:
     """A recording, or the piece of it between two steps of a clock, without the image contents.

@@ -12,7 +12,15 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import CAMERA_INFO_CHANGES, FACTORS, NINE, AssumedOdometry, Extraction, camera_words
+from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
+    FACTORS,
+    NINE,
+    NO_IMAGES,
+    AssumedOdometry,
+    Extraction,
+    camera_words,
+)
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
 from mobilecal_cli.report.decomposition import error_parts
@@ -76,19 +84,20 @@ def stations(made: Calibration) -> Iterator[Check]:
     cameras = made.extraction.rig.cameras
     everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
-    lost, cure = "", f"Record again with more stops where {cameras.cameras_words} the whole board."
-    for (_, reason), count in list(rejection_counts(made.extraction).items())[:1]:
+    causes = [note for note in made.extraction.notes if note.startswith(NO_IMAGES)]
+    for (_, reason), count in rejection_counts(made.extraction).items():
         details = {item.detail for item in made.extraction.rejections if item.reason == reason}
         of = f" ({details.pop()})" if len(details) == 1 else ""
-        lost = visible(f" Not used, {count} times: {reason}{of}.")
-        cure = f"Remove this cause, and record again with more stops where {cameras.cameras_words} the whole board."
+        causes.append(visible(f"Not used, {count} times: {reason}{of}."))
+    lost = f" {causes[0]}" if causes else ""
+    again = "Remove this cause, and record again" if causes else "Record again"
     yield Check(
         "stations", have, least, enough(have, least),
         f"stations with the board in {where}",
         f"{have:g}",
         f"at least {least:g}",
         f"The board is in {where} at {have:g} stations only (limit {least:g}, recommended 12).{lost}",
-        cure,
+        f"{again} with more stops where {cameras.cameras_words} the whole board.",
     )  # fmt: skip
 
 

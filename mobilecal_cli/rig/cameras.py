@@ -23,7 +23,7 @@ from mobilecal_cli.model import (
     listed,
 )
 from mobilecal_cli.ranges import Range
-from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
 from mobilecal_cli.rig.names import mirrored, numbered_pairs, pairs, side_of, words
 
 #: Distance between the cameras of a stereo pair.
@@ -185,13 +185,9 @@ def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: Robo
     return True
 
 
-def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable: bool) -> str | None:
-    """Image topic of the only camera, or of the only color camera; None if there is none.
-
-    Raises:
-        ConfigError: several cameras, unless they are acceptable.
-    """
-    topics = [name for name in present if not _is_depth(name)]
+def _each_camera(topics: Iterable[str], rectified: bool | None) -> dict[tuple[str, ...], list[str]]:
+    """Words that name a camera → its image topics; without depth and other images in which no board is found."""
+    topics = [name for name in topics if not _is_depth(name)]
     if rectified is not None:
         topics = [name for name in topics if is_rectified(name) == rectified] or topics
     # Not `mirrored`: the two cameras of a pair are two cameras.
@@ -199,6 +195,32 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable
     for name in topics:
         own = tuple(w for w in words(name) if w not in _FORMS and not w.startswith("rect"))
         cameras.setdefault(own, []).append(name)
+    return cameras
+
+
+def named_cameras(config: RigConfig, description: RobotDescription) -> dict[str, str]:
+    """Image topic of every camera of a recording, by names for rig.yaml: the words in which their topics differ."""
+    present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
+    cameras = _each_camera(present, config.cameras.rectified)
+    alike = set.intersection(*map(set, cameras)) if len(cameras) > 1 else set()
+    named: dict[str, str] = {}
+    for own, topics in cameras.items():
+        name = "_".join(word for word in own if word not in alike)
+        if name in SIDES:
+            name = f"{name}_camera"  # left and right are the cameras of a stereo pair
+        if not CAMERA_NAME.fullmatch(name) or name in named:
+            name = f"camera_{len(named) + 1}"
+        named[name] = _preferred(topics, present)
+    return named
+
+
+def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable: bool) -> str | None:
+    """Image topic of the only camera, or of the only color camera; None if there is none.
+
+    Raises:
+        ConfigError: several cameras, unless they are acceptable.
+    """
+    cameras = _each_camera(present, rectified)
     color = {own: names for own, names in cameras.items() if any(_is_color(name) for name in names)}
     visible = {own: names for own, names in cameras.items() if not _is_infrared(names[0])}
     for some in (cameras, color, visible):

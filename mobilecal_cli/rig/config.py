@@ -193,7 +193,7 @@ class CamerasConfig(_Section):
                 f"give left and right (or both) for a stereo pair, or cameras with other names ({', '.join(named)})"
             )
         for name, topics in named.items():
-            if not _CAMERA_NAME.fullmatch(name):
+            if not CAMERA_NAME.fullmatch(name):
                 raise ValueError(
                     f"{name!r} cannot name a camera: lower-case letters, digits and _, not joints or wheels"
                 )
@@ -209,7 +209,7 @@ class CamerasConfig(_Section):
 
 
 #: Not a part of the names of other constants of the robot.
-_CAMERA_NAME = re.compile(r"(?!(?:joints|wheels|left|right|both|aspect_.*)$)[a-z][a-z0-9_]{0,39}")
+CAMERA_NAME = re.compile(r"(?!(?:joints|wheels|left|right|both|aspect_.*)$)[a-z][a-z0-9_]{0,39}")
 
 
 class JointFieldConfig(_Section):

@@ -30,6 +30,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.ranges import ACCURACY
+from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
     TODO,
     BoardConfig,
@@ -287,7 +288,9 @@ def _cameras(page: _Page) -> None:
     present = (topic.name for topic in page.description.topics if topic.type in IMAGES)
     page.add(_listing("image topics in the recording", present))
     if images is None:
-        page.ask_for("cameras", "cameras", *_example("cameras", CamerasConfig))
+        named = named_cameras(RigConfig(), page.description)
+        several = ["cameras:", *(f"  {name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())]
+        page.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
         return
     page.add("cameras:")
     for name, image in images.items():

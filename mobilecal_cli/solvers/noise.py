@@ -151,7 +151,7 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
             spread = np.maximum(spread, EXACT**2)
             innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
             score -= np.sum(np.log(spread) + innovation / spread, axis=1)
-        lengths_m[level] = float(tried[np.argmax(score)])
+        lengths_m[level] = min(max(float(tried[np.argmax(score)]), _LEAST[level]), _MOST[level])
     return lengths_m
 
 

@@ -82,6 +82,23 @@ def test_templates_can_be_uncommented():
         assert len(lines) >= 3
 
 
+@pytest.mark.parametrize(
+    ("topics", "names"),
+    [
+        (("/front/image_raw", "/rear/image_raw", "/mast/image_raw"), ("front", "rear", "mast")),
+        (("/cam_left/image", "/cam_top/image"), ("left_camera", "top")),
+        (("/camera/image_raw", "/camera/top/image_raw"), ("camera_1", "top")),
+        (("/a: b/image", "/c/image"), ("a_b", "c")),
+    ],
+)
+def test_every_camera_of_several_is_in_the_draft(topics, names):
+    draft = draft_rig(description(images=topics, urdf=None, joint_names={}), "log")
+    block = draft.text[draft.text.index("\n# cameras:\n") + 1 :].split("\n\n")[0]
+    uncommented = "\n".join(line.removeprefix("# ") for line in block.splitlines())
+    cameras = RigConfig.model_validate(YAML(typ="safe").load(uncommented)).cameras
+    assert {name: each.image for name, each in cameras.named.items()} == dict(zip(names, topics, strict=True))
+
+
 def test_the_joint_positions_are_those_of_the_urdf():
     """The chain that is listed as a comment is the chain of the URDF."""
     urdf = URDF.format(x=-0.2)

@@ -11,22 +11,24 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Nominal, Track, WheelTrack
+from mobilecal_cli.model import NINE, Corners, JointLink, KnownNoise, Noise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.imperfect import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers import maximum_likelihood as recipe
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
+from mobilecal_cli.solvers.noise import lengths
 from tests.bench.simulated import as_described, errors, spoiled
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise as Disturbance
+from tests.extractions import ideal_extraction
 from tests.pairs import with_pair, with_views
 from tests.robots import chain_of
 from tests.solvers.test_several_logs import joined
 from tests.truth import nees
 
 ROBOT = paper_robot()
-NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
+NOISE = Disturbance(0.2, 0.003, 0.0, np.radians(0.05))
 GIVEN = KnownNoise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.05)))
 
 
@@ -73,6 +75,14 @@ def test_noise_levels_are_those_of_the_simulation(noisy):
     assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
     assert levels.joint_rad == pytest.approx(np.radians(0.05), rel=0.5)
     assert set(levels.estimated) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad"}
+
+
+def test_correlation_lengths_stay_within_their_limits():
+    """A perfectly flat floor is alike over any distance."""
+    fit, most = maximum_likelihood(extraction_of(noise=None)), Noise.limits("most")["floor_length_m"]
+    lin = fit.lin.with_noise(fit.noise.with_levels({"floor_length_m": most}))
+    far = replace(fit.noise, floor_length_m=1e6 * most)
+    assert lengths(lin, frozenset(), far)["floor_length_m"] == most
 
 
 def test_noise_levels_that_are_given_stay(noisy):
@@ -455,7 +465,7 @@ def test_what_is_misstated_is_named_and_does_no_harm(noisy, name, kind, by):
 def test_a_wrong_link_between_pan_and_tilt_is_named():
     """5 cm along x. Small tilts hardly show it, and the floor's height could take it up: fifty times its prior says no."""
     robot = tick_robot()
-    noise = Noise(0.1, 0.003, 0.0, 4e-4, floor_rad=1e-3, floor_m=5e-4)
+    noise = Disturbance(0.1, 0.003, 0.0, 4e-4, floor_rad=1e-3, floor_m=5e-4)
     true = ideal_extraction(robot, plan_route(robot, "standard", stations=20, seed=1), noise, 1)
     links = list(true.rig.chain.links)
     k = 1 + next(k for k, link in enumerate(links) if isinstance(link, JointLink))
@@ -476,7 +486,7 @@ def test_corners_that_were_not_seen_have_no_say():
     """Half of the corners of each picture are hidden: wherever they are said to be, the answer is the same."""
     robot = paper_robot()
     route = plan_route(robot, "standard", stations=8, seed=4)
-    whole = ideal_extraction(robot, route, Noise(0.2, 0.003, 0.0, 1e-3), 4)
+    whole = ideal_extraction(robot, route, Disturbance(0.2, 0.003, 0.0, 1e-3), 4)
     random = np.random.default_rng(4)
 
     def hidden(corners: Corners, shift_px: float) -> Corners:
