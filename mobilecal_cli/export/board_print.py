@@ -96,18 +96,18 @@ def _text(text: str) -> str:
 
 #: Page size in portrait, mm.
 _PAGES_MM = {
-    Paper.a4: (210.0, 297.0),
-    Paper.a3: (297.0, 420.0),
-    Paper.a2: (420.0, 594.0),
-    Paper.a1: (594.0, 841.0),
-    Paper.a0: (841.0, 1189.0),
-    Paper.letter: (215.9, 279.4),
-    Paper.tabloid: (279.4, 431.8),
-    Paper.ansi_c: (431.8, 558.8),
-    Paper.ansi_d: (558.8, 863.6),
-    Paper.ansi_e: (863.6, 1117.6),
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "a2": (420.0, 594.0),
+    "a1": (594.0, 841.0),
+    "a0": (841.0, 1189.0),
+    "letter": (215.9, 279.4),
+    "tabloid": (279.4, 431.8),
+    "ansi_c": (431.8, 558.8),
+    "ansi_d": (558.8, 863.6),
+    "ansi_e": (863.6, 1117.6),
 }
-_AUTOMATIC = (Paper.a4, Paper.a3, Paper.a2, Paper.a1, Paper.a0)
+_AUTOMATIC = ("a4", "a3", "a2", "a1", "a0")
 _MARGIN_MM = 8.0  # white around the board, and what printers leave blank
 _GAP_MM, _BOTTOM_MM = 6.0, 6.0  # above and below the text
 _TEXT_MM, _PITCH_MM = 2.5, 3.2
@@ -225,7 +225,7 @@ def _needed(board: Board, page_width_mm: float) -> tuple[float, float]:
 
 def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
     """Description and size (mm) of the page to use, portrait or landscape."""
-    if paper == Paper.exact:
+    if paper == "exact":
         size = _needed(board, 0.0)
         if max(size) > LARGEST_MM:
             raise ConfigError(
@@ -233,22 +233,22 @@ def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
                 "use smaller or fewer squares",
             )
         return f"a page of {size[0]:g} x {size[1]:g} mm", size
-    for name in _AUTOMATIC if paper == Paper.auto else (paper,):
+    for name in _AUTOMATIC if paper == "auto" else (paper,):
         fitting = _placed(board, name)
         if fitting is not None:
-            shown = name.value.upper() if name in _AUTOMATIC else name.value
+            shown = name.upper() if name in _AUTOMATIC else name
             return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
-    largest = _AUTOMATIC[-1] if paper == Paper.auto else paper
+    largest = _AUTOMATIC[-1] if paper == "auto" else paper
     (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
-    larger = next((other for other in _PAGES_MM if _placed(board, other)), Paper.exact)
+    larger = next((other for other in _PAGES_MM if _placed(board, other)), "exact")
     raise ConfigError(
-        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest.value} "
+        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest} "
         f"({width:g} x {height:g} mm) with {_MARGIN_MM:g} mm around it and the text below",
-        f"use --paper {larger.value}, or smaller squares",
+        f"use --paper {larger}, or smaller squares",
     )
 
 
-def _placed(board: Board, paper: Paper) -> tuple[float, float] | None:
+def _placed(board: Board, paper: str) -> tuple[float, float] | None:
     """A standard page, portrait or landscape, mm; None if the board does not fit."""
     portrait = _PAGES_MM[paper]
     for size in (portrait, portrait[::-1]):

@@ -71,8 +71,6 @@ _DTYPES: dict[str, type] = {
 }
 #: Fields of an extraction that its header has as they are.
 _STATED = ("rig", "board", "rejections", "notes", "logs", "counts")
-#: The earliest time in a zip file; the current time would change the bytes.
-_EPOCH = (1980, 1, 1, 0, 0, 0)
 _HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
@@ -142,7 +140,9 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
         for j, joint in enumerate(tracks):
             arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
             arrays[f"joints.{i}.{j}.value"] = joint.value
-    return _zipped(arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    return stream.getvalue()
 
 
 def _stacked(values: Sequence[object], name: str, dtype: type) -> NDArray[Any]:
@@ -158,20 +158,6 @@ def snapshots_from_npz(path: Path) -> tuple[Snapshot, ...]:
         return tuple(itertools.islice((s for s in read if len(s.thumbnail) < _LARGEST_THUMBNAIL), THUMBNAILS))
     except (ValueError, TypeError):
         return ()
-
-
-def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
-    """The arrays as .npz; unlike `numpy.savez`, without the time of writing."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, array in arrays.items():
-            member = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
-            member.compress_type = zipfile.ZIP_DEFLATED
-            member.create_system = 3  # Unix, on every platform
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(array), (1, 0), allow_pickle=False)
-            archive.writestr(member, content.getvalue())
-    return stream.getvalue()
 
 
 def extraction_from_npz(source: bytes | Path) -> Extraction:
