@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.scene import dark_squares
 from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.targets import Paper
@@ -260,13 +261,10 @@ def _placed(board: Board, paper: str) -> tuple[float, float] | None:
 
 def _dark(board: Board) -> FloatArray:
     """(n, 4) dark rectangles x, y, width, height in squares, from the top left corner of the board."""
-    columns, rows = board.columns + 1, board.rows + 1
-    if board.markers is None:
-        row, column = np.divmod(np.arange(columns * rows), columns)
-        dark = (row + column) % 2 == 0
-        ones = np.ones(len(row))
-        return np.array(np.stack([column, row, ones, ones], axis=1)[dark], dtype=np.float64)
-    return _charuco(columns, rows, board.markers)
+    if board.markers is not None:
+        return _charuco(board.columns + 1, board.rows + 1, board.markers)
+    low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
+    return np.hstack([low, np.ones_like(low)])
 
 
 def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:

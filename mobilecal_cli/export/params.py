@@ -98,7 +98,7 @@ def params_yaml(
         covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
         order = NINE
         if odometry is not None:
-            order, units = _FACTOR_ORDER, _units(odometry.wheels)
+            order, units = _FACTOR_ORDER, odometry.units
             of_factors = odometry.covariance(wheels, uncertainty.reference_covariance[6:, 6:])
             shown["factors_std"] = zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True)
             covariance = covariance / np.outer(units, units)
@@ -146,11 +146,6 @@ def _template() -> Template:
     environment.filters |= {each.__name__: each for each in (decimal, decimals, exponential, quoted, visible)}
     environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
     return environment.get_template("params.yaml")
-
-
-def _units(assumed: WheelGeometry) -> FloatArray:
-    """(9,) m that a factor of one stands for; 1 for the head-eye transform."""
-    return np.concatenate([np.ones(6), assumed.vector])
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:
@@ -345,7 +340,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     if known is not None:
         noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in known.order])
-        units = np.ones(9) if checked.odometry is None else _units(checked.odometry.assumed.wheels)
+        units = np.ones(9) if checked.odometry is None else checked.odometry.assumed.units
         knowledge = Knowledge(np.array(known.covariance) * np.outer(units, units), observable, noise)
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}

@@ -473,6 +473,11 @@ class AssumedOdometry:
     wheels: WheelGeometry
     separation_share: float = 0.0
 
+    @property
+    def units(self) -> FloatArray:
+        """(9,) what one is of each of the nine parameters, with factors in place of the wheels: m for these."""
+        return np.concatenate([np.ones(6), self.wheels.vector])
+
     def factors(self, wheels: WheelGeometry) -> FloatArray:
         """(5,) factors for estimated wheels, in the order of `FACTORS`."""
         right, left, separation = wheels.vector / self.wheels.vector

@@ -86,9 +86,8 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
         nine = PARAMETERS if found.assumed is None else factors_of(found.assumed)
         for k, parameter in enumerate(nine):
             change, s = found.change[k] * parameter.factor, found.std[k] * parameter.factor
-            std, sigmas = (
-                (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
-            )
+            std = std_text(s) if found.known[k] else "-"
+            sigmas = f"{round(found.sigmas[k], 1) + 0.0:+.1f}" if found.known[k] else "-"
             name = parameter.factor_name or parameter.name
             rows.append((name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")

@@ -6,9 +6,9 @@ A new plot is a function with the decorator `plot`. `path_picture` and `budget_b
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -148,17 +148,15 @@ def plot(
     def registered(draw: _Draw) -> _Draw:
         def figure(solution: Solution, extraction: Extraction) -> Figure:
             logs = sorted({o.log for o in extraction.observations})
-            names = {log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]}
-            titles: dict[tuple[Any, ...], str] = {(): ""}  # further arguments of the function → title
-            if each is not None:
-                cameras = range(len(extraction.rig.cameras.names))
-                subjects: Iterable[Any] = names if each == "log" else cameras
-                titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
-            if corners and extraction.measured:
-                titles = {}
+            subjects: dict[str | None, Sequence[int]] = {
+                "log": logs[:_MOST_PATHS],
+                "camera": range(len(extraction.rig.cameras.names)),
+                None: [0],
+            }
             parts: list[tuple[str, str, str]] = []
-            for more, title in titles.items():
-                drawn = draw(solution, extraction, *more)
+            for subject in () if corners and extraction.measured else subjects[each]:
+                title = extraction.log_names[subject] if each == "log" and len(logs) > 1 else ""
+                drawn = draw(solution, extraction, *([] if each is None else [subject]))
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
                 said = {earlier for _, _, earlier in parts}
                 parts += [(title, element, "" if caption in said else caption)] if element else []
@@ -179,14 +177,13 @@ def draw_all(
     """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
     drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
     worst = worst_error(solution, limits or {})
-    bar = None
-    if worst is not None:
-        value = f"{std_text(worst.value)} of {worst.limit:g} {worst.figure.unit}"
-        bar = budget_bar(worst, f"What limits the {worst.figure.short} ({value})")
-    views = leg_views(solution, extraction, snapshots)
-    figures = tuple(figure for figure in drawn if figure.parts)
-    small = thumbnails(solution, extraction, snapshots)
-    return Drawings(figures, views, small, path_picture(solution, extraction), bar)
+    return Drawings(
+        tuple(figure for figure in drawn if figure.parts),
+        leg_views(solution, extraction, snapshots),
+        thumbnails(solution, extraction, snapshots),
+        path_picture(solution, extraction),
+        None if worst is None else budget_bar(worst),
+    )
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
@@ -544,18 +541,18 @@ def error_budget(solution: Solution, _: Extraction) -> Drawn:
     return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
 
 
-def budget_bar(error: Error, title: str) -> Bar:
+def budget_bar(error: Error) -> Bar:
     """What the variance of one expected error consists of."""
+    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
     canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
     x = 0.0
     for share, name in used:
-        canvas.shape(
-            "rect", f"fill {FAMILIES[name].style}", (), name, x=x, y=0.0, width=WIDE * share, height=24.0
-        )
+        kind = f"fill {FAMILIES[name].style}"
+        canvas.shape("rect", kind, (), name, x=x, y=0.0, width=WIDE * share, height=24.0)
         x += WIDE * share
     legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
-    return Bar(title, canvas.svg, legend)
+    return Bar(f"What limits the {error.figure.short} ({value})", canvas.svg, legend)
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
@@ -565,10 +562,8 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
-    if not order:
-        return []
-    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
-    words = {1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
+    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
+    words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
     ranks = dict(zip(chosen, words, strict=True))
     names = station_names(extraction)
     views: list[LegView] = []

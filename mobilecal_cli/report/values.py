@@ -725,19 +725,14 @@ def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, 
 def _robot(solution: Solution, rig: Rig) -> RobotData:
     joints, T_head = joint_frames(rig.chain)
     nominal = rig.nominal.T_h_reference
-    frames = [
-        FrameData(
-            name=link.joint,
-            T_parent_frame=T[:3],
-            axis=link.multiplier * link.axis,
-            prismatic=link.kind == "prismatic",
-        )
-        for link, T in joints
-    ]
-    head = FrameData(name=rig.chain.head_frame, T_parent_frame=T_head[:3], axis=np.zeros(3), prismatic=False)
+    frames = [(link.joint, T, link.multiplier * link.axis, link.kind == "prismatic") for link, T in joints]
+    frames.append((rig.chain.head_frame, T_head, np.zeros(3), False))
     return RobotData(
         base_frame=rig.chain.base_frame,
-        frames=(*frames, head),
+        frames=tuple(
+            FrameData(name=name, T_parent_frame=T[:3], axis=axis, prismatic=prismatic)
+            for name, T, axis, prismatic in frames
+        ),
         camera=reference_pose(solution.parameters, solution.cameras)[:3],
         nominal_camera=None if nominal is None else nominal[:3],
     )
