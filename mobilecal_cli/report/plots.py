@@ -35,7 +35,7 @@ from mobilecal_cli.report.numbers import (
     std_text,
 )
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, families, family_shares, worst_error
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
 
 #: An SVG element, or one with its caption.
 Drawn: TypeAlias = str | tuple[str, str]
@@ -514,29 +514,30 @@ def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
 @plot("limits")
 def error_budget(solution: Solution, _: Extraction) -> Drawn:
     """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
-    found = solution.uncertainty
-    if found is None:
+    if solution.uncertainty is None:
         return ""
-    names, shares = families(solution)
-    at_work = [figure for figure in FIGURES if figure.limit is not None]
-    fields = [*NINE, *found.budget.at_work]
-    columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
-    labels = [*NINE, *(figure.short for figure in at_work)]
-    used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
+    labels = {name: name for name in NINE}
+    labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
+    shares = {
+        (name, family): share for name in labels for share, family in family_shares(shares_of(solution, name))
+    }
+    used = [f for f in FAMILIES if max(shares.get((name, f), 0.0) for name in labels) > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
     left, wide = 122.0, WIDE - 132.0
-    canvas.legend([(f"fill {FAMILIES[names[k]].style}", names[k]) for k in used], 8.0, 14.0)
-    for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
+    canvas.legend([(f"fill {FAMILIES[family].style}", family) for family in used], 8.0, 14.0)
+    for row, (name, label) in enumerate(labels.items()):
         y, x = 46.0 + 24.0 * row, left
         canvas.text(left - 8, y + 13, label, anchor="end")
-        for k in used:
-            width = wide * float(shares[k, column])
-            if width <= 0:
-                continue
-            share, kind = f"{100 * shares[k, column]:.0f} %", f"fill {FAMILIES[names[k]].style}"
-            canvas.shape("rect", kind, (), f"{label}: {names[k]} {share}", x=x, y=y, width=width, height=18)
-            if shares[k, column] > _LABELED_SHARE:
-                canvas.text(x + width / 2, y + 13, share, anchor="middle")
+        for family in (family for family in used if (name, family) in shares):
+            share, width, kind = (
+                shares[name, family],
+                wide * shares[name, family],
+                f"fill {FAMILIES[family].style}",
+            )
+            tip = f"{label}: {family} {100 * share:.0f} %"
+            canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=18)
+            if share > _LABELED_SHARE:
+                canvas.text(x + width / 2, y + 13, f"{100 * share:.0f} %", anchor="middle")
             x += width
     return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
 

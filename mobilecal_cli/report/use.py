@@ -7,10 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import NINE, AtWork, Extraction, FloatArray, Solution
+from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import std_text
 
@@ -234,26 +232,14 @@ def recommendation(
     return limiting_sentence(error.shares, error.figure.meaning), cure
 
 
-def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:
-    """(share, source) of an expected error, a field of `AtWork`, largest first; empty if unknown or zero."""
-    found = solution.uncertainty
-    if found is None or field not in found.budget.at_work:
-        return []
-    pairs = zip(found.budget.at_work[field].tolist(), found.budget.sources, strict=True)
-    return sorted(((share, name) for share, name in pairs if share > 0), reverse=True)
-
-
-def families(solution: Solution) -> tuple[tuple[str, ...], FloatArray]:
-    """Groups of sources and their shares, (G, 9 + F), of the nine parameters and of the fields of `AtWork`."""
+def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
+    """(share, source) of a parameter, or of an expected error (field of `AtWork`), largest first; empty if unknown."""
     found = solution.uncertainty
     if found is None:
-        return (), np.zeros((0, len(NINE)))
-    budget = found.budget
-    columns = np.concatenate([budget.nine, np.stack(list(budget.at_work.values()), axis=1)], axis=1)
-    sums: dict[str, FloatArray] = {family: np.zeros(columns.shape[1]) for family in FAMILIES}
-    for name, row in zip(budget.sources, columns, strict=True):
-        sums[source(name).family] += np.maximum(row, 0.0)
-    return tuple(sums), np.array(list(sums.values()))
+        return []
+    columns = {**dict(zip(NINE, found.budget.nine.T, strict=True)), **found.budget.at_work}
+    pairs = zip(columns[name].tolist(), found.budget.sources, strict=True) if name in columns else ()
+    return sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
 
 
 def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:

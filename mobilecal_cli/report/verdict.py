@@ -21,7 +21,16 @@ from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRIT
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
-from mobilecal_cli.report.use import FIGURES, MOTION, Error, Figure, advice, next_step_of, use_sentence
+from mobilecal_cli.report.use import (
+    FIGURES,
+    MOTION,
+    Error,
+    Figure,
+    advice,
+    next_step_of,
+    shares_of,
+    use_sentence,
+)
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
@@ -237,8 +246,8 @@ def figures_of(
     """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
     found = solution.uncertainty
     factors = odometry_factors(extraction.rig, solution)
-    of_odometry = {f"std.odometry.{name}" for name in FACTORS} - {f"std.odometry.{name}" for name in factors}
-    figures: dict[str, float | None] = {name: None for name in gate_metrics() if name not in of_odometry}
+    names = (name for name in gate_metrics() if factors or not name.startswith("std.odometry."))
+    figures: dict[str, float | None] = dict.fromkeys(names)
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
     figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
     if found is not None:
@@ -267,8 +276,7 @@ def _gate_cure(gate: Gate, made: Calibration) -> str:
     if gate.name not in names:
         return ""
     k = names.index(gate.name)
-    pairs = zip(found.budget.nine[:, k].tolist(), found.budget.sources, strict=True)
-    shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
+    shares = shares_of(made.solution, PARAMETERS[k].name)
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
     value = float(reference_std(made.solution)[k] or 0.0)
     error = Error(Figure("", gate.name, label, label, unit, 1.0), value, gate.limit, shares)
