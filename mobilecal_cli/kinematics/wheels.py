@@ -18,6 +18,7 @@ _CORRUPTED = 0.02  # share of the changes that may be anything
 _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
 _BY_CHANCE = 1e-3  # probability
+_FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
 _RATE_NS = 50_000_000  # turning rates are means over this time to either side
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
@@ -134,19 +135,22 @@ def encoder_steps_rad(tracks: Sequence[WheelTrack]) -> FloatArray:
     return np.array(steps_rad)
 
 
-def between_steps(track: Track) -> Track:
-    """A wheel without encoder quantization: linear between the changes of its reading.
+def between_steps(track: Track, step_rad: float) -> Track:
+    """A wheel without encoder quantization: linear between the changes of its reading by a step or two.
 
-    A reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
-    same sign until the next change.
+    Such a reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
+    same sign until the next change. Where a reading differs from the one before by more steps, both stay as they are:
+    a line between the middles of such changes would round off every change of speed.
     """
     offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
-    changes = np.flatnonzero(np.diff(value))
-    middle_ns = (offsets[changes] + offsets[changes + 1]) / 2
-    middle_rad = (value[changes] + value[changes + 1]) / 2
-    at = np.concatenate([offsets[:1], middle_ns, offsets[-1:]])
-    values = np.concatenate([value[:1], middle_rad, value[-1:]])
-    return Track(track.time_ns, np.interp(offsets, at, values))
+    size = np.abs(np.diff(value))
+    slow = (size > 0) & (size < _FEW_STEPS * step_rad)
+    fast = np.flatnonzero(size >= _FEW_STEPS * step_rad)
+    kept = np.unique(np.concatenate([[0], fast, fast + 1, [len(value) - 1]]))
+    at = np.concatenate([offsets[kept], (offsets[1:] + offsets[:-1])[slow] / 2])
+    values = np.concatenate([value[kept], (value[1:] + value[:-1])[slow] / 2])
+    order = np.argsort(at, kind="stable")
+    return Track(track.time_ns, np.interp(offsets, at[order], values[order]))
 
 
 def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increments:

@@ -62,7 +62,10 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     if moving.any():  # at rest a reading is as good as its step; in motion its changes are more exact
         tracks = tuple(
             WheelTrack(
-                *(between_steps(w) if step else w for w, step in zip((t.right, t.left), steps, strict=True))
+                *(
+                    between_steps(w, step) if step else w
+                    for w, step in zip((t.right, t.left), steps, strict=True)
+                )
             )
             for t in tracks
         )

@@ -161,7 +161,7 @@ def test_between_its_steps_a_reading_runs_on():
     true_rad = np.clip(0.73 * (np.arange(400) * 0.01 - 1), 0, 1.5)
     step = 0.05
     read = np.floor(true_rad / step) * step + step / 2
-    smooth, back = between_steps(Track(time_ns, read)).value, between_steps(Track(time_ns, read[::-1])).value
+    smooth, back = (between_steps(Track(time_ns, values), step).value for values in (read, read[::-1]))
     running = (time_ns > 1.1e9) & (time_ns < 3.0e9)
     assert np.abs(read - true_rad)[running].max() > 0.9 * step / 2
     assert np.abs(smooth - true_rad)[running].max() < 0.73 * 0.01 / 2 + 1e-9  # half a sample
@@ -169,6 +169,16 @@ def test_between_its_steps_a_reading_runs_on():
     assert np.abs(smooth - true_rad).max() < step
     assert smooth[0] == read[0]
     assert smooth[-1] == read[-1]
+
+
+def test_a_sudden_change_of_speed_is_not_rounded_off():
+    """Readings that change by many steps are used as they are: none is wrong by more than its step."""
+    time_ns = np.arange(0, 200, dtype=np.int64) * 20_000_000
+    at_s = np.arange(200) * 0.02
+    true_rad = 2 * np.minimum(at_s, 2.0) - np.maximum(at_s - 2.0, 0.0)
+    step = 0.0015
+    read = np.floor(true_rad / step) * step + step / 2
+    assert np.abs(between_steps(Track(time_ns, read), step).value - true_rad).max() <= step / 2 + 1e-12
 
 
 def test_the_step_of_an_encoder():
