@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -306,11 +307,10 @@ def checklist_text(found: Inspection) -> str:
         text += wrapped(line.what, start, indent)
         text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
     text += [f"note     {visible(note)}" for note in found.notes]
-    problems = sum(line.state == "problem" for line in lines)
-    limits = sum(line.state == "limit" for line in lines)
-    counts = [f"{problems} problem{'s' * (problems != 1)}"] if problems else []
-    counts += [f"{limits} limit{'s' * (limits != 1)}"] if limits else []
-    end = f" (exit code {found.exit_code})" if problems else ""
+    number = Counter(line.state for line in lines)
+    states: tuple[State, ...] = ("problem", "limit")
+    counts = [f"{number[state]} {state}{'s' * (number[state] != 1)}" for state in states if number[state]]
+    end = f" (exit code {found.exit_code})" if number["problem"] else ""
     return "\n".join([*text, f"{', '.join(counts) or 'No problems'}{end}."]) + "\n"
 
 

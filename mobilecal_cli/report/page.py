@@ -38,6 +38,7 @@ CONTENTS = {
     "record": "Input",
 }
 _MOST_STOPS = 3
+_LEAST_PROBABILITY = 1e-6  # worth a digit
 #: Section → the kinds of criteria that it shows; "checks" for others.
 _SECTIONS = {
     "stations": {"stations", "camera", "legs", "observable", "motion", "rejected", "leg_outlier", "jump",
@@ -125,7 +126,7 @@ def _change(change: Change) -> str:
     if change.p_value is not None:
         text += (
             " If the robot did not change, the probability of a difference this large is "
-            f"{percent_text(change.p_value)}."
+            f"{percent_text(change.p_value, _LEAST_PROBABILITY)}."
         )
     return text
 
