@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
-from mobilecal_cli.model.arrays import freeze
+from mobilecal_cli.model.arrays import ReadOnly
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Difference:
+class Difference(ReadOnly):
     """Change from one calibration a to another b.
 
     Attributes:
@@ -36,11 +37,11 @@ class Difference:
         assumed: wheels that the radii and the separation are factors of, where both calibrate odometry.
     """
 
-    change: FloatArray
-    std: FloatArray
-    known: BoolArray
-    unobservable: BoolArray
-    nominal_sigmas: FloatArray
+    change: Annotated[FloatArray, 9]
+    std: Annotated[FloatArray, 9]
+    known: Annotated[BoolArray, 9]
+    unobservable: Annotated[BoolArray, 9]
+    nominal_sigmas: Annotated[FloatArray, 9]
     chi2: float | None
     chance: float | None
     shared: bool
@@ -49,10 +50,6 @@ class Difference:
     heading_rad_per_m: float
     heading_rad_per_turn: float
     assumed: WheelGeometry | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, change=(9,), std=(9,), nominal_sigmas=(9,))
-        freeze(self, np.bool_, known=(9,), unobservable=(9,))
 
     @property
     def sigmas(self) -> FloatArray:
@@ -72,10 +69,8 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
             raise TypeError(
                 f"type {type(robot).__name__} is not a calibration: give load(path), or the robot of a report"
             )
-    for frame, other, what in (
-        (first.parent_frame, second.parent_frame, "head"),
-        (first.child_frame, second.child_frame, "camera"),
-    ):
+    for attribute, what in (("parent_frame", "head"), ("child_frame", "camera")):
+        frame, other = getattr(first, attribute), getattr(second, attribute)
         if frame != other:
             raise ConfigError(
                 f"the {what} frames of the calibrations differ: {frame!r} in one and {other!r} in the other",
@@ -89,7 +84,10 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     if first.odometry is not None:
         second = second.with_assumed(first.odometry.wheels)
     change = nine_apart(first, second)
-    unobservable = _unobservable(first) | _unobservable(second)
+    unobservable = np.zeros(9, dtype=np.bool_)
+    for robot in (first, second):
+        if robot.knowledge is not None:
+            unobservable |= ~robot.knowledge.observable
     # Both must have a standard deviation and determine the parameter: a nominal value is no measurement.
     known, covariance = np.zeros(9, dtype=np.bool_), np.zeros((9, 9))
     if first.knowledge is not None and second.knowledge is not None:
@@ -131,13 +129,6 @@ def nine_apart(first: CalibratedRobot, second: CalibratedRobot) -> FloatArray:
     """Change from a to b, (9,), in the order of `NINE`: rotation vector of R_b R_a^T, rad; lengths, m."""
     a, b = (Parameters(robot.T_parent_child, robot.wheels) for robot in (first, second))
     return b.minus(a)
-
-
-def _unobservable(robot: CalibratedRobot) -> BoolArray:
-    """(9,) parameters that a calibration does not determine; all False where it states no uncertainty."""
-    if robot.knowledge is None:
-        return np.zeros(9, dtype=np.bool_)
-    return np.asarray(~robot.knowledge.observable)
 
 
 def _chance(chi2: float, freedom: int) -> float:

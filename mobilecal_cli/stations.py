@@ -264,8 +264,9 @@ def _fewer(pairs: list[Shot]) -> list[Shot]:
 def _stations(
     moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
 ) -> tuple[Station, ...]:
-    """Stations from groups of pairs, each with a flag for rest, in order of time."""
+    """Stations, in order of time, from groups of pairs, each with a flag for rest."""
     tracks = [signals.joints[name] for name in joints]
+    moments = sorted(moments, key=lambda moment: moment[0][0].time_ns)
     starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
     at_start, still = sampled(tracks, starts), np.zeros(len(tracks))
     return tuple(
@@ -316,22 +317,16 @@ class _Pairs:
     Attributes:
         signals: of the log.
         channels: its joints and wheels.
-        pairs: the shots with readings of all of them, with images that no shot before has.
-        rests: those in which nothing moves, by rest.
+        rests: the shots with readings of all of them and new images, in which nothing moves, by rest.
+        moving: those taken in motion that are simultaneous enough for it, in order of time.
         rejections: shots without readings, or with an image that has not changed since the robot moved.
     """
 
     signals: Signals
     channels: list[_Channel]
-    pairs: list[Shot]
     rests: list[list[Shot]]
+    moving: list[Shot]
     rejections: list[Rejection]
-
-    def in_motion(self) -> list[Shot]:
-        """The pairs taken in motion that are simultaneous enough for it."""
-        resting = {pair for run in self.rests for pair in run}
-        moving = (pair for pair in self.pairs if pair not in resting)
-        return [pair for pair in moving if pair.apart_ns <= PAIR_MOVING_S * _NS]
 
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
@@ -365,9 +360,9 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     runs = _rests(pairs, channels)
     resting = {pair for run in runs for pair in run}
     rests = [own for run in runs if (own := shown.new(run))]
-    moving = shown.new([pair for pair in pairs if pair not in resting])
-    pairs = sorted([*moving, *(pair for run in rests for pair in run)], key=lambda pair: pair.time_ns)
-    return _Pairs(signals, channels, pairs, rests, [*rejections, *frozen])
+    new = shown.new([pair for pair in pairs if pair not in resting])
+    moving = [pair for pair in new if pair.apart_ns <= PAIR_MOVING_S * _NS]
+    return _Pairs(signals, channels, rests, moving, [*rejections, *frozen])
 
 
 def _what(images: Collection[str]) -> str:
@@ -487,14 +482,12 @@ def plan_stations(
     for log, wheels in paired:
         moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
-            candidates = log.in_motion()
-            chosen = candidates if everything else _keyframes(candidates, log.channels, KEYFRAMES)
+            chosen = log.moving if everything else _keyframes(log.moving, log.channels, KEYFRAMES)
             moments += [([pair], False) for pair in chosen]
-            moving, picked = moving + len(candidates), picked + len(chosen)
-        moments.sort(key=lambda moment: moment[0][0].time_ns)
+            moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-        stations = _stations(moments, joints, log.signals) if moments else ()
+        stations = _stations(moments, joints, log.signals)
         tracks = tuple(log.signals.joints[name] for name in joints)
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
@@ -575,6 +568,5 @@ def with_stamps(
             pairs = max(_rests(pairs, channels), key=len, default=[])
         if pairs:
             moments.append((pairs, station.at_rest))
-    moments.sort(key=lambda moment: moment[0][0].time_ns)
-    stations = _stations(moments, joints, signals) if moments else ()
+    stations = _stations(moments, joints, signals)
     return replace(plan, stations=stations, images=images_of(stations, images))

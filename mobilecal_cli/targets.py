@@ -16,21 +16,10 @@ class Target(StrEnum):
         vars()[_module.name] = _module.name
 
 
-class Paper(StrEnum):
-    """A page of `mobilecal board`: automatic (A4 to A0), a standard size, or as large as the board needs."""
-
-    auto = "auto"
-    a4 = "a4"
-    a3 = "a3"
-    a2 = "a2"
-    a1 = "a1"
-    a0 = "a0"
-    letter = "letter"
-    tabloid = "tabloid"
-    ansi_c = "ansi_c"
-    ansi_d = "ansi_d"
-    ansi_e = "ansi_e"
-    exact = "exact"
+#: A page of `mobilecal board`: automatic (A4 to A0), a standard size, or as large as the board needs.
+Paper = Literal[
+    "auto", "a4", "a3", "a2", "a1", "a0", "letter", "tabloid", "ansi_c", "ansi_d", "ansi_e", "exact"
+]
 
 
 #: Robots of `mobilecal simulate`: name → what is special about it. `simulate.robot.ROBOTS` makes them.

@@ -15,7 +15,6 @@ from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml, snap
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text, reason_of
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
-from mobilecal_cli.report.numbers import reference_frame
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
 
@@ -100,7 +99,7 @@ def differences(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ..
     pairs: list[tuple[str, object, object]] = [
         ("recordings (SHA-256)", logs, other_logs),
         ("head frame", robot.parent_frame, rig.chain.head_frame),
-        ("camera frame", robot.child_frame, reference_frame(rig.cameras)),
+        ("camera frame", robot.child_frame, rig.cameras.of_reference.frame_id),
         ("wheel joints", dict(robot.wheel_joints), wheel_joints),
     ]
     if robot.nominal_wheels is not None and nominal is not None:
@@ -122,7 +121,7 @@ def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) ->
         ConfigError: the calibration is for other frames.
     """
     cameras = extraction.rig.cameras
-    here = (extraction.rig.chain.head_frame, reference_frame(cameras))
+    here = (extraction.rig.chain.head_frame, cameras.of_reference.frame_id)
     if (robot.parent_frame, robot.child_frame) != here:
         raise ConfigError(
             f"{path} gives the pose of {robot.child_frame!r} on {robot.parent_frame!r}; in the recording the camera "

@@ -36,7 +36,7 @@ def board(
     paper: Annotated[
         Paper,
         typer.Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs."),
-    ] = Paper.auto,
+    ] = "auto",
     output: Annotated[Path, typer.Option("--output", "-o", readable=False, help="PDF to write.")] = Path(
         "board.pdf"
     ),
@@ -78,7 +78,7 @@ def print_board(
     charuco: bool = False,
     dictionary: str | None = None,
     marker_share: float | None = None,
-    paper: Paper = Paper.auto,
+    paper: Paper = "auto",
 ) -> BoardPrint:
     """A board as a PDF at true scale.
 

@@ -21,9 +21,9 @@ _LONGEST_SHOWN = 40  # characters of a text that is refused
 
 def gate_names(ctx: typer.Context, incomplete: str) -> list[str]:
     """Figures that `--gate` of this command can limit, each with "="."""
-    from mobilecal_cli.report.verdict import gate_names
+    from mobilecal_cli.report.verdict import gate_metrics
 
-    names = gate_names(evaluating=ctx.info_name == "evaluate")
+    names = gate_metrics(evaluating=ctx.info_name == "evaluate")
     return [f"{name}=" for name in names if name.startswith(incomplete)]
 
 

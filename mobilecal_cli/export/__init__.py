@@ -17,22 +17,3 @@ from mobilecal_cli.export.outputs import (
     write_outputs,
 )
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
-
-__all__ = [
-    "THUMBNAILS",
-    "BoardPrint",
-    "append_text",
-    "board_pdf",
-    "check_appendable",
-    "check_file",
-    "check_output",
-    "extraction_from_npz",
-    "extraction_to_npz",
-    "improved_cameras",
-    "improved_chain",
-    "parameters_from_yaml",
-    "params_yaml",
-    "snapshots_from_npz",
-    "write_file",
-    "write_outputs",
-]

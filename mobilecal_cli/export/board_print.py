@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.scene import dark_squares
 from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.targets import Paper
@@ -96,18 +97,18 @@ def _text(text: str) -> str:
 
 #: Page size in portrait, mm.
 _PAGES_MM = {
-    Paper.a4: (210.0, 297.0),
-    Paper.a3: (297.0, 420.0),
-    Paper.a2: (420.0, 594.0),
-    Paper.a1: (594.0, 841.0),
-    Paper.a0: (841.0, 1189.0),
-    Paper.letter: (215.9, 279.4),
-    Paper.tabloid: (279.4, 431.8),
-    Paper.ansi_c: (431.8, 558.8),
-    Paper.ansi_d: (558.8, 863.6),
-    Paper.ansi_e: (863.6, 1117.6),
+    "a4": (210.0, 297.0),
+    "a3": (297.0, 420.0),
+    "a2": (420.0, 594.0),
+    "a1": (594.0, 841.0),
+    "a0": (841.0, 1189.0),
+    "letter": (215.9, 279.4),
+    "tabloid": (279.4, 431.8),
+    "ansi_c": (431.8, 558.8),
+    "ansi_d": (558.8, 863.6),
+    "ansi_e": (863.6, 1117.6),
 }
-_AUTOMATIC = (Paper.a4, Paper.a3, Paper.a2, Paper.a1, Paper.a0)
+_AUTOMATIC = ("a4", "a3", "a2", "a1", "a0")
 _MARGIN_MM = 8.0  # white around the board, and what printers leave blank
 _GAP_MM, _BOTTOM_MM = 6.0, 6.0  # above and below the text
 _TEXT_MM, _PITCH_MM = 2.5, 3.2
@@ -146,14 +147,13 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
         ConfigError: the board does not fit on the page, or the dictionary has too few markers.
     """
     assert board.square_m is not None
-    square_mm = board.square_m * 1e3
-    board_mm = (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
-    page, (width, height) = _page(board, paper, board_mm)
+    square_mm, board_mm = board.square_m * 1e3, _size_mm(board)
+    page, (width, height) = _page(board, paper)
     config = board_setting(board)
     # The longest scale bar that leaves place for its label.
     bar_mm = next(bar for bar in _BARS_MM if bar <= width - 2 * _MARGIN_MM - 20)
-    words = _words(board, square_mm, board_mm, page, bar_mm)
-    left, spare = (width - board_mm[0]) / 2, height - _needed(board, board_mm, width)[1]
+    words = _words(board, page, bar_mm)
+    left, spare = (width - board_mm[0]) / 2, height - _needed(board, width)[1]
     top = _MARGIN_MM + spare / 2
     rectangles = _dark(board) * square_mm + np.array([left, top, 0.0, 0.0])
     baseline = top + board_mm[1] + _GAP_MM + spare / 2
@@ -185,10 +185,15 @@ def board_setting(board: Board) -> str:
     )
 
 
-def _words(
-    board: Board, square_mm: float, board_mm: tuple[float, float], page: str, bar_mm: float
-) -> list[str]:
+def _size_mm(board: Board) -> tuple[float, float]:
+    """Width and height of a board with `square_m`."""
+    square_mm = (board.square_m or 0.0) * 1e3
+    return (board.columns + 1) * square_mm, (board.rows + 1) * square_mm
+
+
+def _words(board: Board, page: str, bar_mm: float) -> list[str]:
     """What the page shows, and how to print and check it."""
+    square_mm, board_mm = (board.square_m or 0.0) * 1e3, _size_mm(board)
     size = f"{board.columns} x {board.rows} inner corners, squares of {square_mm:g} mm"
     if board.markers is None:
         what = f"Checkerboard, {size}."
@@ -208,46 +213,47 @@ def _wrapped(texts: list[str], page_width_mm: float) -> list[str]:
     return [line for text in texts for line in textwrap.wrap(text, width)]
 
 
-def _needed(board: Board, board_mm: tuple[float, float], page_width_mm: float) -> tuple[float, float]:
+def _needed(board: Board, page_width_mm: float) -> tuple[float, float]:
     """Width and height that a page of some width needs, mm."""
-    square_mm, width = (board.square_m or 0.0) * 1e3, max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
+    board_mm = _size_mm(board)
+    width = max(board_mm[0] + 2 * _MARGIN_MM, _NARROWEST_MM)
     page_width_mm = max(page_width_mm, width)
-    longest = _words(board, square_mm, board_mm, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
+    longest = _words(board, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
     count = len(_wrapped([*longest, board_setting(board)], page_width_mm))
     height = board_mm[1] + _MARGIN_MM + _GAP_MM + _TICK_MM + (count + 0.2) * _PITCH_MM + _BOTTOM_MM
     return float(np.ceil(width)), float(np.ceil(height))
 
 
-def _page(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[str, tuple[float, float]]:
+def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
     """Description and size (mm) of the page to use, portrait or landscape."""
-    if paper == Paper.exact:
-        size = _needed(board, board_mm, 0.0)
+    if paper == "exact":
+        size = _needed(board, 0.0)
         if max(size) > LARGEST_MM:
             raise ConfigError(
                 f"the board needs a page of {size[0]:.0f} x {size[1]:.0f} mm (limit of a PDF: {LARGEST_MM:.0f} mm)",
                 "use smaller or fewer squares",
             )
         return f"a page of {size[0]:g} x {size[1]:g} mm", size
-    for name in _AUTOMATIC if paper == Paper.auto else (paper,):
-        fitting = _placed(board, name, board_mm)
+    for name in _AUTOMATIC if paper == "auto" else (paper,):
+        fitting = _placed(board, name)
         if fitting is not None:
-            shown = name.value.upper() if name in _AUTOMATIC else name.value
+            shown = name.upper() if name in _AUTOMATIC else name
             return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
-    largest = _AUTOMATIC[-1] if paper == Paper.auto else paper
-    width, height = _PAGES_MM[largest]
-    larger = next((other for other in _PAGES_MM if _placed(board, other, board_mm)), Paper.exact)
+    largest = _AUTOMATIC[-1] if paper == "auto" else paper
+    (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
+    larger = next((other for other in _PAGES_MM if _placed(board, other)), "exact")
     raise ConfigError(
-        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest.value} "
+        f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest} "
         f"({width:g} x {height:g} mm) with {_MARGIN_MM:g} mm around it and the text below",
-        f"use --paper {larger.value}, or smaller squares",
+        f"use --paper {larger}, or smaller squares",
     )
 
 
-def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[float, float] | None:
+def _placed(board: Board, paper: str) -> tuple[float, float] | None:
     """A standard page, portrait or landscape, mm; None if the board does not fit."""
     portrait = _PAGES_MM[paper]
     for size in (portrait, portrait[::-1]):
-        needed = _needed(board, board_mm, size[0])
+        needed = _needed(board, size[0])
         if needed[0] <= size[0] and needed[1] <= size[1]:
             return size
     return None
@@ -255,13 +261,10 @@ def _placed(board: Board, paper: Paper, board_mm: tuple[float, float]) -> tuple[
 
 def _dark(board: Board) -> FloatArray:
     """(n, 4) dark rectangles x, y, width, height in squares, from the top left corner of the board."""
-    columns, rows = board.columns + 1, board.rows + 1
-    if board.markers is None:
-        row, column = np.divmod(np.arange(columns * rows), columns)
-        dark = (row + column) % 2 == 0
-        ones = np.ones(len(row))
-        return np.array(np.stack([column, row, ones, ones], axis=1)[dark], dtype=np.float64)
-    return _charuco(columns, rows, board.markers)
+    if board.markers is not None:
+        return _charuco(board.columns + 1, board.rows + 1, board.markers)
+    low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
+    return np.hstack([low, np.ones_like(low)])
 
 
 def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:

@@ -8,7 +8,7 @@ import itertools
 import json
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +69,8 @@ _DTYPES: dict[str, type] = {
     "header": np.uint8,
     **dict.fromkeys(("rad", "right_rad", "left_rad", "value"), np.float64),
 }
-#: The earliest time in a zip file; the current time would change the bytes.
-_EPOCH = (1980, 1, 1, 0, 0, 0)
+#: Fields of an extraction that its header has as they are.
+_STATED = ("rig", "board", "rejections", "notes", "logs", "counts")
 _HINT = "give an extraction.npz from this version of mobilecal, or calibrate from the recording"
 
 
@@ -112,12 +112,7 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
     """
     observations = extraction.observations
     header = _Header(
-        rig=extraction.rig,
-        board=extraction.board,
-        rejections=extraction.rejections,
-        notes=extraction.notes,
-        logs=extraction.logs,
-        counts=dict(extraction.counts),
+        **{name: getattr(extraction, name) for name in _STATED},
         observations=len(observations),
         wheels=len(extraction.wheels),
         joint_tracks=tuple(len(tracks) for tracks in extraction.joint_tracks),
@@ -132,14 +127,11 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
     arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text.encode("ascii"), dtype=np.uint8)}
     if observations:
         for name, dtype in _OBSERVATION_ARRAYS.items():
-            arrays[f"observations.{name}"] = np.stack(
-                [np.asarray(getattr(o, name), dtype) for o in observations]
-            )
+            arrays[f"observations.{name}"] = _stacked(observations, name, dtype)
         for k, camera in enumerate(extraction.rig.cameras.names):
             for name, dtype in _CORNER_ARRAYS.items():
-                arrays[f"observations.{camera}.{name}"] = np.stack(
-                    [np.asarray(getattr(o.views[k], name), dtype) for o in observations]
-                )
+                views = [o.views[k] for o in observations]
+                arrays[f"observations.{camera}.{name}"] = _stacked(views, name, dtype)
     for i, track in enumerate(extraction.wheels):
         for side, wheel in (("right", track.right), ("left", track.left)):
             arrays[f"wheels.{i}.{side}.time_ns"] = wheel.time_ns
@@ -148,7 +140,13 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
         for j, joint in enumerate(tracks):
             arrays[f"joints.{i}.{j}.time_ns"] = joint.time_ns
             arrays[f"joints.{i}.{j}.value"] = joint.value
-    return _zipped(arrays)
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def _stacked(values: Sequence[object], name: str, dtype: type) -> NDArray[Any]:
+    return np.stack([np.asarray(getattr(value, name), dtype) for value in values])
 
 
 def snapshots_from_npz(path: Path) -> tuple[Snapshot, ...]:
@@ -160,20 +158,6 @@ def snapshots_from_npz(path: Path) -> tuple[Snapshot, ...]:
         return tuple(itertools.islice((s for s in read if len(s.thumbnail) < _LARGEST_THUMBNAIL), THUMBNAILS))
     except (ValueError, TypeError):
         return ()
-
-
-def _zipped(arrays: dict[str, NDArray[Any]]) -> bytes:
-    """The arrays as .npz; unlike `numpy.savez`, without the time of writing."""
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        for name, array in arrays.items():
-            member = zipfile.ZipInfo(f"{name}.npy", _EPOCH)
-            member.compress_type = zipfile.ZIP_DEFLATED
-            member.create_system = 3  # Unix, on every platform
-            content = io.BytesIO()
-            np.lib.format.write_array(content, np.ascontiguousarray(array), (1, 0), allow_pickle=False)
-            archive.writestr(member, content.getvalue())
-    return stream.getvalue()
 
 
 def extraction_from_npz(source: bytes | Path) -> Extraction:
@@ -254,14 +238,9 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
     stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
     names = stated.rig.cameras.names
     return Extraction(
-        rig=stated.rig,
-        board=stated.board,
+        **{name: getattr(stated, name) for name in _STATED},
         observations=tuple(_observation(arrays, names, i) for i in range(stated.observations)),
         wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(stated.wheels)),
-        rejections=stated.rejections,
-        notes=stated.notes,
-        logs=stated.logs,
-        counts=stated.counts,
         joint_tracks=tuple(
             tuple(
                 Track(arrays[f"joints.{i}.{j}.time_ns"], arrays[f"joints.{i}.{j}.value"])
@@ -277,11 +256,8 @@ def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
         parts = (arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
         wheels = WheelTrack.at_same_times(*parts)
     else:
-        right, left = (
-            Track(arrays[f"{name}.{side}.time_ns"], arrays[f"{name}.{side}.rad"])
-            for side in ("right", "left")
-        )
-        wheels = WheelTrack(right, left)
+        sides = (f"{name}.{side}" for side in ("right", "left"))
+        wheels = WheelTrack(*(Track(arrays[f"{side}.time_ns"], arrays[f"{side}.rad"]) for side in sides))
     if not len(wheels.time_ns):
         raise ValueError(f"{name}: no readings of both wheels")
     return wheels
@@ -301,12 +277,9 @@ def _pair(pair: dict[str, Any]) -> dict[str, Any]:
 
 
 def _observation(arrays: dict[str, NDArray[Any]], names: Sequence[str], index: int) -> Observation:
-    def corners(side: str) -> Corners:
-        pixels, sigma_px, pictures, seen, relative_cov = (
-            arrays[f"observations.{side}.{name}"][index] for name in _CORNER_ARRAYS
-        )
-        return Corners(pixels, float(sigma_px), int(pictures), seen, relative_cov)
+    def values(prefix: str, fields: Iterable[str]) -> dict[str, Any]:
+        each = {name: arrays[f"{prefix}.{name}"][index] for name in fields}
+        return {name: value if value.ndim else value.item() for name, value in each.items()}
 
-    values = {name: arrays[f"observations.{name}"][index] for name in _OBSERVATION_ARRAYS}
-    scalars = {name: value.item() for name, value in values.items() if value.ndim == 0}
-    return Observation(**(values | scalars), views=tuple(corners(name) for name in names))
+    views = tuple(Corners(**values(f"observations.{name}", _CORNER_ARRAYS)) for name in names)
+    return Observation(**values("observations", _OBSERVATION_ARRAYS), views=views)

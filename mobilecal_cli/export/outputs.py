@@ -11,6 +11,9 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files.placing import already_exists, clean_up, partial_of, place
 
+_ANOTHER = "choose another output path"
+_ANOTHER_DIRECTORY = "choose another --output"
+
 
 def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Check before the work whether a file can be written.
@@ -29,7 +32,7 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
             raise already_exists(path)
         real = path.resolve()
         if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
-            raise OutputError(f"{path}: this command reads this file", "choose another output path")
+            raise OutputError(f"{path}: this command reads this file", _ANOTHER)
 
 
 def check_parent(path: Path) -> None:
@@ -45,11 +48,11 @@ def check_parent(path: Path) -> None:
         pass
     except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
         reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"{path}: cannot be created: {reason}", "choose another output path") from error
+        raise OutputError(f"{path}: cannot be created: {reason}", _ANOTHER) from error
     if not parent.is_dir():
         raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
     if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{path}: no permission to write in {parent}", "choose another output path")
+        raise OutputError(f"{path}: no permission to write in {parent}", _ANOTHER)
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
@@ -70,10 +73,8 @@ def _writing(path: Path, option: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError(
-            f"{path}: cannot be written: {error.strerror or error}",
-            f"check free space and permissions, or choose another {option}",
-        ) from error
+        hint = f"check free space and permissions, or choose another {option}"
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}", hint) from error
 
 
 def check_appendable(path: Path) -> None:
@@ -117,7 +118,7 @@ def recognized_file(path: Path) -> tuple[str, ...]:
         OutputError: anything else.
     """
     if path.is_symlink() or not path.is_file():
-        raise OutputError(f"{path}: exists and is not a regular file", "choose another output path")
+        raise OutputError(f"{path}: exists and is not a regular file", _ANOTHER)
     return ()
 
 
@@ -141,12 +142,12 @@ def check_output(directory: Path, force: bool) -> None:
     if not os.path.lexists(target):
         return
     if target.is_symlink() or not target.is_dir():
-        raise OutputError(f"{directory}: exists and is not a directory", "choose another --output")
+        raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER_DIRECTORY)
     if not force:
         raise already_exists(directory)
     recognized_output(target)
     if not os.access(target, os.W_OK | os.X_OK):
-        raise OutputError(f"{directory}: no permission to replace it", "choose another --output")
+        raise OutputError(f"{directory}: no permission to replace it", _ANOTHER_DIRECTORY)
 
 
 def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
@@ -181,20 +182,15 @@ def recognized_output(directory: Path) -> tuple[str, ...]:
         OutputError: anything else.
     """
     if directory.is_symlink() or not directory.is_dir():
-        raise OutputError(f"{directory}: exists and is not a directory", "choose another --output")
+        raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER_DIRECTORY)
     try:
         entries = sorted(directory.iterdir())
-        foreign = [
-            path.name
-            for path in entries
-            if path.name not in OUTPUT_NAMES or path.is_symlink() or not path.is_file()
-        ]
+        ours = [p.name in OUTPUT_NAMES and p.is_file() and not p.is_symlink() for p in entries]
+        foreign = [path.name for path, own in zip(entries, ours, strict=True) if not own]
         if not foreign and entries and not _has_our_parameters(directory):
             foreign = [entries[0].name]
     except OSError as error:
-        raise OutputError(
-            f"{directory}: cannot be read: {error.strerror}", "choose another --output"
-        ) from error
+        raise OutputError(f"{directory}: cannot be read: {error.strerror}", _ANOTHER_DIRECTORY) from error
     if foreign:
         raise OutputError(
             f"{directory}: not an output directory of mobilecal: it contains {foreign[0]!r}",

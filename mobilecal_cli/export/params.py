@@ -38,7 +38,6 @@ from mobilecal_cli.model import (
     Knowledge,
     LogSource,
     Provenance,
-    Side,
     Solution,
     WheelGeometry,
     camera_words,
@@ -99,7 +98,7 @@ def params_yaml(
         covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
         order = NINE
         if odometry is not None:
-            order, units = _FACTOR_ORDER, _units(odometry.wheels)
+            order, units = _FACTOR_ORDER, odometry.units
             of_factors = odometry.covariance(wheels, uncertainty.reference_covariance[6:, 6:])
             shown["factors_std"] = zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True)
             covariance = covariance / np.outer(units, units)
@@ -147,11 +146,6 @@ def _template() -> Template:
     environment.filters |= {each.__name__: each for each in (decimal, decimals, exponential, quoted, visible)}
     environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
     return environment.get_template("params.yaml")
-
-
-def _units(assumed: WheelGeometry) -> FloatArray:
-    """(9,) m that a factor of one stands for; 1 for the head-eye transform."""
-    return np.concatenate([np.ones(6), assumed.vector])
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:
@@ -267,12 +261,7 @@ class _Odometry(_Section):
 
     @property
     def geometry(self) -> WheelGeometry:
-        factors = [
-            self.right_wheel_radius_multiplier,
-            self.left_wheel_radius_multiplier,
-            self.wheel_separation_multiplier,
-        ]
-        return WheelGeometry.of(self.assumed.wheels.vector * factors)
+        return WheelGeometry.of(self.assumed.wheels.vector * [getattr(self, name) for name in FACTORS[:3]])
 
 
 class _Constant(_Section):
@@ -351,13 +340,12 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     if known is not None:
         noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in known.order])
-        units = np.ones(9) if checked.odometry is None else _units(checked.odometry.assumed.wheels)
+        units = np.ones(9) if checked.odometry is None else checked.odometry.assumed.units
         knowledge = Knowledge(np.array(known.covariance) * np.outer(units, units), observable, noise)
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
-    joints: dict[Side, str | None] = {side: getattr(settings.wheels, side).joint for side in SIDES}
-    several = {side: getattr(settings.wheels, side).joints for side in SIDES}
+    sides = {side: getattr(settings.wheels, side) for side in SIDES}
     odometry, sizes = checked.odometry, checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(
@@ -368,8 +356,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
-        wheel_joints={side: joint for side, joint in joints.items() if joint},
-        side_joints={side: names for side, names in several.items() if names},
+        wheel_joints={side: wheel.joint for side, wheel in sides.items() if wheel.joint},
+        side_joints={side: wheel.joints for side, wheel in sides.items() if wheel.joints},
         odometry=None if odometry is None else odometry.assumed,
         nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from functools import cache
+from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,52 @@ class _Nested:
 
 FloatArray = Annotated[NDArray[np.float64], _Nested()]
 IntArray = NDArray[np.int64]
-Shape = tuple[int | str, ...]
 BoolArray = NDArray[np.bool_]
 GrayImage = NDArray[np.uint8]
+Shape = tuple[int | str, ...]
 
 
-def _checked(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]) -> None:
+class ReadOnly:
+    """Base of frozen dataclasses with arrays: they are read-only copies of the annotated type and shape.
+
+    A shape follows the type, `Annotated[FloatArray, "N", 3]`; a name stands for a size that is the same in all arrays
+    of the value. Arrays without a shape, and None, stay as they are.
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        """Copy and check.
+
+        Raises:
+            ValueError: a shape is wrong or a float is not finite (a programming error, never a user's error).
+        """
+        sizes: dict[str, int] = {}
+        own: Any = type(self)
+        for name, (dtype, shape) in _annotated(own).items():
+            if getattr(self, name) is None:
+                continue
+            array = np.array(getattr(self, name), dtype=dtype)
+            _check_shape(f"{type(self).__name__}.{name}", array, shape, sizes)
+            if array.dtype.kind == "f" and not np.all(np.isfinite(array)):
+                raise ValueError(f"{type(self).__name__}.{name}: not finite")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+@cache
+def _annotated(cls: type) -> dict[str, tuple[type[Any], Shape]]:
+    """Name → element type and shape of the arrays with a shape."""
+    found = {}
+    for name, hint in get_type_hints(cls, include_extras=True).items():
+        annotated = next((each for each in (hint, *get_args(hint)) if hasattr(each, "__metadata__")), None)
+        shape = tuple(size for size in getattr(annotated, "__metadata__", ()) if isinstance(size, int | str))
+        if annotated is not None and shape:
+            found[name] = (get_args(get_args(annotated.__origin__)[1])[0], shape)
+    return found
+
+
+def _check_shape(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]) -> None:
     expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
     fits = len(array.shape) == len(expected) and all(
         isinstance(want, str) or want == have for want, have in zip(expected, array.shape, strict=True)
@@ -37,52 +78,10 @@ def _checked(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]
     sizes.update({n: size for n, size in zip(shape, array.shape, strict=True) if isinstance(n, str)})
 
 
-def freeze(
-    value: object, dtype: type[Any] = np.float64, /, **shapes: tuple[int | str, ...]
-) -> dict[str, int]:
-    """Replace the named attributes of a frozen dataclass by read-only copies of the given dtype.
-
-    Args:
-        value: the dataclass instance, inside its ``__post_init__``.
-        dtype: element type of the named attributes.
-        shapes: attribute name → shape; a string names a size that must be the same everywhere.
-
-    Returns:
-        The sizes that the strings name.
-
-    Raises:
-        ValueError: a shape is wrong or a float is not finite (a programming error, never a user's error).
-    """
-    sizes: dict[str, int] = {}
-    for name, shape in shapes.items():
-        array = np.array(getattr(value, name), dtype=dtype)
-        _checked(f"{type(value).__name__}.{name}", array, shape, sizes)
-        if np.issubdtype(array.dtype, np.floating) and not np.all(np.isfinite(array)):
-            raise ValueError(f"{type(value).__name__}.{name}: not finite")
-        array.setflags(write=False)
-        object.__setattr__(value, name, array)
-    return sizes
-
-
-def freeze_corners(value: object, seen: BoolArray) -> None:
-    """Freeze `pixels` (M, 2) and `seen` (M,) of a board detection; an empty `seen` means all corners.
-
-    Raises:
-        ValueError: see `freeze`.
-    """
-    corners = freeze(value, pixels=("M", 2))["M"]
-    if not len(seen):
+def set_corner_defaults(value: Any, covariances: str, variance: float) -> None:  # noqa: ANN401
+    """Empty `seen` of a board detection means all corners; empty covariances, `variance` times identity."""
+    corners = len(value.pixels)
+    if not len(value.seen):
         object.__setattr__(value, "seen", np.ones(corners, dtype=np.bool_))
-    freeze(value, np.bool_, seen=(corners,))
-
-
-def freeze_covariances(value: object, name: str, given: FloatArray, default: float) -> None:
-    """Freeze one (2, 2) covariance per corner, (M, 2, 2), after `freeze_corners`; default: `default` times identity.
-
-    Raises:
-        ValueError: see `freeze`.
-    """
-    corners = len(value.pixels)  # type: ignore[attr-defined]
-    if not len(given):
-        object.__setattr__(value, name, np.broadcast_to(default * np.eye(2), (corners, 2, 2)))
-    freeze(value, **{name: (corners, 2, 2)})
+    if not len(getattr(value, covariances)):
+        object.__setattr__(value, covariances, np.broadcast_to(variance * np.eye(2), (corners, 2, 2)))

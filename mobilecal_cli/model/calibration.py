@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 from mobilecal_cli.model.observations import LogSource
 from mobilecal_cli.model.rig import AssumedOdometry, Side, WheelGeometry
 
@@ -17,7 +18,7 @@ WHEEL_WORDS = ("right wheel radius", "left wheel radius", "wheel separation")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Parameters:
+class Parameters(ReadOnly):
     """The nine parameters.
 
     Their differences are vectors of nine numbers in the order of `NINE`, the one tangent convention of the code: a
@@ -29,11 +30,8 @@ class Parameters:
         wheels: radii and separation.
     """
 
-    T_h_c: FloatArray
+    T_h_c: Annotated[FloatArray, 4, 4]
     wheels: WheelGeometry
-
-    def __post_init__(self) -> None:
-        freeze(self, T_h_c=(4, 4))
 
     @property
     def vector(self) -> FloatArray:
@@ -58,7 +56,7 @@ class Parameters:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Knowledge:
+class Knowledge(ReadOnly):
     """Uncertainty of the nine parameters of a params.yaml.
 
     Attributes:
@@ -67,17 +65,13 @@ class Knowledge:
         noise: noise level → standard deviation, as far as the file states them; see `NoiseLevels`.
     """
 
-    covariance: FloatArray
-    observable: BoolArray
+    covariance: Annotated[FloatArray, 9, 9]
+    observable: Annotated[BoolArray, 9]
     noise: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        freeze(self, covariance=(9, 9))
-        freeze(self, np.bool_, observable=(9,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibratedRobot:
+class CalibratedRobot(ReadOnly):
     """A calibration as stored in params.yaml.
 
     Attributes:
@@ -102,7 +96,7 @@ class CalibratedRobot:
 
     parent_frame: str
     child_frame: str
-    T_parent_child: FloatArray
+    T_parent_child: Annotated[FloatArray, 4, 4]
     wheels: WheelGeometry
     knowledge: Knowledge | None = None
     created: str = ""
@@ -116,9 +110,6 @@ class CalibratedRobot:
     constants: Mapping[str, float] | None = None
     verdict: str = ""
     reasons: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        freeze(self, T_parent_child=(4, 4))
 
     @property
     def unobservable(self) -> BoolArray:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
-import numpy as np
-
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +76,7 @@ class AtWork:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Budget:
+class Budget(ReadOnly):
     """What the variances come from. The shares of each column add up to 1.
 
     Attributes:
@@ -88,11 +87,8 @@ class Budget:
     """
 
     sources: tuple[str, ...]
-    nine: FloatArray
+    nine: Annotated[FloatArray, "S", 9]
     at_work: Mapping[str, FloatArray]
-
-    def __post_init__(self) -> None:
-        freeze(self, nine=(len(self.sources), 9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +110,7 @@ class ScaleCheck:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BetweenLogs:
+class BetweenLogs(ReadOnly):
     """Estimates from each of several recordings alone.
 
     Attributes:
@@ -125,19 +121,14 @@ class BetweenLogs:
         between_std: (9,) additional spread between the recordings; 0 where none is significant.
     """
 
-    shift: FloatArray
-    std: FloatArray
-    shown: BoolArray
-    between_std: FloatArray
-
-    def __post_init__(self) -> None:
-        logs = freeze(self, shift=("L", 9))["L"]
-        freeze(self, std=(logs, 9), between_std=(9,))
-        freeze(self, np.bool_, shown=(logs, 9))
+    shift: Annotated[FloatArray, "L", 9]
+    std: Annotated[FloatArray, "L", 9]
+    shown: Annotated[BoolArray, "L", 9]
+    between_std: Annotated[FloatArray, 9]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Suggestion:
+class Suggestion(ReadOnly):
     """An additional stop at the end of the recording, and the expected improvement.
 
     Attributes:
@@ -151,14 +142,11 @@ class Suggestion:
     turn_rad: float
     drive_m: float
     face_rad: float
-    joints: FloatArray
+    joints: Annotated[FloatArray, "J"]
     worst: str
     std_now: float
     std_then: float
     gain: float
-
-    def __post_init__(self) -> None:
-        freeze(self, joints=("J",))
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,23 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    freeze,
-    freeze_corners,
-    freeze_covariances,
-)
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly, set_corner_defaults
 from mobilecal_cli.model.rig import Board, Rig
 from mobilecal_cli.model.signals import Rejection, Track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Corners:
+class Corners(ReadOnly):
     """Corners of the board in one image, or averaged over the images of a rest.
 
     Attributes:
@@ -34,15 +28,15 @@ class Corners:
         relative_cov: (M, 2, 2) covariance of each corner over the square of `sigma_px`, identity by default.
     """
 
-    pixels: FloatArray
+    pixels: Annotated[FloatArray, "M", 2]
     sigma_px: float
     pictures: int
-    seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
-    relative_cov: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    seen: Annotated[BoolArray, "M"] = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
+    relative_cov: Annotated[FloatArray, "M", 2, 2] = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     def __post_init__(self) -> None:
-        freeze_corners(self, self.seen)
-        freeze_covariances(self, "relative_cov", self.relative_cov, 1.0)
+        set_corner_defaults(self, "relative_cov", 1.0)
+        ReadOnly.__post_init__(self)
 
     @property
     def cov_px2(self) -> FloatArray:
@@ -51,7 +45,7 @@ class Corners:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Observation:
+class Observation(ReadOnly):
     """The board in the cameras at one station.
 
     Attributes:
@@ -76,26 +70,15 @@ class Observation:
     station: int
     time_ns: int
     at_rest: bool
-    joints: FloatArray
-    joints_std: FloatArray
+    joints: Annotated[FloatArray, "J"]
+    joints_std: Annotated[FloatArray, "J"]
     views: tuple[Corners, ...]
-    points_c: FloatArray
-    points_cov: FloatArray
-    T_c_k: FloatArray
-    T_c_k_cov: FloatArray
+    points_c: Annotated[FloatArray, "M", 3]
+    points_cov: Annotated[FloatArray, "M", 3, 3]
+    T_c_k: Annotated[FloatArray, 4, 4]
+    T_c_k_cov: Annotated[FloatArray, 6, 6]
     square_m: float
     reprojection_px: float
-
-    def __post_init__(self) -> None:
-        freeze(
-            self,
-            joints=("J",),
-            joints_std=("J",),
-            points_c=("M", 3),
-            points_cov=("M", 3, 3),
-            T_c_k=(4, 4),
-            T_c_k_cov=(6, 6),
-        )
 
     @property
     def several(self) -> bool:
@@ -149,7 +132,7 @@ class WheelTrack:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SensorMotion:
+class SensorMotion(ReadOnly):
     """A leg of the base, and how a planar sensor on it moved meanwhile (scan matching, visual odometry).
 
     Attributes:
@@ -160,11 +143,8 @@ class SensorMotion:
 
     right_rad: float
     left_rad: float
-    motion: FloatArray
-    covariance: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze(self, motion=(3,), covariance=(3, 3))
+    motion: Annotated[FloatArray, 3]
+    covariance: Annotated[FloatArray, 3, 3]
 
 
 @dataclass(frozen=True, slots=True)

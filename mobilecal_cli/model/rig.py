@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import FloatArray, freeze
+from mobilecal_cli.model.arrays import FloatArray, ReadOnly
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -16,7 +16,7 @@ Distortion = Literal["none", "plumb_bob", "rational_polynomial", "equidistant"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraInfo:
+class CameraInfo(ReadOnly):
     """Calibration of one camera from the recording, for the pixels of the images as recorded.
 
     Binning and region of interest are already applied to K and P.
@@ -35,18 +35,15 @@ class CameraInfo:
     frame_id: str
     width: int
     height: int
-    K: FloatArray
-    D: FloatArray
+    K: Annotated[FloatArray, 3, 3]
+    D: Annotated[FloatArray, "n"]
     distortion: Distortion
-    R: FloatArray
-    P: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze(self, K=(3, 3), D=("n",), R=(3, 3), P=(3, 4))
+    R: Annotated[FloatArray, 3, 3]
+    P: Annotated[FloatArray, 3, 4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LensCorrection:
+class LensCorrection(ReadOnly):
     """A displacement of pixels on top of a camera's distortion model, the same for every model.
 
     Attributes:
@@ -55,15 +52,12 @@ class LensCorrection:
         center_px: (2,) principal point that the terms count from.
     """
 
-    shares: FloatArray
-    center_px: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze(self, shares=(4,), center_px=(2,))
+    shares: Annotated[FloatArray, 4]
+    center_px: Annotated[FloatArray, 2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(ReadOnly):
     """Pinhole camera with distortion: maps points in the optical frame to pixels.
 
     Attributes:
@@ -78,13 +72,10 @@ class Camera:
     frame_id: str
     width: int
     height: int
-    K: FloatArray
-    D: FloatArray
+    K: Annotated[FloatArray, 3, 3]
+    D: Annotated[FloatArray, "n"]
     distortion: Distortion
     correction: LensCorrection | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, K=(3, 3), D=("n",))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,21 +177,18 @@ def camera_words(name: str) -> str:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FixedLink:
+class FixedLink(ReadOnly):
     """A constant transform in the chain.
 
     Attributes:
         T_parent_child: (4, 4) child coordinates to parent coordinates, m.
     """
 
-    T_parent_child: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze(self, T_parent_child=(4, 4))
+    T_parent_child: Annotated[FloatArray, 4, 4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointLink:
+class JointLink(ReadOnly):
     """A joint in the chain: its motion about or along its axis is multiplier * reading + offset.
 
     Attributes:
@@ -212,14 +200,11 @@ class JointLink:
     """
 
     joint: str
-    axis: FloatArray
+    axis: Annotated[FloatArray, 3]
     kind: Literal["revolute", "prismatic"] = "revolute"
     multiplier: float = 1.0
     offset: float = 0.0
-    shift_m: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def __post_init__(self) -> None:
-        freeze(self, axis=(3,), shift_m=(3,))
+    shift_m: Annotated[FloatArray, 3] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -488,6 +473,11 @@ class AssumedOdometry:
     wheels: WheelGeometry
     separation_share: float = 0.0
 
+    @property
+    def units(self) -> FloatArray:
+        """(9,) what one is of each of the nine parameters, with factors in place of the wheels: m for these."""
+        return np.concatenate([np.ones(6), self.wheels.vector])
+
     def factors(self, wheels: WheelGeometry) -> FloatArray:
         """(5,) factors for estimated wheels, in the order of `FACTORS`."""
         right, left, separation = wheels.vector / self.wheels.vector
@@ -519,7 +509,7 @@ FACTORS = (
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Nominal:
+class Nominal(ReadOnly):
     """Nominal values, used for unobservable parameters and to unwrap large turns.
 
     Attributes:
@@ -527,12 +517,8 @@ class Nominal:
         wheels: nominal wheels, or None.
     """
 
-    T_h_reference: FloatArray | None = None
+    T_h_reference: Annotated[FloatArray, 4, 4] | None = None
     wheels: WheelGeometry | None = None
-
-    def __post_init__(self) -> None:
-        if self.T_h_reference is not None:
-            freeze(self, T_h_reference=(4, 4))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.rig import CameraInfo, Side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class Track(ReadOnly):
     """One quantity over time.
 
     Attributes:
@@ -20,12 +21,8 @@ class Track:
         value: (n,) rad (a revolute joint, a wheel's unwrapped rotation) or m (a prismatic joint).
     """
 
-    time_ns: IntArray
-    value: FloatArray
-
-    def __post_init__(self) -> None:
-        n = freeze(self, np.int64, time_ns=("n",))["n"]
-        freeze(self, value=(n,))
+    time_ns: Annotated[IntArray, "n"]
+    value: Annotated[FloatArray, "n"]
 
     def at(self, times_ns: IntArray) -> FloatArray:
         """Linearly interpolated values at some times, (n,) → (n,).
@@ -48,7 +45,7 @@ def sampled(tracks: Sequence[Track], times_ns: IntArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PictureIndex:
+class PictureIndex(ReadOnly):
     """Where the images of one camera are in a recording.
 
     Attributes:
@@ -59,16 +56,16 @@ class PictureIndex:
             differs from the image before it, which is the default for all.
     """
 
-    time_ns: IntArray
-    stamp_ns: IntArray
-    log_ns: IntArray
+    time_ns: Annotated[IntArray, "n"]
+    stamp_ns: Annotated[IntArray, "n"]
+    log_ns: Annotated[IntArray, "n"]
     sequential: bool = False
-    since_ns: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    since_ns: Annotated[IntArray, "n"] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         if not len(self.since_ns):
             object.__setattr__(self, "since_ns", self.time_ns)
-        freeze(self, np.int64, time_ns=("n",), stamp_ns=("n",), log_ns=("n",), since_ns=("n",))
+        ReadOnly.__post_init__(self)
 
     def rows(self, rows: IntArray | BoolArray) -> PictureIndex:
         """Some of the images: indices, or True for each."""
@@ -126,7 +123,7 @@ class Shot:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Station:
+class Station(ReadOnly):
     """A moment at which the board may be visible.
 
     Attributes:
@@ -142,11 +139,8 @@ class Station:
     at_rest: bool
     shots: tuple[Shot, ...]
     time_ns: int
-    joints: FloatArray
-    joints_std: FloatArray
-
-    def __post_init__(self) -> None:
-        freeze(self, joints=("J",), joints_std=("J",))
+    joints: Annotated[FloatArray, "J"]
+    joints_std: Annotated[FloatArray, "J"]
 
 
 @dataclass(frozen=True, slots=True)

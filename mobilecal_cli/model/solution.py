@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, freeze
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, IntArray, ReadOnly
 from mobilecal_cli.model.calibration import Parameters
 from mobilecal_cli.model.findings import (
     AtWork,
@@ -32,7 +32,7 @@ Setting: TypeAlias = "bool | int | float | str | Sequence[Setting] | Mapping[str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LinearEstimate:
+class LinearEstimate(ReadOnly):
     """The iterative linear solution (paper, section 3).
 
     Attributes:
@@ -52,12 +52,9 @@ class LinearEstimate:
     history: tuple[Parameters, ...]
     rounds_to_tolerance: int
     point_rms_m: float
-    start_ratios: FloatArray
+    start_ratios: Annotated[FloatArray, 2]
     start_from: str
     rival_point_rms_m: float
-
-    def __post_init__(self) -> None:
-        freeze(self, start_ratios=(2,))
 
     @property
     def rounds(self) -> int:
@@ -66,7 +63,7 @@ class LinearEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refinement:
+class Refinement(ReadOnly):
     """A nonlinear refinement of the linear solution.
 
     Attributes:
@@ -79,12 +76,9 @@ class Refinement:
 
     method: Method
     parameters: Parameters
-    point_rms_history_m: FloatArray
+    point_rms_history_m: Annotated[FloatArray, "n"]
     point_rms_m: float
     evaluations: int
-
-    def __post_init__(self) -> None:
-        freeze(self, point_rms_history_m=("n",))
 
 
 def _level(guess: float, least: float, most: float) -> dict[str, float]:
@@ -174,7 +168,7 @@ class NoiseLevels(Noise):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Uncertainty:
+class Uncertainty(ReadOnly):
     """Uncertainty of the nine parameters.
 
     Attributes:
@@ -202,37 +196,22 @@ class Uncertainty:
         budget: what limits the accuracy.
     """
 
-    covariance: FloatArray
-    reference_covariance: FloatArray
-    observable: BoolArray
-    unobservable: FloatArray
-    scales: FloatArray
-    singular_values: FloatArray
+    covariance: Annotated[FloatArray, 9, 9]
+    reference_covariance: Annotated[FloatArray, 9, 9]
+    observable: Annotated[BoolArray, 9]
+    unobservable: Annotated[FloatArray, "K", 9]
+    scales: Annotated[FloatArray, 9]
+    singular_values: Annotated[FloatArray, "D"]
     noise: NoiseLevels
-    fixed: BoolArray
-    jackknife_std: FloatArray
-    noise_std: FloatArray
-    described: BoolArray
-    widened: FloatArray
+    fixed: Annotated[BoolArray, 9]
+    jackknife_std: Annotated[FloatArray, 9]
+    noise_std: Annotated[FloatArray, 9]
+    described: Annotated[BoolArray, 9]
+    widened: Annotated[FloatArray, 9]
     at_work: AtWork
-    camera: FloatArray
+    camera: Annotated[FloatArray, "C", "C"]
     camera_constants: tuple[str, ...]
     budget: Budget
-
-    def __post_init__(self) -> None:
-        freeze(
-            self,
-            covariance=(9, 9),
-            reference_covariance=(9, 9),
-            unobservable=("K", 9),
-            scales=(9,),
-            singular_values=("D",),
-            jackknife_std=(9,),
-            noise_std=(9,),
-            widened=(9,),
-            camera=(6 + len(self.camera_constants),) * 2,
-        )
-        freeze(self, np.bool_, observable=(9,), fixed=(9,), described=(9,))
 
     @property
     def std(self) -> FloatArray:
@@ -260,7 +239,7 @@ class Outlier:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Residuals:
+class Residuals(ReadOnly):
     """Residuals of the parameters, in the order of `Extraction.observations`.
 
     For each leg, the parameters predict the corners of its second station in its first station (eq. 18).
@@ -274,23 +253,12 @@ class Residuals:
         T_w_k: (N, 4, 4) board in the world as each observation measures it.
     """
 
-    legs: IntArray
-    leg_point_rms_m: FloatArray
-    predicted_px: FloatArray
-    leg_reprojection_px: FloatArray
-    T_w_v: FloatArray
-    T_w_k: FloatArray
-
-    def __post_init__(self) -> None:
-        legs = freeze(self, np.int64, legs=("L", 2))["L"]
-        freeze(
-            self,
-            leg_point_rms_m=(legs,),
-            predicted_px=("C", legs, "M", 2),
-            leg_reprojection_px=(legs,),
-            T_w_v=("N", 4, 4),
-            T_w_k=("N", 4, 4),
-        )
+    legs: Annotated[IntArray, "L", 2]
+    leg_point_rms_m: Annotated[FloatArray, "L"]
+    predicted_px: Annotated[FloatArray, "C", "L", "M", 2]
+    leg_reprojection_px: Annotated[FloatArray, "L"]
+    T_w_v: Annotated[FloatArray, "N", 4, 4]
+    T_w_k: Annotated[FloatArray, "N", 4, 4]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -381,7 +349,7 @@ class Drift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
+class Evaluation(ReadOnly):
     """Errors of a calibration on a recording.
 
     The parameters predict the camera motion over each leg (eq. 18); the board gives the measured motion.
@@ -399,16 +367,12 @@ class Evaluation:
     """
 
     stations: int
-    legs: IntArray
-    reprojection_px: FloatArray
-    rotation_rad: FloatArray
-    translation_m: FloatArray
+    legs: Annotated[IntArray, "L", 3]
+    reprojection_px: Annotated[FloatArray, "L"]
+    rotation_rad: Annotated[FloatArray, "L"]
+    translation_m: Annotated[FloatArray, "L"]
     driven_m: float
     turned_rad: float
     before: Drift | None
     after: Drift
     clock_offsets_s: Mapping[str, float] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        legs = freeze(self, np.int64, legs=("L", 3))["L"]
-        freeze(self, reprojection_px=(legs,), rotation_rad=(legs,), translation_m=(legs,))

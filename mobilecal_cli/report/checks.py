@@ -207,7 +207,7 @@ _EXTENTS = {
 @criterion(*_EXTENTS.values())
 def motion(made: Calibration) -> Iterator[Check]:
     """Motion of head and base, for methods without standard deviations."""
-    for key, (least, name, cure) in MOTION.items() if made.solution.uncertainty is None else ():
+    for key, (least, _, name, _, cure) in MOTION.items() if made.solution.uncertainty is None else ():
         metric, value = _EXTENTS[key], made.solution.motion.get(key)
         if value is not None:
             yield Check(
@@ -382,10 +382,11 @@ def nominal(made: Calibration) -> Iterator[Check]:
         return
     ratios = dict(zip(NINE[6:], (wheels.vector / stated.vector).tolist(), strict=True))
     for parameter, found_m, stated_m in zip(PARAMETERS[6:], wheels.vector, stated.vector, strict=True):
+        ratio = ratios[parameter.name]
         if sources.several_wheels and parameter.name == "separation":
-            yield from _effective_separation(made)
+            yield _effective_separation(found_m, stated_m, ratio)
             continue
-        off, ratio = 100 * (float(found_m / stated_m) - 1), ratios[parameter.name]
+        off = 100 * (ratio - 1)
         usual = {"about half of": 0.5, "about twice": 2.0}
         times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
         yield Check(
@@ -447,14 +448,10 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction
 _LEAST_EFFECTIVE, _MOST_EFFECTIVE = 0.95, 2.5
 
 
-def _effective_separation(made: Calibration) -> Iterator[Check]:
+def _effective_separation(found_m: float, nominal_m: float, ratio: float) -> Check:
     """Effective over nominal separation of a base that turns with slip."""
-    stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
-    assert stated is not None
-    ratio = wheels.separation_m / stated.separation_m
     usual = _LEAST_EFFECTIVE <= ratio <= _MOST_EFFECTIVE
-    found_m, nominal_m = wheels.separation_m, stated.separation_m
-    yield Check(
+    return Check(
         "nominal.separation", 100 * (ratio - 1), 100 * (_MOST_EFFECTIVE - 1), "pass" if usual else "fail",
         "effective wheel separation against the nominal one",
         f"{found_m:.4f} m, {ratio:.2f} times",
@@ -524,11 +521,28 @@ def square_size(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _noise(
-    metric: Metric, level: float, limits: tuple[float, float], name: str, cause: str
-) -> Iterator[Check]:
-    """A noise level, if it is not zero; the estimate allows for it, so its limits (usual, bad) are wide."""
-    usual, bad = limits
+_PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
+#: Metric of a noise level → the largest usual level, the limit, its name, and what to check.
+_NOISE = {
+    "noise.joint": (0.2, 0.4, *_PLAY),
+    "noise.sliding_joint": (0.35, 0.7, *_PLAY),
+    "noise.wheel": (0.015, 0.03, "wheels", "the wheels for slip"),
+    "noise.wheel_share": (
+        1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
+    ),
+    "noise.floor": (
+        0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
+    ),
+    "noise.height": (
+        4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move",
+    ),
+    "noise.stamp": (2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image"),
+}  # fmt: skip
+
+
+def _noise(metric: Metric, level: float) -> Iterator[Check]:
+    """A noise level, if it is not zero; the estimate allows for it, so its limits are wide."""
+    usual, bad, name, cause = _NOISE[metric.name]
     if level:
         measured = f"{level:.2g} {metric.unit}"
         yield Check(
@@ -545,9 +559,7 @@ def _noise(
 def height_noise(made: Calibration) -> Iterator[Check]:
     """Noise of the floor's height."""
     found = made.solution.uncertainty
-    level = 0.0 if found is None else 1e3 * found.noise.floor_m
-    name, cause = "floor (height of the base)", "that the floor is flat and that the board does not move"
-    yield from _noise(height, level, (4.0, 30.0), name, cause)
+    yield from _noise(height, 0.0 if found is None else 1e3 * found.noise.floor_m)
 
 
 def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
@@ -569,13 +581,9 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     if len(residuals.legs) < least_legs:
         return
     bad = max(bad, encoder_steps * encoder_heading_rad(made.solution, made.extraction))
-    distance_mm, focal_px = (
-        board_distance_m(made.extraction) * 1e3,
-        float(made.solution.cameras.first.K[0, 0]),
-    )
     for kind, unit, errors, scale in (
-        ("point", "mm", residuals.leg_point_rms_m * 1e3, distance_mm),
-        ("reprojection", "px", residuals.leg_reprojection_px, focal_px),
+        ("point", "mm", residuals.leg_point_rms_m * 1e3, board_distance_m(made.extraction) * 1e3),
+        ("reprojection", "px", residuals.leg_reprojection_px, float(made.solution.cameras.first.K[0, 0])),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = (names[end] for end in residuals.legs[worst])
@@ -727,22 +735,14 @@ def noise(made: Calibration) -> Iterator[Check]:
     if found is None:
         return
     levels, moving = found.noise, not all(o.at_rest for o in made.extraction.observations)
-    name, cause = "joint readings", "the head joints for play, and the head chain in the URDF"
     if chain.joints and len(chain.prismatic) == len(chain.joints):
-        level = 1e3 * chain.joint_units[0] * levels.joint_rad
-        yield from _noise(sliding_joint, level, (0.35, 0.7), name, cause)
+        yield from _noise(sliding_joint, 1e3 * chain.joint_units[0] * levels.joint_rad)
     else:
-        yield from _noise(joint, float(np.degrees(levels.joint_rad)), (0.2, 0.4), name, cause)
-    yield from _noise(wheel, levels.wheel_rad_per_sqrt_rad, (0.015, 0.03), "wheels", "the wheels for slip")
-    name, cause = "wheels in proportion to their rotation", "the wheels for slip, the tires and the load"
-    yield from _noise(wheel_share, 100 * levels.wheel_share, (1.0, 5.0), name, cause)
-    name, cause = (
-        "floor (roll and pitch of the base)",
-        "that the floor is flat and that the base does not rock",
-    )
-    yield from _noise(floor, float(np.degrees(levels.floor_rad)), (0.3, 1.5), name, cause)
-    name, cause = "image time stamps", "that images have hardware time stamps, or stop for each image"
-    yield from _noise(stamp, 1e3 * levels.stamp_s if moving else 0.0, (2.0, 20.0), name, cause)
+        yield from _noise(joint, math.degrees(levels.joint_rad))
+    yield from _noise(wheel, levels.wheel_rad_per_sqrt_rad)
+    yield from _noise(wheel_share, 100 * levels.wheel_share)
+    yield from _noise(floor, math.degrees(levels.floor_rad))
+    yield from _noise(stamp, 1e3 * levels.stamp_s if moving else 0.0)
 
 
 @criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES))

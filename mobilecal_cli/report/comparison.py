@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
-from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, factors_of, std_text
+from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, factors_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
 #: Significance level.
@@ -86,9 +86,8 @@ def comparison_text(names: Sequence[str], differences: Sequence[Difference], pas
         nine = PARAMETERS if found.assumed is None else factors_of(found.assumed)
         for k, parameter in enumerate(nine):
             change, s = found.change[k] * parameter.factor, found.std[k] * parameter.factor
-            std, sigmas = (
-                (std_text(s), f"{round(found.sigmas[k], 1) + 0.0:+.1f}") if found.known[k] else ("-", "-")
-            )
+            std = std_text(s) if found.known[k] else "-"
+            sigmas = f"{round(found.sigmas[k], 1) + 0.0:+.1f}" if found.known[k] else "-"
             name = parameter.factor_name or parameter.name
             rows.append((name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
@@ -188,20 +187,17 @@ def conclusion(found: Difference) -> str:
         note += f" {blind}"
     return (
         f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
-        f"{_percent(found.chance)}. {verdict}{note}"
+        f"{percent_text(found.chance)}. {verdict}{note}"
     )
-
-
-def _percent(probability: float) -> str:
-    share = 100 * probability
-    return f"{share:.0f} %" if share >= 10 else f"{share:.2g} %"
 
 
 def constancy(chance: float) -> str:
     """Whether a parameter changed over several calibrations, by the probability of such a spread by chance."""
     if not math.isfinite(chance):
         return "unknown in all but one calibration"
-    return f"{'changed' if chance < _UNLIKELY else 'unchanged'} (probability by chance {_percent(chance)})"
+    return (
+        f"{'changed' if chance < _UNLIKELY else 'unchanged'} (probability by chance {percent_text(chance)})"
+    )
 
 
 def history_plot(labels: Sequence[str], past: History) -> str:

@@ -28,12 +28,8 @@ def error_parts(solution: Solution, extraction: Extraction) -> Mapping[str, Erro
     found, legs = solution.uncertainty, solution.residuals.legs
     if found is None or not len(legs):
         return {}
-    seen, chain, noise, X = (
-        extraction.observations,
-        extraction.rig.chain,
-        found.noise,
-        solution.parameters.T_h_c,
-    )
+    seen, chain, noise = extraction.observations, extraction.rig.chain, found.noise
+    X = solution.parameters.T_h_c
     joints, (i, j) = np.stack([o.joints for o in seen]), legs.T
     T_v_c = head_pose(chain, joints) @ X
     points_c = np.stack([se3.act(o.T_c_k, extraction.board.grid() * o.square_m) for o in seen])  # (N, M, 3) m

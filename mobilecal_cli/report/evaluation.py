@@ -158,29 +158,21 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         name = of_wheels if robot.odometry is None else _OF_ODOMETRY.get(key, of_wheels)
         part = np.arange(9)[whole][~own.described[whole]]
         at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
-        if not known[part].all():
-            cure = own.cure or "record more motion of base and head"
-            yield Check(
-                f"agreement.{key}", None, limit, "not_enough",
-                name,
-                "unobservable",
-                at_most,
-                f"The {name} is unobservable in this recording.",
-                f"{cure[:1].upper()}{cure[1:]}.",
-                unit=unit,
-            )  # fmt: skip
-            continue
         x, C = change[part], covariance[np.ix_(part, part)]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
         sigma, largest = float(np.sqrt(along @ C @ along)), float(np.sqrt(np.linalg.eigvalsh(C)[-1]))
-        needed, measured = (
-            _SIGMA_SHARE * limit,
-            f"{value_text(size, largest, 2)} ± {std_text(largest)} {unit}",
-        )
+        needed = _SIGMA_SHARE * limit
+        measured = f"{value_text(size, largest, 2)} ± {std_text(largest)} {unit}"
+        value: float | None = size
         outcome: Outcome = "pass"
         why = cure = ""
-        if size > max(limit, _SIGMAS * sigma):
+        if not known[part].all():
+            value, outcome, measured = None, "not_enough", "unobservable"
+            why = f"The {name} is unobservable in this recording."
+            cure = own.cure or "record more motion of base and head"
+            cure = f"{cure[:1].upper()}{cure[1:]}."
+        elif size > max(limit, _SIGMAS * sigma):
             outcome = "fail"
             why = f"The {name} differs from this recording by {measured} (limit {limit:g} {unit})."
             cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
@@ -189,7 +181,7 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
             missing = own.small["head" if key.startswith("camera") else "base"]
             cure = missing or "Record more stations; mobilecal suggest lists the most useful ones."
-        yield Check(f"agreement.{key}", size, limit, outcome, name, measured, at_most, why, cure, unit=unit)
+        yield Check(f"agreement.{key}", value, limit, outcome, name, measured, at_most, why, cure, unit=unit)
 
 
 def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:

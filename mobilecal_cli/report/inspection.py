@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,7 +18,6 @@ from mobilecal_cli.model import (
     MotionView,
     Parts,
     Rig,
-    WheelSource,
     camera_words,
     listed,
 )
@@ -212,19 +212,14 @@ def checklist(found: Inspection) -> tuple[Line, ...]:
 
     A configuration that is invalid, or a recording that cannot be read, is the only line.
     """
-    opened = [_line(lack, "problem") for lack in found.missing if lack.about in _FIRST]
-    if opened:
-        return tuple(opened)
+    lacks: list[tuple[State, Lack]] = [("problem", lack) for lack in found.missing]
+    lacks += [("limit", lack) for lack in found.weak]
+    bad = [Line(lack.about, state, lack.what, lack.cure, lack.exit_code) for state, lack in lacks]
+    opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
     lines: list[Line] = []
-    for about in found.CRITERIA:
-        bad = [_line(lack, "problem") for lack in found.missing if lack.about == about]
-        bad += [_line(lack, "limit") for lack in found.weak if lack.about == about]
-        lines += bad or _good(about, found)
-    return tuple(lines)
-
-
-def _line(lack: Lack, state: State) -> Line:
-    return Line(lack.about, state, lack.what, lack.cure, lack.exit_code)
+    for about in () if opened else found.CRITERIA:
+        lines += [line for line in bad if line.about == about] or _good(about, found)
+    return opened or tuple(lines)
 
 
 def _good(about: str, found: Inspection) -> list[Line]:
@@ -250,7 +245,9 @@ def _known(parts: Parts) -> dict[str, str]:
         baseline = "" if baseline_m is None else f"; baseline {baseline_m * 1e3:.1f} mm"
         said["camera infos"] = f"{sides}; {kind} images{baseline}"
     if parts.wheels is not None:
-        said["wheels"] = ", ".join(f"{side} {_wheel(parts.wheels[side])}" for side in SIDES)
+        said["wheels"] = ", ".join(
+            f"{side} {parts.wheels[side].where} on {parts.wheels[side].topic}" for side in SIDES
+        )
     if parts.chain is not None:
         chain = parts.chain
         said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {parts.chain_from}"
@@ -259,10 +256,6 @@ def _known(parts: Parts) -> dict[str, str]:
         elif parts.joints is not None:
             said["joints"] = f"{listed(chain.joints)} on {listed(parts.joints)}"
     return said
-
-
-def _wheel(source: WheelSource) -> str:
-    return f"{source.where} on {source.topic}"
 
 
 def _measured(found: Inspection) -> dict[str, str]:
@@ -314,11 +307,10 @@ def checklist_text(found: Inspection) -> str:
         text += wrapped(line.what, start, indent)
         text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
     text += [f"note     {visible(note)}" for note in found.notes]
-    problems = sum(line.state == "problem" for line in lines)
-    limits = sum(line.state == "limit" for line in lines)
-    counts = [f"{problems} problem{'s' * (problems != 1)}"] if problems else []
-    counts += [f"{limits} limit{'s' * (limits != 1)}"] if limits else []
-    end = f" (exit code {found.exit_code})" if problems else ""
+    number = Counter(line.state for line in lines)
+    states: tuple[State, ...] = ("problem", "limit")
+    counts = [f"{number[state]} {state}{'s' * (number[state] != 1)}" for state in states if number[state]]
+    end = f" (exit code {found.exit_code})" if number["problem"] else ""
     return "\n".join([*text, f"{', '.join(counts) or 'No problems'}{end}."]) + "\n"
 
 

@@ -31,7 +31,6 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import json_value
 
 _MOST_DECIMALS = 6
-_LEAST_PROBABILITY = 1e-6
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
 _MOST_REASONS = 3
 
@@ -112,9 +111,11 @@ def std_text(std: float) -> str:
     return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
 
 
-def percent_text(share: float) -> str:
+def percent_text(share: float, least: float = 0.0) -> str:
     """A probability in percent with two digits, or that it is below the smallest one worth a digit."""
-    return f"{100 * share:.2g} %" if share >= _LEAST_PROBABILITY else f"below {100 * _LEAST_PROBABILITY:g} %"
+    if share < least:
+        return f"below {100 * least:g} %"
+    return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 
 def decimals_of(std: float, otherwise: int = 3) -> int:
@@ -213,11 +214,6 @@ def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
     return T
-
-
-def reference_frame(cameras: CameraRig) -> str:
-    """Name of the optical frame of the reference camera."""
-    return cameras.of_reference.frame_id
 
 
 def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:

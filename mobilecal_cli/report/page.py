@@ -38,24 +38,25 @@ CONTENTS = {
     "record": "Input",
 }
 _MOST_STOPS = 3
-#: Kind of criterion → the section that shows it; "checks" for others.
+_LEAST_PROBABILITY = 1e-6  # worth a digit
+#: Section → the kinds of criteria that it shows; "checks" for others.
 _SECTIONS = {
-    **dict.fromkeys(
-        ("stations", "camera", "legs", "observable", "motion", "rejected", "leg_outlier", "jump"), "stations"
-    ),
-    **dict.fromkeys(("point_error", "reprojection_error", "outliers", "outliers_as_noise"), "stations"),
-    **dict.fromkeys(
-        ("contradiction", "description", "stereo_error", "square_size", "camera_info"), "description"
-    ),
-    **dict.fromkeys(("predicted", "noise", "change"), "limits"),
-}
+    "stations": {"stations", "camera", "legs", "observable", "motion", "rejected", "leg_outlier", "jump",
+                 "point_error", "reprojection_error", "outliers", "outliers_as_noise"},
+    "description": {"contradiction", "description", "stereo_error", "square_size", "camera_info"},
+    "limits": {"predicted", "noise", "change"},
+}  # fmt: skip
 
 
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
     failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
     decisive = next((check for check in failed if check.why == report.verdict.reason), None)
-    return "" if decisive is None else _SECTIONS.get(decisive.id.partition(".")[0], "checks")
+    if decisive is None:
+        return ""
+    return next(
+        (name for name, kinds in _SECTIONS.items() if decisive.id.partition(".")[0] in kinds), "checks"
+    )
 
 
 def report_html(report: ReportData, drawings: Drawings) -> str:
@@ -125,7 +126,7 @@ def _change(change: Change) -> str:
     if change.p_value is not None:
         text += (
             " If the robot did not change, the probability of a difference this large is "
-            f"{percent_text(change.p_value)}."
+            f"{percent_text(change.p_value, _LEAST_PROBABILITY)}."
         )
     return text
 

@@ -6,9 +6,9 @@ A new plot is a function with the decorator `plot`. `path_picture` and `budget_b
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -35,7 +35,7 @@ from mobilecal_cli.report.numbers import (
     std_text,
 )
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, families, family_shares, worst_error
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
 
 #: An SVG element, or one with its caption.
 Drawn: TypeAlias = str | tuple[str, str]
@@ -148,17 +148,15 @@ def plot(
     def registered(draw: _Draw) -> _Draw:
         def figure(solution: Solution, extraction: Extraction) -> Figure:
             logs = sorted({o.log for o in extraction.observations})
-            names = {log: extraction.log_names[log] if len(logs) > 1 else "" for log in logs[:_MOST_PATHS]}
-            titles: dict[tuple[Any, ...], str] = {(): ""}  # further arguments of the function → title
-            if each is not None:
-                cameras = range(len(extraction.rig.cameras.names))
-                subjects: Iterable[Any] = names if each == "log" else cameras
-                titles = {(subject,): names.get(subject, "") if each == "log" else "" for subject in subjects}
-            if corners and extraction.measured:
-                titles = {}
+            subjects: dict[str | None, Sequence[int]] = {
+                "log": logs[:_MOST_PATHS],
+                "camera": range(len(extraction.rig.cameras.names)),
+                None: [0],
+            }
             parts: list[tuple[str, str, str]] = []
-            for more, title in titles.items():
-                drawn = draw(solution, extraction, *more)
+            for subject in () if corners and extraction.measured else subjects[each]:
+                title = extraction.log_names[subject] if each == "log" and len(logs) > 1 else ""
+                drawn = draw(solution, extraction, *([] if each is None else [subject]))
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
                 said = {earlier for _, _, earlier in parts}
                 parts += [(title, element, "" if caption in said else caption)] if element else []
@@ -179,14 +177,13 @@ def draw_all(
     """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
     drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
     worst = worst_error(solution, limits or {})
-    bar = None
-    if worst is not None:
-        value = f"{std_text(worst.value)} of {worst.limit:g} {worst.figure.unit}"
-        bar = budget_bar(worst, f"What limits the {worst.figure.short} ({value})")
-    views = leg_views(solution, extraction, snapshots)
-    figures = tuple(figure for figure in drawn if figure.parts)
-    small = thumbnails(solution, extraction, snapshots)
-    return Drawings(figures, views, small, path_picture(solution, extraction), bar)
+    return Drawings(
+        tuple(figure for figure in drawn if figure.parts),
+        leg_views(solution, extraction, snapshots),
+        thumbnails(solution, extraction, snapshots),
+        path_picture(solution, extraction),
+        None if worst is None else budget_bar(worst),
+    )
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
@@ -207,16 +204,10 @@ _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 @plot("stations", each="log")
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    picked, boards, path, everything = _from_above(solution, extraction, log)
     seen = [extraction.observations[i] for i in picked]
-    T_w_v, T_w_k = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked]
-    T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in seen]))
-    board, square_m = extraction.board, float(np.median([o.square_m for o in seen]))
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
-    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
-    times = np.array([o.time_ns for o in seen])
-    path = trail(extraction.wheels[log], times, solution.parameters.wheels)
-    everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    T_w_v = solution.residuals.T_w_v[picked]
+    T_w_c = solution.residuals.T_w_k[picked] @ se3.inverse(np.stack([o.T_c_k for o in seen]))
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
     x, y = (Scale.of(column) for column in everything.T)
     axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
@@ -225,7 +216,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
-        without = trail(extraction.wheels[log], times, nominal)
+        without = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), nominal)
         axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "with nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
@@ -251,17 +242,7 @@ def path_picture(solution: Solution, extraction: Extraction) -> str:
     log = min((o.log for o in extraction.observations), default=None)
     if log is None:
         return ""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
-    seen = [extraction.observations[i] for i in picked]
-    T_w_v, board, square_m = (
-        solution.residuals.T_w_v[picked],
-        extraction.board,
-        float(np.median([o.square_m for o in seen])),
-    )
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]]) * square_m
-    ends = np.stack([se3.act(T, ends_k)[:, :2] for T in solution.residuals.T_w_k[picked]])
-    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
-    everything = np.concatenate([ends.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    picked, boards, path, everything = _from_above(solution, extraction, log)
     canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
     left, low = 10.0, canvas.height - 22.0
     x, y = (Scale.of(column) for column in everything.T)
@@ -269,20 +250,29 @@ def path_picture(solution: Solution, extraction: Extraction) -> str:
         canvas, replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
     ).with_equal_units()
     axes.line(path, "soft")
-    for i, end in zip(picked, ends, strict=True):
-        axes.line(end, "green thin", [i])
-        axes.dot(
-            float(solution.residuals.T_w_v[i, 0, 3]),
-            float(solution.residuals.T_w_v[i, 1, 3]),
-            "blue",
-            [i],
-            r=3,
-        )
+    for i, board in zip(picked, boards, strict=True):
+        axes.line(board, "green thin", [i])
+        x_m, y_m = solution.residuals.T_w_v[i, :2, 3].tolist()
+        axes.dot(x_m, y_m, "blue", [i], r=3)
     meter = axes.x(1.0) - axes.x(0.0)
     canvas.path(np.array([[left, canvas.height - 8], [left + meter, canvas.height - 8]]), "line ink")
     canvas.text(left + meter + 6, canvas.height - 4, "1 m")
     canvas.legend([("line green", "board")], HALF - 70.0, canvas.height - 4)
     return canvas.svg
+
+
+def _from_above(
+    solution: Solution, extraction: Extraction, log: int
+) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
+    """Observations of one recording (n), the board's ends as seen from each, (n, 2, 2), path, and all points, m."""
+    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    seen, board = [extraction.observations[i] for i in picked], extraction.board
+    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
+    ends_k *= float(np.median([o.square_m for o in seen]))
+    boards = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
+    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
+    stations = solution.residuals.T_w_v[picked, :2, 3]
+    return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
 
 
 def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> FloatArray:
@@ -371,11 +361,9 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
             axes.level(depth_mm, "orange dash")
         axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
     canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
-    worst, median = (
-        int(np.argmax(residuals.leg_reprojection_px)),
-        float(np.median(residuals.leg_reprojection_px)),
-    )
-    times = float(residuals.leg_reprojection_px[worst]) / median if median else 1.0
+    errors_px = residuals.leg_reprojection_px
+    worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
+    times = float(errors_px[worst]) / median if median else 1.0
     return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
 
 
@@ -457,10 +445,9 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     if solution.uncertainty is None:
         return ""
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
-    u, v = (
-        (np.arange(n) + 0.5) * size / n - 0.5
-        for n, size in zip(_CELLS, (camera.width, camera.height), strict=True)
-    )
+    (across, down) = _CELLS
+    u = (np.arange(across) + 0.5) * camera.width / across - 0.5
+    v = (np.arange(down) + 0.5) * camera.height / down - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     flat, reached = undistorted(camera, pixels)
     points = AHEAD_M * np.column_stack([flat, np.ones(len(flat))])
@@ -527,45 +514,46 @@ def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
 @plot("limits")
 def error_budget(solution: Solution, _: Extraction) -> Drawn:
     """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
-    found = solution.uncertainty
-    if found is None:
+    if solution.uncertainty is None:
         return ""
-    names, shares = families(solution)
-    at_work = [figure for figure in FIGURES if figure.limit is not None]
-    fields = [*NINE, *found.budget.at_work]
-    columns = [*range(len(NINE)), *(fields.index(figure.field) for figure in at_work)]
-    labels = [*NINE, *(figure.short for figure in at_work)]
-    used = [k for k in range(len(names)) if shares[k, columns].max() > _LEAST_SHARE]
+    labels = {name: name for name in NINE}
+    labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
+    shares = {
+        (name, family): share for name in labels for share, family in family_shares(shares_of(solution, name))
+    }
+    used = [f for f in FAMILIES if max(shares.get((name, f), 0.0) for name in labels) > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
     left, wide = 122.0, WIDE - 132.0
-    canvas.legend([(f"fill {FAMILIES[names[k]].style}", names[k]) for k in used], 8.0, 14.0)
-    for row, (label, column) in enumerate(zip(labels, columns, strict=True)):
+    canvas.legend([(f"fill {FAMILIES[family].style}", family) for family in used], 8.0, 14.0)
+    for row, (name, label) in enumerate(labels.items()):
         y, x = 46.0 + 24.0 * row, left
         canvas.text(left - 8, y + 13, label, anchor="end")
-        for k in used:
-            width = wide * float(shares[k, column])
-            if width <= 0:
-                continue
-            share, kind = f"{100 * shares[k, column]:.0f} %", f"fill {FAMILIES[names[k]].style}"
-            canvas.shape("rect", kind, (), f"{label}: {names[k]} {share}", x=x, y=y, width=width, height=18)
-            if shares[k, column] > _LABELED_SHARE:
-                canvas.text(x + width / 2, y + 13, share, anchor="middle")
+        for family in (family for family in used if (name, family) in shares):
+            share, width, kind = (
+                shares[name, family],
+                wide * shares[name, family],
+                f"fill {FAMILIES[family].style}",
+            )
+            tip = f"{label}: {family} {100 * share:.0f} %"
+            canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=18)
+            if share > _LABELED_SHARE:
+                canvas.text(x + width / 2, y + 13, f"{100 * share:.0f} %", anchor="middle")
             x += width
     return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
 
 
-def budget_bar(error: Error, title: str) -> Bar:
+def budget_bar(error: Error) -> Bar:
     """What the variance of one expected error consists of."""
+    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
     canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
     x = 0.0
     for share, name in used:
-        canvas.shape(
-            "rect", f"fill {FAMILIES[name].style}", (), name, x=x, y=0.0, width=WIDE * share, height=24.0
-        )
+        kind = f"fill {FAMILIES[name].style}"
+        canvas.shape("rect", kind, (), name, x=x, y=0.0, width=WIDE * share, height=24.0)
         x += WIDE * share
     legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
-    return Bar(title, canvas.svg, legend)
+    return Bar(f"What limits the {error.figure.short} ({value})", canvas.svg, legend)
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
@@ -575,10 +563,8 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
-    if not order:
-        return []
-    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
-    words = {1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
+    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
+    words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
     ranks = dict(zip(chosen, words, strict=True))
     names = station_names(extraction)
     views: list[LegView] = []

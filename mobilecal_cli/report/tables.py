@@ -139,14 +139,11 @@ def separately(case: Case) -> Rows:
     per_unit = [parameter.per_unit for parameter in parameters_of(case.extraction.rig)]
     without = ["fixed" if by_user else "unobservable" for by_user in found.fixed]
 
-    def one(shift: float, std: float) -> str:
-        return f"{value_text(shift, std, 5, '+')} ± {std_text(std)}"
-
     rows = [
         (
             f"recording {number}",
             *(
-                one(s * u, d * u) if ok else otherwise
+                f"{value_text(s * u, d * u, 5, '+')} ± {std_text(d * u)}" if ok else otherwise
                 for u, s, d, ok, otherwise in zip(per_unit, shift, std, shown, without, strict=True)
             ),
         )
@@ -189,14 +186,8 @@ def constants(case: Case) -> Rows:
 
 
 @table(
-    "limits",
-    "Held-out stations",
-    "prediction error on a leg",
-    "number:rms",
-    "number:median",
-    "number:worst",
-    "unit",
-)
+    "limits", "Held-out stations", "prediction error on a leg", "number:rms", "number:median", "number:worst", "unit"
+)  # fmt: skip
 def prediction(case: Case) -> Rows:
     """Errors on the held-out stations."""
     return () if case.trial is None else evaluation_rows(evaluation_data(case.trial))

@@ -7,7 +7,6 @@ import base64
 import numpy as np
 
 from mobilecal_cli.model.text import visible, wrapped
-from mobilecal_cli.report.criteria import Check
 from mobilecal_cli.report.evaluation import evaluation_text
 from mobilecal_cli.report.numbers import decimals_of, numbers_table, std_text, value_text
 from mobilecal_cli.report.page import template
@@ -46,13 +45,10 @@ def _details(report: ReportData) -> list[str]:
     keys = {"time_joints": "clock of the joints", "time_wheels": "clock of the wheels"}
     for key, name in keys.items():
         if key in report.constants:
-            value, std = (
-                1e3 * number for number in (report.constants[key].value, report.constants[key].std or 0.0)
-            )
+            value, std = 1e3 * report.constants[key].value, 1e3 * (report.constants[key].std or 0.0)
             sigma = f"± {std_text(std)} ms" if std else "ms, fixed"
-            lines.append(
-                f"  {name:<{_LABEL}}{value_text(value, std or None, 3)} {sigma}, added to the image stamps"
-            )
+            shown = f"{value_text(value, std or None, 3)} {sigma}, added to the image stamps"
+            lines.append(f"  {name:<{_LABEL}}{shown}")
     lines.append(f"  {'point error':<{_LABEL}}{quality.point_rms_mm:.2f} mm")
     if quality.reprojection_rms_px:
         lines.append(f"  {'reprojection error':<{_LABEL}}{quality.reprojection_rms_px:.2f} px")
@@ -99,7 +95,9 @@ def job_summary(report: ReportData) -> str:
         lines.append(f"| {' | '.join(map(_cell, cells))} |")
     lines += ["", f"Stations used: {_cell(report.quality.stations_text)}."]
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
-    lines += [*([""] if open_checks else []), *map(_item, open_checks)]
+    lines += [""] if open_checks else []
+    for check in open_checks:
+        lines.append(f"- {'failed' if check.outcome in LEVELS else 'warning'}: {_cell(check.why)}")
     return "\n".join(lines) + "\n"
 
 
@@ -113,11 +111,6 @@ def _change(report: ReportData, k: int) -> str:
     decimals = 5 if number.std is None else decimals_of(number.std, 5)
     sigmas = f" ({change.sigmas[k]:+.1f} sigma)" if np.isfinite(change.sigmas[k]) else ""
     return f"{change.value[k]:+.{decimals}f} {number.unit}{sigmas}"
-
-
-def _item(check: Check) -> str:
-    kind = "failed" if check.outcome in LEVELS else "warning"
-    return f"- {kind}: {_cell(check.why)}"
 
 
 def _cell(text: str) -> str:

@@ -7,20 +7,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.model import NINE, AtWork, Extraction, FloatArray, Solution
+from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import std_text
 
-#: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; name; cure.
+#: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; whether it
+#: is of the head; name; what is wrong with a small one; cure.
 MOTION = {
-    "pan_range_deg": (10.0, "pan range of the head", "pan the head further left and right"),
-    "tilt_range_deg": (5.0, "tilt range of the head", "tilt the head further up and down"),
-    "turned_deg": (20.0, "rotation of the base", "turn the base between stops"),
-    "driven_m": (0.2, "path length of the base", "drive the base further between stops"),
-}
+    "pan_range_deg": (10.0, True, "pan range of the head", "the head panned by {} only",
+                            "pan the head further left and right"),
+    "tilt_range_deg": (5.0, True, "tilt range of the head", "the head tilted by {} only",
+                             "tilt the head further up and down"),
+    "turned_deg": (20.0, False, "rotation of the base", "the base turned by {} only",
+                         "turn the base between stops"),
+    "driven_m": (0.2, False, "path length of the base", "the base drove {} only",
+                       "drive the base further between stops"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,38 +117,32 @@ def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
 
 def small_extents(motion: Mapping[str, float], head: bool, base: bool) -> Iterator[str]:
     """What to do about small motion of the head, or of the base, as sentences."""
-    for (key, (least, _, cure)), wanted in zip(MOTION.items(), (head, head, base, base), strict=True):
-        now = motion.get(key, least)
-        if wanted and now < least:
-            extent = f"{now:.1f} m" if key.endswith("_m") else f"{now:.0f} degrees"
-            yield f"{cure.capitalize()} (now {extent})."
+    for key in _small(motion, head, base):
+        now = f"{motion[key]:.1f} m" if key.endswith("_m") else f"{motion[key]:.0f} degrees"
+        yield f"{MOTION[key][-1].capitalize()} (now {now})."
 
 
-_EXTENTS = {
-    "pan_range_deg": "the head panned by {} only",
-    "tilt_range_deg": "the head tilted by {} only",
-    "turned_deg": "the base turned by {} only",
-    "driven_m": "the base drove {} only",
-}
+def _small(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
+    """Keys of the extents of the head, or of the base, that are below their limits."""
+    rows = MOTION.items()
+    return [
+        key
+        for key, (least, of_head, *_) in rows
+        if (head if of_head else base) and motion.get(key, least) < least
+    ]
 
 
 def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
     """Motion that the recording lacks to determine these parameters: key of `MOTION` → why, in words."""
-    of_base = set(names) & set(NINE[6:])
-    wanted = {"head": bool(set(names) & set(NINE[:6])), "base": bool(of_base)}
-    motion = solution.motion
-    keys = [
-        key
-        for key, (least, name, _) in MOTION.items()
-        if wanted[name.rsplit(" ", 1)[1]] and motion.get(key, least) < least
-    ]
+    of_base, motion = set(names) & set(NINE[6:]), solution.motion
+    keys = _small(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
     if of_base and not {"turned_deg", "driven_m"} & set(keys):
         # Turning shows the radii over the separation, driving the radii: it is little beside the other.
         keys.append("turned_deg" if of_base == {NINE[8]} else "driven_m")
     values = {
         key: f"{motion[key]:.2f} m" if key.endswith("_m") else f"{motion[key]:.1f} degrees" for key in keys
     }
-    return {key: _EXTENTS[key].format(value) for key, value in values.items()}
+    return {key: MOTION[key][3].format(value) for key, value in values.items()}
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.
@@ -235,26 +232,14 @@ def recommendation(
     return limiting_sentence(error.shares, error.figure.meaning), cure
 
 
-def shares_of(solution: Solution, field: str) -> Sequence[tuple[float, str]]:
-    """(share, source) of an expected error, a field of `AtWork`, largest first; empty if unknown or zero."""
-    found = solution.uncertainty
-    if found is None or field not in found.budget.at_work:
-        return []
-    pairs = zip(found.budget.at_work[field].tolist(), found.budget.sources, strict=True)
-    return sorted(((share, name) for share, name in pairs if share > 0), reverse=True)
-
-
-def families(solution: Solution) -> tuple[tuple[str, ...], FloatArray]:
-    """Groups of sources and their shares, (G, 9 + F), of the nine parameters and of the fields of `AtWork`."""
+def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
+    """(share, source) of a parameter, or of an expected error (field of `AtWork`), largest first; empty if unknown."""
     found = solution.uncertainty
     if found is None:
-        return (), np.zeros((0, len(NINE)))
-    budget = found.budget
-    columns = np.concatenate([budget.nine, np.stack(list(budget.at_work.values()), axis=1)], axis=1)
-    sums: dict[str, FloatArray] = {family: np.zeros(columns.shape[1]) for family in FAMILIES}
-    for name, row in zip(budget.sources, columns, strict=True):
-        sums[source(name).family] += np.maximum(row, 0.0)
-    return tuple(sums), np.array(list(sums.values()))
+        return []
+    columns = {**dict(zip(NINE, found.budget.nine.T, strict=True)), **found.budget.at_work}
+    pairs = zip(columns[name].tolist(), found.budget.sources, strict=True) if name in columns else ()
+    return sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
 
 
 def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:

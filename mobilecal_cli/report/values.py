@@ -63,7 +63,6 @@ from mobilecal_cli.report.numbers import (
     numbers_of,
     odometry_factors,
     predicted_point_rms_m,
-    reference_frame,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
@@ -485,7 +484,7 @@ def build_report(case: Case) -> ReportData:
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
-            child_frame=reference_frame(cameras),
+            child_frame=cameras.of_reference.frame_id,
             camera=cameras.reference,
             rectified=cameras.rectified,
             odometry=_odometry(solution, extraction),
@@ -627,11 +626,8 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
     covariance = found.reference_covariance
     std = np.sqrt(np.diag(covariance))
     known = np.where(std > 0, std, 1.0)
-    by_name = {
-        name: getattr(found, name)
-        for name in ("observable", "fixed", "described", "jackknife_std", "widened")
-    }
-    by_name["std"] = std
+    names = ("observable", "fixed", "described", "jackknife_std", "widened")
+    by_name = {"std": std} | {name: getattr(found, name) for name in names}
     return like(
         UncertaintyData,
         found,
@@ -729,19 +725,14 @@ def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, 
 def _robot(solution: Solution, rig: Rig) -> RobotData:
     joints, T_head = joint_frames(rig.chain)
     nominal = rig.nominal.T_h_reference
-    frames = [
-        FrameData(
-            name=link.joint,
-            T_parent_frame=T[:3],
-            axis=link.multiplier * link.axis,
-            prismatic=link.kind == "prismatic",
-        )
-        for link, T in joints
-    ]
-    head = FrameData(name=rig.chain.head_frame, T_parent_frame=T_head[:3], axis=np.zeros(3), prismatic=False)
+    frames = [(link.joint, T, link.multiplier * link.axis, link.kind == "prismatic") for link, T in joints]
+    frames.append((rig.chain.head_frame, T_head, np.zeros(3), False))
     return RobotData(
         base_frame=rig.chain.base_frame,
-        frames=(*frames, head),
+        frames=tuple(
+            FrameData(name=name, T_parent_frame=T[:3], axis=axis, prismatic=prismatic)
+            for name, T, axis, prismatic in frames
+        ),
         camera=reference_pose(solution.parameters, solution.cameras)[:3],
         nominal_camera=None if nominal is None else nominal[:3],
     )

@@ -21,7 +21,16 @@ from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRIT
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
-from mobilecal_cli.report.use import FIGURES, MOTION, Error, Figure, advice, next_step_of, use_sentence
+from mobilecal_cli.report.use import (
+    FIGURES,
+    MOTION,
+    Error,
+    Figure,
+    advice,
+    next_step_of,
+    shares_of,
+    use_sentence,
+)
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
@@ -170,11 +179,6 @@ def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
     return {metric.name: metric for metric in (*first, *(judged[name] for name in sorted(judged)))}
 
 
-def gate_names(*, evaluating: bool = False) -> tuple[str, ...]:
-    """Names of the figures that a gate of `calibrate` (or of `evaluate`) can limit."""
-    return tuple(gate_metrics(evaluating=evaluating))
-
-
 @dataclass(frozen=True, slots=True)
 class Gate:
     """A limit on the figure with this name, a lower one if its metric says so."""
@@ -197,14 +201,12 @@ def gates_of(
     Raises:
         ConfigError: the limit is missing or no number, or the figure is unknown or needs held-out stations.
     """
-    known = gate_names(evaluating=evaluating)
-    every = {*gate_names(), *gate_names(evaluating=True)}
-    limits = dict(config)
+    known = tuple(gate_metrics(evaluating=evaluating))
+    every = gate_metrics() | gate_metrics(evaluating=True)
     for name in config:
         if name not in every:
             raise _unknown(f"gates.{name}", name, sorted(every))
-    if evaluating:
-        limits = {name: limit for name, limit in limits.items() if name in known}
+    limits = {name: limit for name, limit in config.items() if name in known or not evaluating}
     for text in flags:
         name, equals, stated = text.partition("=")
         if name not in known:
@@ -222,11 +224,11 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    for name, limit in limits.items():
-        value = limits[name] = number_of(f"gate {name}", limit)
-        if not math.isfinite(value):
-            raise ConfigError(f"gate {name}: the limit is {value}", "give a finite number")
-    return tuple(Gate(name, limit) for name, limit in limits.items())
+    gates = tuple(Gate(name, number_of(f"gate {name}", limit)) for name, limit in limits.items())
+    for gate in gates:
+        if not math.isfinite(gate.limit):
+            raise ConfigError(f"gate {gate.name}: the limit is {gate.limit}", "give a finite number")
+    return gates
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -244,8 +246,8 @@ def figures_of(
     """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
     found = solution.uncertainty
     factors = odometry_factors(extraction.rig, solution)
-    of_odometry = {f"std.odometry.{name}" for name in FACTORS} - {f"std.odometry.{name}" for name in factors}
-    figures: dict[str, float | None] = {name: None for name in gate_names() if name not in of_odometry}
+    names = (name for name in gate_metrics() if factors or not name.startswith("std.odometry."))
+    figures: dict[str, float | None] = dict.fromkeys(names)
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
     figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
     if found is not None:
@@ -274,8 +276,7 @@ def _gate_cure(gate: Gate, made: Calibration) -> str:
     if gate.name not in names:
         return ""
     k = names.index(gate.name)
-    pairs = zip(found.budget.nine[:, k].tolist(), found.budget.sources, strict=True)
-    shares = sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
+    shares = shares_of(made.solution, PARAMETERS[k].name)
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
     value = float(reference_std(made.solution)[k] or 0.0)
     error = Error(Figure("", gate.name, label, label, unit, 1.0), value, gate.limit, shares)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mobilecal_cli.model import BoolArray, FloatArray
-from mobilecal_cli.model.arrays import freeze_corners, freeze_covariances
+from mobilecal_cli.model.arrays import ReadOnly, set_corner_defaults
 
 Reason = Literal[
     "no board found",
@@ -51,7 +51,7 @@ class Appearance:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class Detection(ReadOnly):
     """The board in one image.
 
     Attributes:
@@ -64,15 +64,15 @@ class Detection:
         appearance: start values for the fit in the next image; None if no corner model was fitted.
     """
 
-    pixels: FloatArray
+    pixels: Annotated[FloatArray, "M", 2]
     sigma_px: float
-    seen: BoolArray = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
-    cov: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    seen: Annotated[BoolArray, "M"] = field(default_factory=lambda: np.ones(0, dtype=np.bool_))
+    cov: Annotated[FloatArray, "M", 2, 2] = field(default_factory=lambda: np.zeros((0, 2, 2)))
     appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
-        freeze_corners(self, self.seen)
-        freeze_covariances(self, "cov", self.cov, self.sigma_px**2)
+        set_corner_defaults(self, "cov", self.sigma_px**2)
+        ReadOnly.__post_init__(self)
 
 
 @dataclass(frozen=True, slots=True)

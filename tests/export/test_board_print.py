@@ -14,21 +14,20 @@ from mobilecal_cli.export import board_pdf
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.model import Board, Markers
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.targets import Paper
 from mobilecal_cli.vision import Detection, find_board
 
 MM = 25.4
 NEEDED = 0.3  # white in squares that OpenCV's newer search needs in front of a dark wall
 CHARUCO = Markers("charuco", "DICT_5X5_50", 0.75)
 PRINTS = {
-    "checkerboard": (Board(9, 6, 0.02), Paper.auto),
-    "charuco": (Board(8, 5, 0.025, CHARUCO), Paper.a4),
+    "checkerboard": (Board(9, 6, 0.02), "auto"),
+    "charuco": (Board(8, 5, 0.025, CHARUCO), "a4"),
     "charuco with an even number of rows": (
         Board(5, 7, 0.03, Markers("charuco", "DICT_4X4_100", 0.6)),
-        Paper.letter,
+        "letter",
     ),
-    "page as large as the board": (Board(4, 3, 0.05), Paper.exact),
-    "little space around the board": (Board(8, 6, 0.08), Paper.a1),
+    "page as large as the board": (Board(4, 3, 0.05), "exact"),
+    "little space around the board": (Board(8, 6, 0.08), "a1"),
 }
 
 
@@ -186,9 +185,9 @@ def test_the_smallest_sufficient_dictionary_is_the_default():
 @pytest.mark.parametrize(
     ("arguments", "message", "hint"),
     [
-        ((9, 6, 0.03, False, None, None, Paper.a4), r"300 x 210 mm does not fit on a4", "--paper a3"),
+        ((9, 6, 0.03, False, None, None, "a4"), r"300 x 210 mm does not fit on a4", "--paper a3"),
         ((9, 6, 0.2), r"2000 x 1400 mm does not fit on a0", "--paper exact"),
-        ((50, 50, 0.2, False, None, None, Paper.exact), r"limit of a PDF: 5080 mm", "smaller or fewer"),
+        ((50, 50, 0.2, False, None, None, "exact"), r"limit of a PDF: 5080 mm", "smaller or fewer"),
         ((9, 8, 0.02, True, "DICT_4X4_50"), None, None),
         ((11, 8, 0.02, True, "DICT_4X4_50"), r"needs 54 markers, and DICT_4X4_50 has 50", "larger dictionary"),
         ((8, 5, 0.02, False, "DICT_4X4_50"), r"apply only to ChArUco", "--charuco"),

@@ -341,15 +341,25 @@ def kalibr_camera(entry):
     assert isinstance(entry["rostopic"], str)
 
 
-@pytest.mark.parametrize(("model", "count"), [("none", 0), ("plumb_bob", 5), ("equidistant", 4)])
-def test_kalibr_reads_the_camchain(model, count):
-    cameras = ROBOT.rig_cameras
-    left, right = (
-        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.each[0], cameras.each[1])
-    )
-    data = yaml.safe_load(
-        camchain_yaml(with_pair(cameras, left=left, right=right), {"left": "/l", "right": "/r"})
-    )
+#: Model in a recording → number of its coefficients, and both in an export for ROS.
+MODELS = {
+    "none": (0, "plumb_bob", 5),
+    "plumb_bob": (5, "plumb_bob", 5),
+    "rational_polynomial": (8, "rational_polynomial", 8),
+    "equidistant": (4, "equidistant", 4),
+}
+
+
+def cameras_of(model):
+    """The robot's pair with lenses of a model."""
+    lens = {"distortion": model, "D": np.zeros(MODELS[model][0])}
+    left, right = (replace(camera, **lens) for camera in ROBOT.rig_cameras.each)
+    return with_pair(ROBOT.rig_cameras, left=left, right=right)
+
+
+@pytest.mark.parametrize("model", ["none", "plumb_bob", "equidistant"])
+def test_kalibr_reads_the_camchain(model):
+    data = yaml.safe_load(camchain_yaml(cameras_of(model), {"left": "/l", "right": "/r"}))
     assert list(data) == ["cam0", "cam1"]
     for entry in data.values():
         kalibr_camera(entry)
@@ -359,33 +369,19 @@ def test_kalibr_reads_the_camchain(model, count):
     assert T[3].tolist() == [0, 0, 0, 1]
 
 
-@pytest.mark.parametrize(
-    ("model", "count", "named", "read"),
-    [
-        ("none", 0, "plumb_bob", 5),
-        ("plumb_bob", 5, "plumb_bob", 5),
-        ("rational_polynomial", 8, "rational_polynomial", 8),
-        ("equidistant", 4, "equidistant", 4),
-    ],
-)
-def test_camera_calibration_parsers_reads_the_camera_info(model, count, named, read):
+@pytest.mark.parametrize("model", MODELS)
+def test_camera_calibration_parsers_reads_the_camera_info(model):
     """Matrices of fixed sizes, as many values as rows times columns, and the coefficients of sensor_msgs' models."""
-    cameras = ROBOT.rig_cameras
-    left, right = (
-        replace(camera, distortion=model, D=np.zeros(count)) for camera in (cameras.each[0], cameras.each[1])
-    )
-    pair = rectified_pair(with_pair(cameras, left=left, right=right))
-    data = yaml.safe_load(camera_info_yaml(left, *pair["left"]))
+    cameras, (_, named, read) = cameras_of(model), MODELS[model]
+    left = cameras.first
+    data = yaml.safe_load(camera_info_yaml(left, *rectified_pair(cameras)["left"]))
     sizes = {
         "camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4),
         "distortion_coefficients": (1, read),
     }  # fmt: skip
     for name, (rows, columns) in sizes.items():
-        assert (data[name]["rows"], data[name]["cols"], len(data[name]["data"])) == (
-            rows,
-            columns,
-            rows * columns,
-        )
+        found = data[name]
+        assert (found["rows"], found["cols"], len(found["data"])) == (rows, columns, rows * columns)
     assert data["distortion_model"] == named
     assert (data["image_width"], data["image_height"]) == (left.width, left.height)
 

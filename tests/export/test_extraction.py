@@ -168,6 +168,33 @@ def assert_same(a, b, where="extraction"):
         assert repr(a) == repr(b), where  # repr tells -0.0 from 0.0
 
 
+def content_of(data):
+    """Name → array of a file, with the header as a dictionary."""
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        content = dict(archive)
+    return content | {"header": json.loads(content["header"].tobytes())}
+
+
+def written(content):
+    """The file with some arrays."""
+    if isinstance(content.get("header"), dict):
+        content = content | {"header": np.frombuffer(json.dumps(content["header"]).encode(), dtype=np.uint8)}
+    stream = io.BytesIO()
+    np.savez(stream, **content)
+    return stream.getvalue()
+
+
+def usual():
+    return content_of(extraction_to_npz(make_extraction(n=2)))
+
+
+def with_header(change):
+    """A sound file whose header was changed."""
+    content = usual()
+    change(content["header"])
+    return written(content)
+
+
 @settings(max_examples=25, deadline=None)
 @given(extractions)
 def test_every_field_comes_back(extraction):
@@ -209,15 +236,10 @@ def test_a_file_with_both_wheels_at_the_same_times_is_read():
     """Schema version 5, as it was written: one array of stamps for both wheels."""
     extraction = make_extraction(n=2)
     (track,) = extraction.wheels
-    with np.load(io.BytesIO(extraction_to_npz(extraction))) as archive:
-        content = {name: archive[name] for name in archive.files if not name.startswith("wheels.")}
-    header = json.loads(content["header"].tobytes()) | {"schema_version": 5}
-    content["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    for name in ("time_ns", "right_rad", "left_rad"):
-        content[f"wheels.0.{name}"] = getattr(track, name)
-    stream = io.BytesIO()
-    np.savez(stream, **content)
-    assert_same(extraction, extraction_from_npz(stream.getvalue()))
+    content = {name: array for name, array in usual().items() if not name.startswith("wheels.")}
+    content["header"]["schema_version"] = 5
+    content |= {f"wheels.0.{name}": getattr(track, name) for name in ("time_ns", "right_rad", "left_rad")}
+    assert_same(extraction, extraction_from_npz(written(content)))
 
 
 def test_a_file_without_priors_is_read():
@@ -248,11 +270,10 @@ def test_a_file_without_priors_is_read():
 
 
 def test_numpy_alone_can_read_it():
-    extraction = make_extraction(n=3)
-    with np.load(io.BytesIO(extraction_to_npz(extraction)), allow_pickle=False) as archive:
-        assert archive["observations.points_c"].shape == (3, 54, 3)
-        assert archive["wheels.0.right.time_ns"].dtype == np.int64
-        header = json.loads(archive["header"].tobytes())
+    content = usual()
+    assert content["observations.points_c"].shape == (2, 54, 3)
+    assert content["wheels.0.right.time_ns"].dtype == np.int64
+    header = content["header"]
     assert (header["schema_version"], header["made_by"]) == (SCHEMA_VERSION, __version__)
     assert [set(log) for log in header["logs"]] == [{"path", "sha256"}] * len(header["logs"])
 
@@ -260,18 +281,6 @@ def test_numpy_alone_can_read_it():
 def test_the_bytes_hold_no_time():
     with zipfile.ZipFile(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as archive:
         assert {member.date_time for member in archive.infolist()} == {(1980, 1, 1, 0, 0, 0)}
-
-
-def with_header(change):
-    """A sound file whose header was changed."""
-    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as archive:
-        content = {name: archive[name] for name in archive.files}
-    header = json.loads(content["header"].tobytes())
-    change(header)
-    content["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-    stream = io.BytesIO()
-    np.savez(stream, **content)
-    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -301,10 +310,8 @@ def test_a_changed_header_is_said(change, said):
 
 
 def test_foreign_files(tmp_path):
-    stream = io.BytesIO()
-    np.savez(stream, a=np.zeros(3))
     with pytest.raises(RecordingError, match="not an extraction"):
-        extraction_from_npz(stream.getvalue())
+        extraction_from_npz(written({"a": np.zeros(3)}))
     for content in (b"", b"PK", b"\x89MCAP0\r\n", b"\x80\x04pickle"):
         with pytest.raises(RecordingError):
             extraction_from_npz(content)
@@ -313,22 +320,16 @@ def test_foreign_files(tmp_path):
 
 
 def test_a_wheel_without_readings_is_refused():
-    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
-        content = dict(stored)
-    for name in [name for name in content if ".right." in name and content[name].ndim == 1]:
-        if name.endswith(("time_ns", "rad")):
-            content[name] = content[name][:0]
-    stream = io.BytesIO()
-    np.savez(stream, **content)
+    content = usual()
+    for name in ("wheels.0.right.time_ns", "wheels.0.right.rad"):
+        content[name] = content[name][:0]
     with pytest.raises(RecordingError, match="no readings of both wheels"):
-        extraction_from_npz(stream.getvalue())
+        extraction_from_npz(written(content))
 
 
 def test_pickled_objects_are_refused():
-    stream = io.BytesIO()
-    np.savez(stream, header=np.array([{"a": 1}], dtype=object))
     with pytest.raises(RecordingError, match="damaged"):
-        extraction_from_npz(stream.getvalue())
+        extraction_from_npz(written({"header": np.array([{"a": 1}], dtype=object)}))
 
 
 def test_cut_and_flipped_files_only_raise_recording_errors():
@@ -365,22 +366,17 @@ def test_cut_and_flipped_files_only_raise_recording_errors():
 )
 def test_elements_of_another_type_are_refused(name, dtype):
     """Some warned that imaginary parts are discarded, others raised a TypeError after the calibration."""
-    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
-        content = dict(stored)
-    content[name] = content[name].astype(dtype)
-    stream = io.BytesIO()
-    np.savez(stream, **content)
+    content = usual()
+    header = np.frombuffer(json.dumps(content["header"]).encode(), dtype=np.uint8)
+    content[name] = (content | {"header": header})[name].astype(dtype)
     with pytest.raises(RecordingError, match=rf"damaged: {name}: elements are "):
-        extraction_from_npz(stream.getvalue())
+        extraction_from_npz(written(content))
 
 
 def test_smaller_elements_are_read():
-    with np.load(io.BytesIO(extraction_to_npz(make_extraction(n=2)))) as stored:
-        content = dict(stored)
+    content = usual()
     content["observations.log"] = content["observations.log"].astype(np.int8)
     content["observations.joints"] = content["observations.joints"].astype(np.float32)
-    stream = io.BytesIO()
-    np.savez(stream, **content)
-    (first, _) = extraction_from_npz(stream.getvalue()).observations
+    (first, _) = extraction_from_npz(written(content)).observations
     assert type(first.log) is int
     assert first.joints.dtype == np.float64

@@ -25,7 +25,6 @@ from mobilecal_cli.report.verdict import (
     figures_of,
     gate_checks,
     gate_metrics,
-    gate_names,
     gates_of,
     judge,
     verdict_data,
@@ -226,7 +225,7 @@ def test_a_name_that_ends_in_a_unit_has_it():
 
 
 def test_the_metrics_of_the_report_are_the_gates(report):
-    assert set(report.metrics) == {name for name in gate_names() if not name.startswith("std.odometry.")}
+    assert set(report.metrics) == {name for name in gate_metrics() if not name.startswith("std.odometry.")}
     assert all(gates_of([f"{name}=1"], {})[0].name == name for name in report.metrics)
 
 
@@ -325,7 +324,7 @@ def test_a_gate_limits_the_size_of_a_signed_figure():
 
 def test_the_page_on_ci_names_every_gate():
     page = (REPOSITORY / "docs" / "how-to" / "use-in-ci.md").read_text(encoding="utf-8")
-    for name in (*gate_names(), *gate_names(evaluating=True)):
+    for name in (*gate_metrics(), *gate_metrics(evaluating=True)):
         if not name.startswith(("hold_out.", "std.head_eye.")):
             unit = METRICS[name].unit
             assert f"`{name}`" in page, name

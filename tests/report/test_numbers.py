@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import decimals_of, reference_pose, std_text, value_text
+from mobilecal_cli.report.numbers import decimals_of, percent_text, reference_pose, std_text, value_text
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -71,3 +71,10 @@ def test_values_have_the_digits_of_their_sigma(value, std, shown):
 
 def test_visible_escapes_what_steers():
     assert visible("a\x1b[31mé\u202e\udcff\n") == "a\\x1b[31mé\\u202e\\udcff\\n"
+
+
+@pytest.mark.parametrize(
+    ("share", "said"), [(0.998, "100 %"), (0.453, "45 %"), (0.0123, "1.2 %"), (1e-7, "below 0.0001 %")]
+)
+def test_a_probability_has_two_digits_and_no_exponent(share, said):
+    assert percent_text(share, 1e-6) == said

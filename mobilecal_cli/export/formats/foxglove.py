@@ -5,31 +5,17 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
-from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.ImageAnnotations_pb2 import ImageAnnotations
-from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.Point2_pb2 import Point2
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
-from foxglove_schemas_protobuf.PointsAnnotation_pb2 import PointsAnnotation
-from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
-from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
-from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
-from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
-from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
-from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
-from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
@@ -41,6 +27,8 @@ _MOST_POSES = 2000  # of a path
 _FRUSTUM_M = 0.15
 _GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85, 0.2, 1.0)
 _DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
+#: A protobuf message inside another one: its fields by name, which the types of protobuf do not know.
+_Part: TypeAlias = Any
 _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
 
 
@@ -156,63 +144,47 @@ def _add_surroundings(messages: _Messages, scene: Scene, motion: Motion, station
     path = [_pose(T) for T in motion.T_w_v[::stride]]
     messages.add("/path", start_ns, PosesInFrame(timestamp=_time(start_ns), frame_id=names.world, poses=path))
     entities = [_camera_entity(scene, station, start_ns) for station in stations]
-    earlier = SceneEntityDeletion(timestamp=_time(start_ns), type=SceneEntityDeletion.ALL)  # another world
+    earlier: _Part = {"timestamp": _time(start_ns), "type": "ALL"}  # another world
     messages.add("/cameras", start_ns, SceneUpdate(deletions=[earlier], entities=entities))
     for name, camera in zip(scene.cameras.names, scene.cameras.each, strict=True):
         info = _calibration(camera, names.cameras[name], start_ns)
         messages.add(f"/camera/{name}/calibration", start_ns, info)
-    board = SceneEntity(
-        timestamp=_time(start_ns),
-        frame_id=names.board,
-        id="board",
-        frame_locked=True,
-        triangles=[_board_triangles(scene)],
-    )
+    board: _Part = {
+        "timestamp": _time(start_ns),
+        "frame_id": names.board,
+        "id": "board",
+        "frame_locked": True,
+        "triangles": [_board_triangles(scene)],
+    }
     messages.add("/board", start_ns, SceneUpdate(entities=[board]))
 
 
-def _board_triangles(scene: Scene) -> TriangleListPrimitive:
+def _board_triangles(scene: Scene) -> _Part:
     """Both sides of the dark squares."""
     squares = dark_squares(scene.board)
     front = np.array([0, 1, 2, 0, 2, 3])
     order = np.concatenate([front, front[::-1]])
     indices = (4 * np.arange(len(squares))[:, None] + order).ravel()
-    points = _points3(squares.reshape(-1, 3))
-    return TriangleListPrimitive(
-        pose=_pose(np.eye(4)), points=points, color=_color(_DARK), indices=indices.tolist()
-    )
+    points = [_vector(point) for point in squares.reshape(-1, 3)]
+    return {"pose": _pose(np.eye(4)), "points": points, "color": _color(_DARK), "indices": indices.tolist()}
 
 
-def _camera_entity(scene: Scene, station: int, time_ns: int) -> SceneEntity:
+def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
     """The first camera at one station as a small pyramid, in the world."""
     camera, tip = scene.cameras.first, np.zeros(3)
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
     pose, name = _pose(scene.T_w_c[station]), scene.station_names[station]
-    lines = LinePrimitive(
-        type=LinePrimitive.LINE_LIST,
-        pose=pose,
-        thickness=1.5,
-        scale_invariant=True,
-        points=_points3(np.array(segments)),
-        color=_color(_BLUE),
-    )
-    label = TextPrimitive(
-        pose=pose,
-        billboard=True,
-        font_size=12,
-        scale_invariant=True,
-        color=_color(_BLUE),
-        text=name,
-    )
-    return SceneEntity(
-        timestamp=_time(time_ns),
-        frame_id=scene.names.world,
-        id=f"station {name}",
-        lines=[lines],
-        texts=[label],
-    )
+    shown = {"pose": pose, "scale_invariant": True, "color": _color(_BLUE)}
+    points = [_vector(point) for point in segments]
+    return {
+        "timestamp": _time(time_ns),
+        "frame_id": scene.names.world,
+        "id": f"station {name}",
+        "lines": [shown | {"type": "LINE_LIST", "thickness": 1.5, "points": points}],
+        "texts": [shown | {"billboard": True, "font_size": 12, "text": name}],
+    }
 
 
 def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
@@ -267,24 +239,18 @@ def _add_station(messages: _Messages, scene: Scene, station: int) -> None:
 def _annotations(corners: Corners, predicted_px: FloatArray | None, time_ns: int) -> ImageAnnotations:
     """Detected corners green, predicted ones red, and yellow lines between them."""
 
-    def marks(pixels: FloatArray, color: tuple[float, ...], kind: Any, thickness: float) -> PointsAnnotation:  # noqa: ANN401
-        return PointsAnnotation(
-            timestamp=_time(time_ns),
-            type=kind,
-            points=[
-                Point2(x=x + 0.5, y=y + 0.5) for x, y in pixels.tolist()
-            ],  # from the first pixel's corner
-            outline_color=_color(color),
-            thickness=thickness,
-        )
+    def marks(pixels: FloatArray, color: tuple[float, ...], kind: str, thickness: float) -> _Part:
+        points = [{"x": x + 0.5, "y": y + 0.5} for x, y in pixels.tolist()]  # from the first pixel's corner
+        look = {"outline_color": _color(color), "thickness": thickness}
+        return {"timestamp": _time(time_ns), "type": kind, "points": points, **look}
 
     detected = corners.pixels[corners.seen]
-    marked = [marks(detected, _GREEN, PointsAnnotation.POINTS, 4.0)]
+    marked = [marks(detected, _GREEN, "POINTS", 4.0)]
     if predicted_px is not None:
         predicted = predicted_px[corners.seen]
         pairs = np.stack([detected, predicted], axis=1).reshape(-1, 2)
-        marked.append(marks(pairs, _YELLOW, PointsAnnotation.LINE_LIST, 1.0))
-        marked.append(marks(predicted, _RED, PointsAnnotation.POINTS, 3.0))
+        marked.append(marks(pairs, _YELLOW, "LINE_LIST", 1.0))
+        marked.append(marks(predicted, _RED, "POINTS", 3.0))
     return ImageAnnotations(points=marked)
 
 
@@ -307,41 +273,34 @@ def _add_unused(messages: _Messages, scene: Scene) -> None:
 # -- values ---------------------------------------------------------------------------------------
 
 
-def _time(time_ns: int) -> Timestamp:
-    return Timestamp(seconds=time_ns // 10**9, nanos=time_ns % 10**9)
+def _time(time_ns: int) -> _Part:
+    return {"seconds": time_ns // 10**9, "nanos": time_ns % 10**9}
 
 
-def _color(rgba: Iterable[float]) -> Color:
-    r, g, b, a = rgba
-    return Color(r=r, g=g, b=b, a=a)
+def _color(rgba: Iterable[float]) -> _Part:
+    return dict(zip("rgba", rgba, strict=True))
 
 
-def _vector(p: FloatArray) -> Vector3:
-    x, y, z = p.tolist()
-    return Vector3(x=x, y=y, z=z)
+def _vector(p: FloatArray) -> _Part:
+    return dict(zip("xyz", p.tolist(), strict=True))
 
 
-def _quaternion(R: FloatArray) -> Quaternion:
-    x, y, z, w = se3.quaternion_xyzw(R).tolist()
-    return Quaternion(x=x, y=y, z=z, w=w)
+def _quaternion(R: FloatArray) -> _Part:
+    return dict(zip("xyzw", se3.quaternion_xyzw(R).tolist(), strict=True))
 
 
-def _pose(T: FloatArray) -> Pose:
-    return Pose(position=_vector(T[:3, 3]), orientation=_quaternion(T[:3, :3]))
+def _pose(T: FloatArray) -> _Part:
+    return {"position": _vector(T[:3, 3]), "orientation": _quaternion(T[:3, :3])}
 
 
-def _points3(points: FloatArray) -> list[Point3]:
-    return [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
-
-
-def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray) -> FrameTransform:
-    return FrameTransform(
-        timestamp=_time(time_ns),
-        parent_frame_id=parent,
-        child_frame_id=child,
-        translation=_vector(T_parent_child[:3, 3]),
-        rotation=_quaternion(T_parent_child[:3, :3]),
-    )
+def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray) -> _Part:
+    return {
+        "timestamp": _time(time_ns),
+        "parent_frame_id": parent,
+        "child_frame_id": child,
+        "translation": _vector(T_parent_child[:3, 3]),
+        "rotation": _quaternion(T_parent_child[:3, :3]),
+    }
 
 
 # -- layout ---------------------------------------------------------------------------------------

@@ -19,9 +19,7 @@ class Json(HeadEyeFormat):
 
     def text(self, robot: CalibratedRobot) -> str:
         T, known = robot.T_parent_child, robot.knowledge
-        units = np.ones(9)
-        if robot.odometry is not None:
-            units[6:] = robot.odometry.wheels.vector
+        units = np.ones(9) if robot.odometry is None else robot.odometry.units
         data: dict[str, Any] = {
             "convention": CONVENTION,
             "parent_frame": robot.parent_frame,

@@ -45,13 +45,12 @@ class OdometryFormat(Format):
         if asked.distance_m is not None:
             DISTANCE.check("--distance", asked.distance_m)
         covariance = odometry_covariance(asked.robot, asked.measurements(), rate_hz, asked.distance_m)
-        notes: tuple[str, ...] = ()
-        if asked.distance_m is None and covariance.path_m < _LEAST_LEG_M:
-            notes = (
-                f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies "
-                "to such drives. Give the length of your drives with --distance.",
-            )
-        return Exported(odometry_yaml(covariance).encode(), notes)
+        short = asked.distance_m is None and covariance.path_m < _LEAST_LEG_M
+        note = (
+            f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies to "
+            "such drives. Give the length of your drives with --distance."
+        )
+        return Exported(odometry_yaml(covariance).encode(), (note,) if short else ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request
@@ -42,16 +42,13 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     if nominal is not None:
         radius_m = (nominal.radius_left_m + nominal.radius_right_m) / 2
         separation_m, base = nominal.separation_m, "the nominal sizes"
-    names = _names(robot, joints)
     left, right = decimal(wheels.radius_left_m), decimal(wheels.radius_right_m)
-    calibrated, sizes = (
-        [f"left radius {left}", f"right radius {right}"],
-        [
-            f"    wheel_radius: {decimal(radius_m)}",
-            f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
-            f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
-        ],
-    )
+    calibrated = [f"left radius {left}", f"right radius {right}"]
+    sizes = [
+        f"    wheel_radius: {decimal(radius_m)}",
+        f"    left_wheel_radius_multiplier: {decimal(wheels.radius_left_m / radius_m)}",
+        f"    right_wheel_radius_multiplier: {decimal(wheels.radius_right_m / radius_m)}",
+    ]
     if robot.unobservable[6:8].any():
         calibrated, sizes = [], ["    # Unobservable: keep the wheel_radius of your controller."]
     if robot.unobservable[8]:
@@ -67,26 +64,21 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
             "the calibration determines neither the wheel radii nor the separation",
             "record again with straight drives and turns",
         )
-    return "\n".join(
-        [
-            f"# Lengths in m. The multipliers refer to {base}. Calibrated:",
-            f"# {', '.join(calibrated)}.",
-            "diff_drive_controller:",
-            "  ros__parameters:",
-            *names,
-            *sizes,
-            "",
-        ]
-    )
+    about = [f"# Lengths in m. The multipliers refer to {base}. Calibrated:", f"# {', '.join(calibrated)}."]
+    return _controller(about, robot, joints, sizes)
 
 
-def _names(robot: CalibratedRobot, joints: Mapping[Side, str]) -> list[str]:
+def _controller(
+    about: Sequence[str], robot: CalibratedRobot, joints: Mapping[Side, str], sizes: Sequence[str]
+) -> str:
+    """The file: comments, names of the wheel joints as far as they are known, and sizes."""
     every = {**robot.side_joints, **{side: (name,) for side, name in joints.items()}}
-    return [
+    names = [
         f"    {side}_wheel_names: [{', '.join(quoted(name) for name in every[side])}]"
         for side in SIDES
         if side in every
     ]
+    return "\n".join([*about, "diff_drive_controller:", "  ros__parameters:", *names, *sizes, ""])
 
 
 def _factors_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
@@ -106,24 +98,17 @@ def _factors_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
         )
 
     def line(name: str) -> str:
+        if hidden[name]:
+            return f"    # {name} is unobservable: keep that of your controller."
         sigma = f"  # +- {std[name]:.2g}" if name in std else ""
         return f"    {name}: {values[name]}{sigma}"
 
     separation = decimal(robot.odometry.wheels.separation_m)
     scales = ", ".join(f"{name} {values[name]}" for name in ("linear_scale", "angular_scale"))
-    return "\n".join(
-        [
-            f"# Factors of the odometry on {visible(robot.odometry.topic)}. Keep wheel_radius and wheel_separation of",
-            "# your driver, and multiply multipliers that it has already by these. The difference between the",
-            f"# multipliers of the two radii holds for a wheel_separation of {separation} m.",
-            *([] if any(hidden.values()) else [f"# For drivers that scale distance and rotation: {scales}."]),
-            "diff_drive_controller:",
-            "  ros__parameters:",
-            *_names(robot, joints),
-            *(
-                f"    # {name} is unobservable: keep that of your controller." if unknown else line(name)
-                for name, unknown in hidden.items()
-            ),
-            "",
-        ]
-    )
+    about = [
+        f"# Factors of the odometry on {visible(robot.odometry.topic)}. Keep wheel_radius and wheel_separation of",
+        "# your driver, and multiply multipliers that it has already by these. The difference between the",
+        f"# multipliers of the two radii holds for a wheel_separation of {separation} m.",
+        *([] if any(hidden.values()) else [f"# For drivers that scale distance and rotation: {scales}."]),
+    ]
+    return _controller(about, robot, joints, [line(name) for name in hidden])

@@ -41,16 +41,12 @@ class UrdfFormat(Format):
     options = frozenset({"--urdf", "--left-joint", "--right-joint", "--with-chain"})
 
     def export(self, asked: Request) -> Exported:
-        robot, path, joints = asked.robot, asked.urdf, asked.joints
-        kept = ""
+        robot, path, chain, kept = asked.robot, asked.urdf, None, ""
         if robot.odometry is not None:
-            joints, kept = {}, "The wheels are unchanged: factors of odometry belong into the controller."
+            kept = "factors of odometry belong into the controller"
         elif robot.side_joints:
-            joints, kept = (
-                {},
-                "The wheels are unchanged: the effective separation belongs into the controller.",
-            )
-        chain = None
+            kept = "the effective separation belongs into the controller"
+        joints = {} if kept else asked.joints
         if asked.with_chain:
             if robot.constants is None:
                 raise ConfigError(
@@ -63,9 +59,8 @@ class UrdfFormat(Format):
         try:
             content = read_bytes(path, LARGEST_URDF_BYTES)
         except (OSError, ValueError) as error:
-            raise ConfigError(
-                f"{path}: cannot be read: {reason_of(error)}", "check the path after --urdf"
-            ) from error
+            hint = "check the path after --urdf"
+            raise ConfigError(f"{path}: cannot be read: {reason_of(error)}", hint) from error
         patched = patched_urdf(content, robot, joints, chain)
         notes = patched.notes
         if chain is None and robot.constants:
@@ -76,7 +71,7 @@ class UrdfFormat(Format):
             notes += (frame_note(robot),)
         missing = " and ".join(side for side in SIDES if side not in joints)
         if kept:
-            notes += (kept,)
+            notes += (f"The wheels are unchanged: {kept}.",)
         elif missing:
             notes += (
                 f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
@@ -183,12 +178,8 @@ def patched_urdf(
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
         tags = places.wheels.get(link, [])
         edits += [_with(content, tag, {"radius": f"{radius_m:.12g}"}) for tag in tags]
-        radii = (
-            f"radius of {len(tags)} shapes: {radius_m:.6g} m"
-            if tags
-            else "no cylinder or sphere, no radius set"
-        )
-        changes.append(f"link {link!r}: {radii}")
+        radii = f"radius of {len(tags)} shapes: {radius_m:.6g} m"
+        changes.append(f"link {link!r}: {radii if tags else 'no cylinder or sphere, no radius set'}")
     return Exported(_edited(content, edits), tuple(changes))
 
 
@@ -216,14 +207,14 @@ def _chain(
     edits, notes = [], []
     for name, T_parent_child, axis in joint_origins(urdf, chain):
         start, end, origin = _moved(content, places, name, T_parent_child)
-        xyz = " ".join(f"{value + 0.0:.12g}" for value in np.round(axis, 12))
         (own, _), tag = places.joints[name], places.axes.get(name)
+        new_axis = f"<axis xyz={attribute(_numbers(axis))}/>".encode()
         if tag is not None:
-            edits.append(_with(content, tag, {"xyz": xyz}))
+            edits.append(_with(content, tag, {"xyz": _numbers(axis)}))
         elif start == end == own[1]:
-            origin += f"<axis xyz={attribute(xyz)}/>".encode()
+            origin += new_axis
         else:
-            edits.append((own[1], own[1], f"<axis xyz={attribute(xyz)}/>".encode()))
+            edits.append((own[1], own[1], new_axis))
         edits.append((start, end, origin))
         zero = chain.zeros.get(name, 0.0)
         with_zero = f", with the zero offset {zero:+.6g}" if zero else ""
@@ -445,11 +436,11 @@ def _moved(
 
 
 def _attributes(T: FloatArray) -> dict[str, str]:
-    xyz, rpy = np.round(T[:3, 3], 12), np.round(se3.to_rpy(T[:3, :3]), 12)
-    return {
-        name: " ".join(f"{value + 0.0:.12g}" for value in values)
-        for name, values in (("xyz", xyz), ("rpy", rpy))
-    }
+    return {"xyz": _numbers(T[:3, 3]), "rpy": _numbers(se3.to_rpy(T[:3, :3]))}
+
+
+def _numbers(values: FloatArray) -> str:
+    return " ".join(f"{value + 0.0:.12g}" for value in np.round(values, 12))
 
 
 def _origin(T: FloatArray) -> str:
