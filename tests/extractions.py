@@ -370,12 +370,13 @@ def extraction_of(
         if not shown:
             continue
         own, own_pixels, sigmas = rig.some(shown), [pixels[k] for k in shown], [sigma] * len(shown)
-        found = board_pose(own, corners_k, own_pixels, sigmas, T_c_k)
+        by = len(shown) if rig.calibrated else 1  # cameras that the board pose is from
+        found = board_pose(own.some(range(by)), corners_k, own_pixels[:by], sigmas[:by], T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         square_m = route.board.square_m or 0.0
         estimated = corners_k @ found.T_c_k[:3, :3].T + found.T_c_k[:3, 3]
         points = StereoPoints(estimated, np.zeros((len(corners_k), 3, 3)), 0.0)
-        if len(shown) > 1:
+        if by > 1:
             points = triangulate(own, own_pixels, sigmas)
         if isinstance(points, Miss):
             raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")

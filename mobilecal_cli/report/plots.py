@@ -506,7 +506,7 @@ def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
             shade = 0.6 * min(1.0, abs(value))
             canvas.shape("rect", kind, x=x, y=y, width=wide - 1, height=high - 1, fill_opacity=shade)
             canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
-    apart = np.nan_to_num(np.abs(correlation - np.eye(9)))
+    apart = np.triu(np.nan_to_num(np.abs(correlation)), 1)
     i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
     return canvas.svg, f"Largest correlation: {NINE[i]} and {NINE[j]}, {correlation[i, j]:+.2f}."
 

@@ -148,6 +148,28 @@ def _best_fit(
     return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
 
 
+def _by_one(
+    rig: CameraRig, views: Sequence[Corners], board: Board, square_m: float
+) -> tuple[BoardPose | Miss, tuple[Corners, ...]]:
+    """Board pose by the camera that shows most corners; those of the other cameras are numbered as this pose expects.
+
+    Cameras whose poses are only described are too far off for triangulation: 1 degree is more than the disparity shows.
+    """
+    most = max(range(len(views)), key=lambda k: int(views[k].seen.sum()))
+    points_k, seen = square_m * board.grid(), views[most].seen
+    pixels, noises = [views[most].pixels[seen]], [views[most].cov_px2[seen]]
+    pose = pose_from_one(rig.some((most,)), points_k[seen], pixels, noises)
+    if isinstance(pose, Miss):
+        return pose, tuple(views)
+    numbered = []
+    for k, view in enumerate(views):
+        expected = project(rig.each[k], se3.act(se3.inverse(rig.T_c_each[k]) @ pose.T_c_k, points_k))
+        options = [turned_view(view, board, turn) for turn in turns(board)] if k != most else [view]
+        off_px = [np.linalg.norm((o.pixels - expected)[o.seen], axis=-1).mean() for o in options]
+        numbered.append(options[int(np.argmin(off_px))])
+    return pose, tuple(numbered)
+
+
 def _common(views: Sequence[Corners]) -> BoolArray:
     """(M,) corners that all of these cameras see."""
     return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
@@ -168,9 +190,9 @@ class Measured:
         rig, board: all cameras, and the board to detect.
         shown: indices of the cameras that show the board.
         views: all corners in the image of each of these; some may not be detected.
-        points: triangulated corners that all of these see; None for one camera.
-        pose: of the board, with free scale, fitted to unit squares times `rough_m`; of one camera, with this size.
-        rough_m: initial estimate of a square's side, m; of one camera, the stated one, or 1 m.
+        points: corners that both cameras of a stereo pair see, triangulated; None of other cameras.
+        pose: of the board, with free scale, fitted to unit squares times `rough_m`; by one camera, with this size.
+        rough_m: initial estimate of a square's side, m; without `points`, the stated one, or 1 m.
     """
 
     log: int
@@ -185,7 +207,7 @@ class Measured:
 
     @property
     def square_m(self) -> float:
-        """Side of a square as measured at this station, m; `rough_m`, if one camera shows the board."""
+        """Side of a square as measured at this station, m; `rough_m` without `points`."""
         return self.rough_m * self.pose.scale
 
     def rejected(self, reason: str, detail: str) -> Rejection:
@@ -244,22 +266,22 @@ def measure(
         of_camera.select(still).average(board, rig.each[k])
         for k, of_camera in zip(shown, images, strict=True)
     )
-    if _common(views).sum() < _LEAST:
-        most = int(np.argmax([view.seen.sum() for view in views]))
-        shown, views = shown[most : most + 1], views[most : most + 1]
-    common, own = _common(views), rig.some(shown)
-    if common.sum() < _LEAST:
+    corners = [int(view.seen.sum()) for view in views]
+    if max(corners) < _LEAST:
         return rejected(
             "board partly occluded or outside the image",
-            f"{common.sum()} of {board.corners} corners visible in an image, minimum {_LEAST}",
+            f"{max(corners)} of {board.corners} corners visible in an image, minimum {_LEAST}",
         )
-    grid = board.grid()[common]
-    if len(shown) == 1:
+    if len(shown) == 1 or not rig.calibrated or _common(views).sum() < _LEAST:
+        kept = [k for k, count in enumerate(corners) if count >= _LEAST and not rig.calibrated]
+        kept = kept or [int(np.argmax(corners))]
+        shown, views = tuple(shown[k] for k in kept), tuple(views[k] for k in kept)
         square_m = board.square_m or 1.0
-        pose = pose_from_one(own, square_m * grid, *_common_pixels(views))
+        pose, views = _by_one(rig.some(shown), views, board, square_m)
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
+    own, grid = rig.some(shown), board.grid()[_common(views)]
     points, views = _best_fit(own, views, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
@@ -328,7 +350,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
                 SQUARES_UNKNOWN,
                 f"only the {camera_words(m.rig.names[m.shown[0]])} sees the board, and board.square_m is not set",
             )
-        from_one = pose_from_one(own, square_m * m.board.grid()[common], *_common_pixels(views))
+        from_one, views = _by_one(own, views, m.board, square_m)
         if isinstance(from_one, Miss):
             return m.rejected(from_one.reason, from_one.detail)
         m, pose = replace(m, rough_m=square_m), from_one

@@ -16,7 +16,7 @@ from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, encoder_sigmas
+from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M
 from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Noise, WheelGeometry
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
@@ -205,7 +205,7 @@ def _of_pose(
     d_psi, d_t = arcs.by_wheels()
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
     covariance = sum(leg_covariances(whole, wheels, noise).values()) + by_wheels @ C @ by_wheels.mT
-    variance = encoder_sigmas(data, noise) ** 2
+    variance = (noise.encoder_rad * data.encoder_shares) ** 2
     legs = np.arange(steps.legs)
     for at in (np.searchsorted(whole.leg, legs), np.searchsorted(whole.leg, legs, side="right") - 1):
         by_reading = arcs.sensitivity(at)
@@ -230,7 +230,9 @@ def _of_length_and_heading(
     turned = (rR * Phi[:, 0] - rL * Phi[:, 1]) / b
     by_rotation = np.array([[rR / 2, rL / 2], [rR / b, -rL / b]])
     rolled = np.array([np.abs(steps.right_rad).sum(), np.abs(steps.left_rad).sum()])
-    readings = 2 * encoder_sigmas(data, noise) ** 2 * steps.legs  # at the start and the end of each leg
+    readings = (
+        2 * (noise.encoder_rad * data.encoder_shares) ** 2 * steps.legs
+    )  # at the start and the end of each leg
     random = by_rotation**2 @ (noise.wheel_rad_per_sqrt_rad**2 * rolled + readings)
     alike = mean_variance(rolled_m(steps, wheels) / noise.wheel_length_m)
     proportional = by_rotation**2 @ (noise.wheel_share**2 * (Phi**2 * alike).sum(axis=0))
