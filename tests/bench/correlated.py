@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from mobilecal_cli.model import Noise
 from tests.bench.imperfect import (
+    AS_PRINTED,
     LEVELS,
     ROBOTS,
     USUAL,
@@ -36,8 +38,9 @@ _WORTH_A_LINE = 3.0  # NEES / 9
 def correlated(name: str, floor_m: float, wheel_m: float) -> Case:
     """A recording on a smooth floor, which is not the exponential process that the estimator assumes."""
     case = RECORDINGS[name][0]
-    noise = replace(USUAL, floor_length_m=floor_m, floor_smooth=True, wheel_length_m=wheel_m)
-    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=noise)
+    sway = {level: Noise.limits("guess")[level] for level in ("sway_rad", "sway_m")}
+    noise = replace(USUAL, floor_length_m=floor_m, floor_smooth=True, wheel_length_m=wheel_m, **sway)
+    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=noise, outside=AS_PRINTED)
 
 
 def one_run(name: str, floor_m: float, wheel_m: float, seed: int) -> Run:

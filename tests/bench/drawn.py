@@ -9,6 +9,7 @@ import numpy as np
 from mobilecal_cli.model import FloatArray
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.imperfect import (
+    AS_PRINTED,
     ROBOTS,
     USUAL,
     VERDICTS,
@@ -24,7 +25,6 @@ from tests.bench.imperfect import (
 )
 from tests.bench.simulated import RUNS_PER_ROUTE, as_described, errors
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
-from tests.extractions import Outside
 
 CASES = {
     "paper's robot, N = 12": Case("paper", 12),
@@ -42,15 +42,11 @@ CASES = {
 }
 
 
-#: Every corner's place, as `board_corners` expects it.
-_PRINT = Outside(print_m=0.00015, print_across_m=0.0003)
-
-
 def drawn(name: str) -> Case:
     """A case with every constant drawn from its prior, and every noise level around the estimator's guess."""
     case = CASES[name]
     kinds = all_kinds(case.motion == "moving")
-    return replace(case, kinds=kinds, noise=USUAL, outside=_PRINT, levels_drawn=True)
+    return replace(case, kinds=kinds, noise=USUAL, outside=AS_PRINTED, levels_drawn=True)
 
 
 def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:

@@ -73,6 +73,8 @@ _LEVEL_FACTOR, _LENGTH_FACTOR = 1.6, 3.0
 _STRETCHES_PER_LENGTH = 2.0
 #: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
 PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
+#: Every corner's place on the board, as its prior expects it.
+AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003)
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
 _APART_NS = 100_000_000
