@@ -318,7 +318,8 @@ class _Pairs:
         signals: of the log.
         channels: its joints and wheels.
         rests: the shots with readings of all of them and new images, in which nothing moves, by rest.
-        moving: those taken in motion that are simultaneous enough for it, in order of time.
+        moving: those taken in motion, in order of time; images that are not simultaneous enough for it count alone.
+        split: number of shots in motion whose images count alone.
         rejections: shots without readings, or with an image that has not changed since the robot moved.
     """
 
@@ -326,6 +327,7 @@ class _Pairs:
     channels: list[_Channel]
     rests: list[list[Shot]]
     moving: list[Shot]
+    split: int
     rejections: list[Rejection]
 
 
@@ -361,8 +363,10 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     resting = {pair for run in runs for pair in run}
     rests = [own for run in runs if (own := shown.new(run))]
     new = shown.new([pair for pair in pairs if pair not in resting])
-    moving = [pair for pair in new if pair.apart_ns <= PAIR_MOVING_S * _NS]
-    return _Pairs(signals, channels, rests, moving, [*rejections, *frozen])
+    apart = [pair for pair in new if pair.apart_ns > PAIR_MOVING_S * _NS]
+    moving = {*new}.difference(apart).union(shot for pair in apart for shot in pair.alone)
+    in_order = sorted(moving, key=lambda shot: shot.time_ns)
+    return _Pairs(signals, channels, rests, in_order, len(apart), [*rejections, *frozen])
 
 
 def _what(images: Collection[str]) -> str:
@@ -502,6 +506,12 @@ def plan_stations(
             "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
             "and lm)."
         )
+        split = sum(log.split for log, _ in paired)
+        if split:
+            notes.append(
+                f"In motion, {split} images of one camera have none of the others within {1e3 * PAIR_MOVING_S:.0f} ms: "
+                "each image counts alone, which needs board.square_m. Trigger the cameras together."
+            )
     return (replace(plans[0], notes=tuple(notes)), *plans[1:])
 
 

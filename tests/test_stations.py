@@ -341,3 +341,13 @@ def test_images_of_rests_alone_are_no_silence():
 def test_a_robot_that_waits_at_the_end_needs_no_images():
     still = signals(staircase, lambda t: 3 * staircase(t), duration_s=60.0, images=lost_after(26.0))
     assert not any("No images" in note for note in planned(still, ("pan",)).notes)
+
+
+def test_cameras_that_are_not_triggered_together_count_alone_in_motion():
+    taken = np.arange(0.1, 23.9, 0.2)
+    images = {"left": indexed(ns(taken)), "right": indexed(ns(taken + 0.03))}
+    log = signals(lambda t: 0.3 * np.sin(t), lambda t: 2 * t, images=images)
+    plan = planned(log, ("pan",), everything=True)
+    assert len(plan.stations) == 2 * len(taken)
+    assert all(len(shot.taken_ns) == 1 for station in plan.stations for shot in station.shots)
+    assert any("119 images of one camera have none of the others within 5 ms" in note for note in plan.notes)

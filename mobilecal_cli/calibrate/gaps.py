@@ -133,7 +133,9 @@ def require_stations(extraction: Extraction) -> None:
             f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
         )
         if reasons and reasons[0][0] == SQUARES_UNKNOWN:
-            cure += "; or set board.square_m in rig.yaml: one camera alone needs it"
+            cure = (
+                "set board.square_m in rig.yaml, or --square-m: stations that one camera alone shows need it"
+            )
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

@@ -121,6 +121,16 @@ class Shot:
         """Time between the first and the last image."""
         return max(self.taken_ns) - min(self.taken_ns)
 
+    @property
+    def alone(self) -> tuple[Shot, ...]:
+        """Each of the images as a shot of its own."""
+        count = len(self.times_ns)
+        return tuple(
+            Shot(tuple(time_ns if j == k else None for j in range(count)))
+            for k, time_ns in enumerate(self.times_ns)
+            if time_ns is not None
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Station(ReadOnly):

@@ -105,21 +105,24 @@ def stations(made: Calibration) -> Iterator[Check]:
 def blind_camera(made: Calibration) -> Iterator[Check]:
     """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
 
-    A warning for a pair of which one camera shows the board at less than half of the stations of a recording.
+    A warning for a pair of which one camera shows the board at less than half as many stations as the other, in a
+    recording.
     """
     cameras, observations = made.extraction.rig.cameras, made.extraction.observations
     if not any(o.shown for o in observations):
         return  # measured poses
-    logs = sorted({o.log for o in observations})
+    log = np.array([o.log for o in observations])
+    logs, counts = np.unique(log, return_counts=True)
+    shows = np.array([[view.seen.any() for view in o.views] for o in observations])
+    of_logs = np.stack([shows[log == number].sum(axis=0) for number in logs])
     for k, name in enumerate(cameras.names):
-        of_logs = [[bool(o.views[k].seen.any()) for o in observations if o.log == log] for log in logs]
-        have, count, least, where = sum(map(sum, of_logs)), len(observations), FEWEST_OF_A_CAMERA, ""
+        have, count, least, where = int(of_logs[:, k].sum()), len(observations), FEWEST_OF_A_CAMERA, ""
         outcome: Outcome = "not_enough" if cameras.calibrated else "warning"
         effect = "nothing tests its pose"
         if cameras.calibrated and have >= least:
-            shows = min(of_logs, key=lambda shows: sum(shows) / len(shows))
-            have, count, least = sum(shows), len(shows), math.ceil(len(shows) / 2)
-            where = f" of recording {of_logs.index(shows) + 1}" if len(logs) > 1 else ""
+            at = int(np.argmin(of_logs[:, k] / of_logs.max(axis=1)))
+            have, count, least = int(of_logs[at, k]), int(counts[at]), math.ceil(of_logs[at].max() / 2)
+            where = f" of recording {at + 1}" if len(logs) > 1 else ""
             outcome, effect = "warning", "the others count with one camera alone"
         if have >= min(least, count):
             continue
