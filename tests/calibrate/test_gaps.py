@@ -62,7 +62,9 @@ def test_too_few_stations_count_the_reasons():
     lost += [Rejection("vision", SQUARES_UNKNOWN, "only the left camera sees the board", 0)] * 6
     with pytest.raises(ObservationError) as caught:
         require_stations(replace(few, rejections=tuple(lost)))
-    assert caught.value.hint.endswith("or set board.square_m in rig.yaml: one camera alone needs it")
+    assert caught.value.hint.startswith(
+        "set board.square_m in rig.yaml, or --square-m: stations that one camera"
+    )
 
 
 def recordings(count, stations):
