@@ -27,7 +27,7 @@ from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case
+from tests.bench.imperfect import AS_PRINTED, FIVE_SIGMA, LEVELS, USUAL, Case
 from tests.bench.simulated import errors
 from tests.bench.study import Study, conditions, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
@@ -41,7 +41,8 @@ def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
     """NEES / n, the largest error in sigmas, and the verdict."""
     robot = CONFIGURATIONS[cameras, chain]()
     noise = Case(noise=USUAL, levels_drawn=True).noise_of(seed)
-    what = Imperfection(draw(robot, np.random.default_rng([seed, 7])), noise)
+    printed = replace(AS_PRINTED, print_seed=seed)
+    what = Imperfection(draw(robot, np.random.default_rng([seed, 7])), noise, printed)
     extraction = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed % _ROUTES), what, seed)
     try:
         found = fitted(extraction)
