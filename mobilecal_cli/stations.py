@@ -318,8 +318,8 @@ class _Pairs:
         signals: of the log.
         channels: its joints and wheels.
         rests: the shots with readings of all of them and new images, in which nothing moves, by rest.
-        moving: those taken in motion, in order of time; images that are not simultaneous enough for it count alone.
-        split: number of shots in motion whose images count alone.
+        moving: those taken in motion, in order of time; where the images are too far apart for it, in parts.
+        split: number of shots in motion that are in parts.
         rejections: shots without readings, or with an image that has not changed since the robot moved.
     """
 
@@ -363,10 +363,10 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     resting = {pair for run in runs for pair in run}
     rests = [own for run in runs if (own := shown.new(run))]
     new = shown.new([pair for pair in pairs if pair not in resting])
-    apart = [pair for pair in new if pair.apart_ns > PAIR_MOVING_S * _NS]
-    moving = {*new}.difference(apart).union(shot for pair in apart for shot in pair.alone)
-    in_order = sorted(moving, key=lambda shot: shot.time_ns)
-    return _Pairs(signals, channels, rests, in_order, len(apart), [*rejections, *frozen])
+    parts = [pair.split(PAIR_MOVING_S * _NS) for pair in new]
+    moving = sorted((shot for part in parts for shot in part), key=lambda shot: shot.time_ns)
+    split = sum(len(part) > 1 for part in parts)
+    return _Pairs(signals, channels, rests, moving, split, [*rejections, *frozen])
 
 
 def _what(images: Collection[str]) -> str:
@@ -509,8 +509,9 @@ def plan_stations(
         split = sum(log.split for log, _ in paired)
         if split:
             notes.append(
-                f"In motion, {split} images of one camera have none of the others within {1e3 * PAIR_MOVING_S:.0f} ms: "
-                "each image counts alone, which needs board.square_m. Trigger the cameras together."
+                f"In motion, the images of {split} {_what(paired[0][0].signals.images)} are more than "
+                f"{1e3 * PAIR_MOVING_S:.0f} ms apart: they count one by one, which needs board.square_m. Trigger the "
+                "cameras together."
             )
     return (replace(plans[0], notes=tuple(notes)), *plans[1:])
 

@@ -350,4 +350,10 @@ def test_cameras_that_are_not_triggered_together_count_alone_in_motion():
     plan = planned(log, ("pan",), everything=True)
     assert len(plan.stations) == 2 * len(taken)
     assert all(len(shot.taken_ns) == 1 for station in plan.stations for shot in station.shots)
-    assert any("119 images of one camera have none of the others within 5 ms" in note for note in plan.notes)
+    assert any("the images of 119 stereo pairs are more than 5 ms apart" in note for note in plan.notes)
+
+
+def test_two_of_three_cameras_that_are_triggered_together_stay_together():
+    a, b = Shot((5, 105, 6)), Shot((5, None, 6))
+    assert a.split(10) == [Shot((5, None, 6)), Shot((None, 105, None))]
+    assert b.split(10) == [b]

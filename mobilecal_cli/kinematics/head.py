@@ -137,9 +137,8 @@ def head_eye_words(names: Collection[str], chain: HeadChain, joints: FloatArray)
         chain: from the base to the head.
         joints: (N, J) readings at the stations.
     """
-    upright = np.abs(
-        np.median(head_pose(chain, joints)[:, 2, :3], axis=0)
-    )  # how vertical each axis of the head is
+    # How vertical each axis of the head is.
+    upright = np.abs(np.median(head_pose(chain, joints)[:, 2, :3], axis=0))
     height = f"t_{'xyz'[int(np.argmax(upright))]}" if upright.max() > _VERTICAL else ""
     words = ["the camera's height"] if height in names else []
     for prefix, word, along in (("r_", "rotation", "about"), ("t_", "position", "along")):

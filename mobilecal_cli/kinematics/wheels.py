@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -155,12 +155,13 @@ def between_steps(track: Track, step_rad: float) -> Track:
     return Track(track.time_ns, np.interp(offsets, at[order], values[order]))
 
 
-def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
+def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increments:
     """Increments of a wheel track, split at the stations' times and at the readings of either wheel.
 
     Args:
         track: both wheels of one recording.
         times_ns: (N,) increasing, inside the time that both wheels cover.
+        rates: with the turning rates, which take as long as all else.
 
     Returns:
         Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
@@ -172,8 +173,8 @@ def cut_at(track: WheelTrack, times_ns: IntArray) -> Increments:
     right, left = np.diff(track.right.at(moments)), np.diff(track.left.at(moments))
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
-    rate = _turning_rate(track, moments)[moved]
-    return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1, rate)
+    steps = Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1)
+    return replace(steps, rate=_turning_rate(track, moments)[moved]) if rates else steps
 
 
 def _turning_rate(track: WheelTrack, moments_ns: IntArray) -> FloatArray:

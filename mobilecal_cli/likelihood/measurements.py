@@ -224,7 +224,7 @@ class Measurements:
             times = stamps_ns[self.log == number]
             if len(times) > 1:
                 at = np.clip(times, track.time_ns[0], track.time_ns[-1])
-                parts.append(cut_at(track, at))
+                parts.append(cut_at(track, at, rates=self.several_wheels))
         return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
     @cached_property

@@ -121,15 +121,15 @@ class Shot:
         """Time between the first and the last image."""
         return max(self.taken_ns) - min(self.taken_ns)
 
-    @property
-    def alone(self) -> tuple[Shot, ...]:
-        """Each of the images as a shot of its own."""
-        count = len(self.times_ns)
-        return tuple(
-            Shot(tuple(time_ns if j == k else None for j in range(count)))
-            for k, time_ns in enumerate(self.times_ns)
-            if time_ns is not None
-        )
+    def split(self, tolerance_ns: float) -> list[Shot]:
+        """Shots of images that are within a tolerance, in order of time: the shot itself, if all are."""
+        parts: list[Shot] = []
+        left = self.taken_ns
+        while left:
+            together = [time_ns for time_ns in left if time_ns - min(left) <= tolerance_ns]
+            parts.append(Shot(tuple(t if t in together else None for t in self.times_ns)))
+            left = [time_ns for time_ns in left if time_ns not in together]
+        return parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)

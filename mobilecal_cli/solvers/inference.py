@@ -231,14 +231,12 @@ class Inference:
         if self.nominal.wheels is None and set(needed) & set(NINE[6:]):
             missing.append("nominal.wheels")
         if missing:
-            fixable = [
-                name for name in needed if name not in NINE[:3]
-            ]  # rotations are relative to the nominal one
+            # Rotations are relative to the nominal one.
+            fixable = [name for name in needed if name not in NINE[:3]]
             other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
             words = head_eye_words(needed, self.data.chain, self.data.joints)
-            words += [
-                f"the {word}" for name, word in zip(NINE[6:], WHEEL_WORDS, strict=True) if name in needed
-            ]
+            of_wheels = zip(NINE[6:], WHEEL_WORDS, strict=True)
+            words += [f"the {word}" for name, word in of_wheels if name in needed]
             raise SolveError(
                 f"the recording does not show {' and '.join(words)} ({', '.join(needed)}), and "
                 f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated",
