@@ -219,7 +219,11 @@ def cause(lin: Posterior, first: int) -> str:
         lin: a point at which the misfit is part of the measurements.
         first: index of the first station after it.
     """
-    test, parts, after = _Test(lin), dict(_parts(lin)), _after(lin, first)
+    try:
+        test = _Test(lin)
+    except np.linalg.LinAlgError:
+        return ""  # these stations are so far off that no derivative says anything about them
+    parts, after = dict(_parts(lin)), _after(lin, first)
     before = float(lin.views.cost[after].sum())
     best, least = "", _EXPLAINED * before
     for name, part in parts.items():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -50,3 +51,13 @@ def test_one_station_that_does_not_fit_is_no_jump(whole):
     off = with_views(o, right=replace(o.views[1], pixels=o.views[1].pixels + np.array([3.0, 0.0])))
     seen = (*whole.observations[:at], off, *whole.observations[at + 1 :])
     assert solve(replace(whole, observations=seen)).jumps == ()
+
+
+def test_stations_that_are_too_far_off_have_no_cause(monkeypatch):
+    """A wheel that is not read for a while: the board of rejected images is nowhere near the camera's view."""
+
+    def singular(lin):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(jumps, "_Test", singular)
+    assert jumps.cause(None, 3) == ""
