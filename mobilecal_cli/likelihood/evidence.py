@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtri
 
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
+from mobilecal_cli.likelihood.board_corners import UNDERSTATED
 from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.nuisance import FAMILIES, Constant, family
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -41,6 +42,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
         SolveError: a singular matrix.
     """
     layout, C = lin.data.layout, lin.covariance
+    usual = np.array([np.inf] * 9 + [row.of_kind.sigma for row in layout.constants])
     values = lin.priors.displacement(lin.state)
     groups: dict[tuple[str, str], dict[int, Constant]] = {}
     for column, row in enumerate(layout.constants, 9):
@@ -52,6 +54,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
         columns, rows = list(members), list(members.values())
         first = next((row for row in rows if row.kind == kind), rows[0])
         prior, factors = 1 / np.sqrt(lin.priors.stated_weight[columns]), lin.priors.factors[columns]
+        tight = np.minimum(prior / usual[columns], 1.0)
         m = (values - lin.priors.mean)[columns] / prior
         own = C[np.ix_(columns, columns)] / np.outer(prior, prior)
         across = C[:9, columns] / prior @ np.linalg.pinv(own)
@@ -61,7 +64,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             stated = np.linalg.inv(precision + np.diag(1 - 1 / factors**2))
             std = np.sqrt(np.maximum(std**2 - np.sum(across @ (own - stated) * across, axis=1), 0.0))
             own, m = stated, stated @ precision @ m
-        chi2, dof, value, wide = _without_prior(m, own)
+        chi2, dof, value, wide = _without_prior(m, own, tight)
         names = [layout.names[k] for k in columns]
         estimates = {
             name: (float(v * s), float(d * s))
@@ -71,7 +74,9 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
         shifts = [0.0]
         for kind in {row.kind for row in rows}:
             of = [k for k, row in enumerate(rows) if row.kind == kind]
-            alone = value if len(of) == len(rows) else _without_prior(m[of], own[np.ix_(of, of)])[2]
+            alone = (
+                value if len(of) == len(rows) else _without_prior(m[of], own[np.ix_(of, of)], tight[of])[2]
+            )
             follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
@@ -80,11 +85,18 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
     return tuple(tested)
 
 
-def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray, FloatArray]:
+def _without_prior(
+    m: FloatArray, C: FloatArray, tight: FloatArray
+) -> tuple[float, int, FloatArray, FloatArray]:
     """Decrease of the cost without a prior of N(0, I), degrees of freedom that the data show, and the estimate then.
+
+    The posterior mean varies by I - C, and by the share of C that the patterns of corners which are left out add: of a
+    direction that the data hardly show, they may be most of what moves it. What they move is less under a prior that
+    is tighter than usual, by its variance.
 
     Args:
         m, C: posterior mean (k,) and covariance (k, k), in units of the prior.
+        tight: (k,) the prior's sigma over the usual one, at most 1.
 
     Returns:
         Chi-squared, degrees of freedom, and (k,) values and standard deviations without the prior; a standard deviation
@@ -94,7 +106,8 @@ def _without_prior(m: FloatArray, C: FloatArray) -> tuple[float, int, FloatArray
     shown = values < _SHOWN
     along = vectors.T @ m
     left = np.where(shown, 1 - values, 1.0)
-    chi2 = float(np.sum(np.where(shown, along**2 / left, 0.0)))
+    by_patterns = UNDERSTATED * values * (tight**2 @ vectors**2)
+    chi2 = float(np.sum(np.where(shown, along**2 / (left + by_patterns), 0.0)))
     value = vectors @ np.where(shown, along / left, along)
     variance = np.where(shown, values / left, math.inf)
     with np.errstate(invalid="ignore"):

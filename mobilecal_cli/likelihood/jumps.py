@@ -1,8 +1,9 @@
-"""Jumps inside a recording: something has one value up to a moment, and another from there on.
+"""Jumps: something has one value up to a moment, and another from there to the end of the recording.
 
 For each leg of a recording and each part of the robot, the score test (Rao, 1948) of an additional step of that part
-from the leg's end on: with the gradient g of half the sum of squares by the step, and its information I after all other
-unknowns are eliminated, ``g^T I^-1 g`` is chi-squared without a change. The step is then ``-I^-1 g``.
+from the leg's end on, and for each of several recordings, of a step in all of it: with the gradient g of half the sum
+of squares by the step, and its information I after all other unknowns are eliminated, ``g^T I^-1 g`` is chi-squared
+without a change. The step is then ``-I^-1 g``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ class Jump:
 
     Attributes:
         part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel".
-        station: index of the first station after it.
+        station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
         sigmas: standard deviations of a normal distribution with the same chance, for the best of all that were tried.
@@ -248,14 +249,15 @@ def _after(lin: Posterior, first: int) -> BoolArray:
 
 
 def likeliest(lin: Posterior) -> Jump | None:
-    """The most probable jump inside a recording, whether or not it is significant; None if nothing can be compared.
+    """The most probable jump, whether or not it is significant; None if nothing can be compared.
 
     Args:
         lin: an optimum.
     """
     data = lin.data
-    moments: list[int] = []
-    for log in np.unique(data.log).tolist():
+    logs, starts = np.unique(data.log, return_index=True)
+    moments = starts[len(logs) <= 2 :].tolist()  # of two recordings, either may be the one that differs
+    for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         moments += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
     if not moments:

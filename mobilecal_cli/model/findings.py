@@ -151,12 +151,12 @@ class Suggestion(ReadOnly):
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A moment from which on a part of the robot, or the board, is not where it was before.
+    """A moment from which on a part of the robot, or the board, is not where it was before, or in other recordings.
 
     Attributes:
         part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel"; "" if unknown.
         log: index of the recording.
-        station: index of the first observation after it.
+        station: index of the first observation after it; the first of a recording that differs from the others.
         time_ns: its time.
         rejected: number of stations from there on whose images are not used; 0 if all are.
         sigmas: its significance; infinite (math.inf) where the stations are rejected.

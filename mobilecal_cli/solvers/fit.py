@@ -75,8 +75,15 @@ class Fit:
 
     @property
     def budget(self) -> Mapping[str, FloatArray]:
-        """Source → its share (P, P) of the posterior's covariance: kinds of measurements, and groups of priors."""
-        return shares(self.lin, self.influences)
+        """Source → its share (P, P) of the posterior's covariance: kinds of measurements, and groups of priors.
+
+        "recordings" is by how much the spread between recordings makes it larger.
+        """
+        budget = dict(shares(self.lin, self.influences))
+        if self.between is not None and self.pooled_covariance is not None and self.between.between_std.any():
+            considered = self.lin.considered
+            budget["recordings"] = self.pooled_covariance + considered @ considered.T - self.lin.covariance
+        return budget
 
     @cached_property
     def covariance(self) -> FloatArray:

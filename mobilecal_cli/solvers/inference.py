@@ -310,7 +310,7 @@ class Inference:
         return fit
 
     def jump(self, fit: Fit) -> jumps.Jump | None:
-        """The jump inside a recording that explains the residuals best; None where none is significant.
+        """The jump that explains the residuals best; None where none is significant.
 
         What looks like one is tested at the noise levels of the residuals without it.
         """

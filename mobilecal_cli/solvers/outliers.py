@@ -47,9 +47,9 @@ def _median(size: FloatArray, detected: BoolArray) -> FloatArray:
     return np.asarray(np.nanmedian(np.where(detected, size, np.nan), axis=(1, 2)))
 
 
-def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
-    """(n, C, M) distance of the corners of some stations from the boards that fit each best, robustly."""
-    detected, T = data.seen[stations], data.T_c_k[stations]
+def _own_misfit(data: Dataset, state: State, stations: IntArray, detected: BoolArray) -> FloatArray:
+    """(n, C, M) distance of the detected corners of some stations from the boards that fit each best, robustly."""
+    T = data.T_c_k[stations]
     for _ in range(_LOCAL_STEPS):
         residual, J = corner_residuals(data, state, T, stations)
         W = data.whitening[stations]
@@ -72,6 +72,8 @@ def _own_misfit(data: Dataset, state: State, stations: slice) -> FloatArray:
 def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
     """Corners and whole boards that fit the board's own shape, each station by itself.
 
+    Cameras whose poses are only described are judged each alone: these poses may be degrees off.
+
     Args:
         data: the corners, and a first board pose of each station.
         state: gives the cameras and the board.
@@ -83,7 +85,14 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
     if not state.constants:  # as stated: the derivatives by constants would only take time
         data = data.with_constants(())
-    size = np.concatenate([_own_misfit(data, state, block) for block in blocks_of(data.stations)])
+    size = np.zeros(data.seen.shape)
+    numbers = np.arange(data.seen.shape[1])
+    for together in numbers[None] if data.cameras.calibrated else numbers[:, None]:
+        detected = data.seen & np.isin(numbers, together)[:, None]
+        shown = np.flatnonzero(detected.any(axis=(1, 2)))
+        for block in blocks_of(len(shown)):
+            mine = shown[block]
+            size[mine] += detected[mine] * _own_misfit(data, state, mine, detected[mine])
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
     own = _median(size, data.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)

@@ -315,7 +315,7 @@ def run_of_case(case: Case, seed: int) -> Run:
         extraction = case.extraction(seed)
     except MobilecalError as error:
         return refused(error)
-    return run_of(extraction, ROBOTS[case.robot]())
+    return run_of(extraction, true_robot(ROBOTS[case.robot](), extraction, case.route(seed)))
 
 
 def refused(error: MobilecalError) -> Run:

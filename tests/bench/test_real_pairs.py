@@ -28,8 +28,9 @@ def mrpt(shared_data):
 def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_calibration(opencv):
     """Each pair is seen with the cameras that were estimated from the other pairs.
 
-    The published cameras have fx = fy by assumption. To estimate the ratio from seven pairs costs up to 6 %: measured
-    0.92 to 1.06 of the published calibration, and 0.92 to 1.02 with fx = fy.
+    The published cameras have fx = fy by assumption, and a board whose corners are in their places. To estimate all of
+    that from seven pairs costs up to 12 %: measured 0.93 to 1.12 of the published calibration, and 0.92 to 1.02 with
+    fx = fy and exact corners.
     """
     pairs, (width, _) = opencv
     case = cases(width)[MIXED]
@@ -38,14 +39,22 @@ def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_
     assert result.before[MEAN] > 2.0
     for figure in (SPREAD, HALVES, REPROJECTION):
         assert result.before[figure] > 3 * best[figure]
-        assert result.others[figure] < 1.07 * best[figure]
+        assert result.others[figure] < 1.13 * best[figure]
     # mm of 30: a wrong baseline is shared with the squares, whose prior is 0.1 %; measured 1.16 of its sigmas.
     assert abs(result.others[MEAN]) < 0.04
     assert {kind for kind, _ in result.named} <= set(case.right)
 
 
+@pytest.fixture(scope="module")
+def published(opencv):
+    """Where these pairs differ from the published calibration: estimates with nothing wrong."""
+    pairs, (width, _) = opencv
+    case = cases(width)["nothing"]
+    return Task(case.of(bouguet()), pairs, case.right, others=False).result().found
+
+
 @pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
-def test_one_wrong_constant(opencv, name):
+def test_one_wrong_constant(opencv, published, name):
     pairs, (width, _) = opencv
     true = bouguet()
     case = cases(width)[name]
@@ -57,7 +66,9 @@ def test_one_wrong_constant(opencv, name):
     assert result.after[REPROJECTION] < result.before[REPROJECTION]
     for constant, expected in case.expected(true).items():
         value, std = result.found[constant]
-        assert abs(value - expected) < 2 * std
+        own, own_std = published[constant]
+        assert abs(own) < 3 * own_std
+        assert abs(value - own - expected) < std
 
 
 def test_a_wrong_cause_is_named(opencv):

@@ -125,6 +125,11 @@ def after(
     return changed
 
 
+def unsigned(track: Track) -> Track:
+    """A counter that counts both directions up."""
+    return replace(track, value=np.concatenate([[0.0], np.cumsum(np.abs(np.diff(track.value)))]))
+
+
 def reset(track: Track) -> Track:
     """A counter that starts again at zero in the middle."""
     later = middle(track)
@@ -154,6 +159,28 @@ def joint(which: int, change: Callable[[float], float]) -> Change:
         return q
 
     return joints(changed)
+
+
+def late_joints(seconds: float) -> Change:
+    """Joint readings with delayed stamps."""
+
+    def change(made: Extraction) -> Extraction:
+        shift_ns = round(seconds * 1e9)
+        observations = tuple(
+            replace(
+                o,
+                joints=np.array(
+                    [t.at(np.array([o.time_ns - shift_ns]))[0] for t in made.joint_tracks[o.log]]
+                ),
+            )
+            for o in made.observations
+        )
+        tracks = tuple(
+            tuple(replace(t, time_ns=t.time_ns + shift_ns) for t in each) for each in made.joint_tracks
+        )
+        return replace(made, observations=observations, joint_tracks=tracks)
+
+    return change
 
 
 def stations(change: Callable[[int, Observation, tuple[Observation, ...]], Observation]) -> Change:
@@ -587,6 +614,16 @@ WRONG: dict[str, Wrong] = {
     "head mounted 10 cm further to the front": Wrong(chain_offset((0.1, 0.0, 0.0)), "chain|joint|position|mount"),
     "pan axis turned by 10 degrees": Wrong(turned_axis(PAN, 0.175), "axis|pan_joint"),
     "tilt axis turned by 10 degrees": Wrong(turned_axis(TILT, 0.175), "axis|tilt_joint"),
+    "counters without a direction": Wrong(both(unsigned), "never decrease"),
+    "counters of 32 bits wrap in the middle": Wrong(both(after(lambda v: v + 2**32 * 2 * np.pi / 4096)), "jump"),
+    "right wheel 2 % larger from the middle": Wrong(wheels(after(lambda v: 1.02 * v), same), "right wheel"),
+    "right wheel 5 % larger from the middle": Wrong(wheels(after(lambda v: 1.05 * v), same), "right wheel"),
+    "joints 2 s late": Wrong(late_joints(2.0), "joint readings are about 2"),
+    "pan 3 degrees off from the middle": Wrong(from_middle(lambda o: replace(o, joints=o.joints + np.radians([3.0, 0.0]))), "pan_joint"),
+    "right images shifted by 15 px from the middle": Wrong(
+        measured(lambda n, o: (o.views[0].pixels, o.views[1].pixels + np.array([15.0, 0.0]) * (n >= HALF))), _CAMERA
+    ),
+    "focal lengths 1 % off": Wrong(focal(1.01, 1.01), _SCALE),
     "nominal wheels twice as large": Wrong(nominal_wheels(2.0, 1.0), "half of the nominal"),
     "nominal separation 20 % too large": Wrong(nominal_wheels(1.0, 1.2), "", "the motion determines the separation"),
 }  # fmt: skip

@@ -121,6 +121,28 @@ def test_other_cameras_have_priors_of_a_drawing():
         assert abs(constant.value - constants[name]) < 4 * constant.std < 2 * abs(constants[name])
 
 
+@pytest.mark.parametrize(
+    ("name", "wrong", "words"),
+    [
+        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +8.0"),
+        ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +59.9"),
+    ],
+)
+def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):
+    robot = three_on_pan_tilt()
+    what = Imperfection({name: wrong}, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
+    extraction = imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2)
+    found = fitted(extraction)
+    assert nees(found.parameters, found.covariance, robot) < 2.7
+    assert not found.solution.outliers
+    verdict = Report(Data(extraction), found).verdict
+    assert verdict.level == "PASS"
+    (check,) = [check for check in verdict.checks if check.id.startswith("contradiction.camera")]
+    assert check.outcome == "warning"
+    assert words in check.why
+    assert "Correct the pose of this camera" in check.next_step
+
+
 def test_the_report_of_one_camera_speaks_of_one():
     robot = one_on_pan_tilt()
     robot = replace(robot, infos=(replace(robot.infos[0], frame_id="optical"),))

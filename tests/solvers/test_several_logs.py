@@ -1,17 +1,20 @@
 """Several recordings, one of which alone does not determine all nine parameters."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.special import stdtrit
 
+from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
 from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
@@ -132,6 +135,42 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ(apart):
     assert 0.01 < found.uncertainty.std[RADIUS] < 0.02
     mean_m = ROBOT.wheels.radius_right_m + 0.002
     assert found.parameters.wheels.radius_right_m == pytest.approx(mean_m, abs=0.001)
+
+
+def test_a_wheel_that_differs_between_two_recordings_is_named(apart):
+    extraction, found = apart
+    verdict = judge(found, extraction)
+    assert verdict.level == "FAIL"
+    assert re.match(
+        r"Between recording 1 and the other, the size of the (left|right) wheel changed by", verdict.reason
+    )
+    assert "calibrate each recording alone" in verdict.next_step
+    camera = found.uncertainty.budget.at_work["along_m_per_m"]
+    assert found.uncertainty.budget.sources[int(np.argmax(camera))] == "recordings"
+
+
+@pytest.mark.parametrize(
+    ("odd", "turn_rad", "level"), [(0, 0.06, "FAIL"), (1, 0.06, "FAIL"), (1, 0.02, "PASS")]
+)
+def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn_rad, level):
+    """A warning where all expected errors are within their limits with the spread included."""
+    bumped = replace(ROBOT, T_h_c=ROBOT.T_h_c @ se3.exp(np.array([0.0, 0.0, turn_rad, 0.0, 0.0, 0.0])))
+    parts = [recorded("standard", seed, bumped if seed == odd else ROBOT) for seed in range(3)]
+    extraction = joined(*parts)
+    verdict = judge(solve(extraction), extraction)
+    assert verdict.level == level
+    size = re.search(
+        rf"Between recording {odd} and the others, the camera on the head moved by .* and ([\d.]+) degrees",
+        verdict.reason if level == "FAIL" else verdict.next_step,
+    )
+    assert float(size[1]) == pytest.approx(np.degrees(turn_rad), rel=0.3)
+
+
+def test_recordings_that_hide_a_parameter_by_their_difference_need_no_more_motion():
+    extraction = joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.02))
+    check = judge(solve(extraction), extraction).checks["observable"]
+    assert check.why.endswith("not determined: the recordings differ from one another.")
+    assert check.next_step.startswith("Calibrate each recording alone")
 
 
 @pytest.mark.parametrize("off_m", [pytest.param(-0.001, marks=pytest.mark.long), 0.004])
