@@ -142,9 +142,9 @@ def from_motions(
     for number, leg in enumerate(motions, 1):
         x, y, heading = leg.motion.tolist()
         T = se3.transform(se3.rotation_z(np.array(heading)), np.array([x, y, 0.0]))
-        seen = TargetPose(0.0, ahead, nothing), TargetPose(1.0, se3.inverse(T) @ ahead, nothing)
+        poses = TargetPose(0.0, ahead, nothing), TargetPose(1.0, se3.inverse(T) @ ahead, nothing)
         turned = np.array([0.0, leg.right_rad]), np.array([0.0, leg.left_rad])
-        drives.append(Drive(seen, np.array([0.0, 1.0]), *turned))
+        drives.append(Drive(poses, np.array([0.0, 1.0]), *turned))
         if not np.all(np.linalg.eigvalsh(leg.covariance) > 0):
             raise ConfigError(
                 f"leg {number}: the covariance is not positive definite",

@@ -186,6 +186,10 @@ def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
     return float(np.degrees(ax)), float(np.degrees(ay)), float(np.degrees(az))
 
 
+#: Euler angles closer to gimbal lock are not shown: the noise of x and z is over ten times that of the axis.
+NEAR_LOCK_DEG = 5.0
+
+
 def gimbal_margin_deg(rotation: FloatArray) -> float:
     """Difference of ay of `euler_zyx_deg` from +-90 degrees, in degrees."""
     return 90.0 - abs(euler_zyx_deg(rotation)[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from mobilecal_cli.model import (
     WheelTrack,
     camera_words,
     sampled,
+    shots_words,
 )
 
 PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
@@ -103,10 +104,10 @@ def shots_of(images: Mapping[str, PictureIndex], tolerance_s: float) -> tuple[Sh
         groups: list[list[int | None]] = [[None] * k + [int(of_camera[i])] for i in own]
         for other in range(k + 1, len(times)):
             free = np.flatnonzero(unused[other])
-            found = _nearest(of_camera[own], times[other][free], tolerance_s)
-            unused[other][free[list(found.values())]] = False
+            nearest = _nearest(of_camera[own], times[other][free], tolerance_s)
+            unused[other][free[list(nearest.values())]] = False
             for i, group in enumerate(groups):
-                group.append(int(times[other][free[found[i]]]) if i in found else None)
+                group.append(int(times[other][free[nearest[i]]]) if i in nearest else None)
         shots += [Shot(tuple(group)) for group in groups]
     grouped_ns = np.sort([shot.time_ns for shot in shots if len(shot.taken_ns) > 1])
     if len(times) == 2 and not len(grouped_ns):
@@ -235,7 +236,7 @@ def _spread(features: FloatArray, count: int) -> IntArray:
     return np.sort(chosen)
 
 
-def _keyframes(pairs: list[Shot], channels: list[_Channel], count: int) -> list[Shot]:
+def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
     """Sharp moments of a recording in motion, spread over head angles, heading and distance driven."""
     if not pairs:
         return []
@@ -250,7 +251,7 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel], count: int) -> list[
     slow = np.concatenate([part <= np.median(part) for part in parts])
     spans = np.ptp(values, axis=0)
     features = values[slow] / np.where(spans > 0, spans, 1.0)
-    picked = np.flatnonzero(slow)[_spread(features, count)]
+    picked = np.flatnonzero(slow)[_spread(features, KEYFRAMES)]
     return [pairs[i] for i in picked]
 
 
@@ -334,7 +335,7 @@ class _Pairs:
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     """Find the shots of a log, and its rests."""
     channels = _channels(signals, prismatic)
-    pairs, what = list(shots_of(signals.images, PAIR_AT_REST_S)), _what(signals.images)
+    pairs, what = list(shots_of(signals.images, PAIR_AT_REST_S)), shots_words(len(signals.images))
     times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
     covered = np.ones(len(pairs), dtype=bool)
@@ -367,11 +368,6 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     moving = sorted((shot for part in parts for shot in part), key=lambda shot: shot.time_ns)
     split = sum(len(part) > 1 for part in parts)
     return _Pairs(signals, channels, rests, moving, split, [*rejections, *frozen])
-
-
-def _what(images: Collection[str]) -> str:
-    """Name of the shots of some cameras, in texts."""
-    return {1: "images", 2: "stereo pairs"}.get(len(images), "groups of images")
 
 
 class _Shown:
@@ -435,6 +431,7 @@ class _Shown:
 
 def _not_used(log: _Pairs) -> Iterator[str]:
     """A note on shots that are not used, for each reason and joint, wheel or camera."""
+    what = shots_words(len(log.signals.images))
     first_ns = min(int(index.time_ns.min()) for index in log.signals.images.values())
     for reason, name in dict.fromkeys((r.reason, r.detail) for r in log.rejections):
         times = [r.time_ns for r in log.rejections if (r.reason, r.detail) == (reason, name)]
@@ -442,8 +439,7 @@ def _not_used(log: _Pairs) -> Iterator[str]:
             continue
         since, until = ((at - first_ns) / _NS for at in (min(times), max(times)))
         yield (
-            f"{len(times)} {_what(log.signals.images)} between {since:.0f} and {until:.0f} s after the first image "
-            "are not used: "
+            f"{len(times)} {what} between {since:.0f} and {until:.0f} s after the first image are not used: "
             f"{_NOT_USED[reason].format(name)}"
         )
 
@@ -486,7 +482,7 @@ def plan_stations(
     for log, wheels in paired:
         moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
-            chosen = log.moving if everything else _keyframes(log.moving, log.channels, KEYFRAMES)
+            chosen = log.moving if everything else _keyframes(log.moving, log.channels)
             moments += [([pair], False) for pair in chosen]
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
@@ -509,7 +505,7 @@ def plan_stations(
         split = sum(log.split for log, _ in paired)
         if split:
             notes.append(
-                f"In motion, the images of {split} {_what(paired[0][0].signals.images)} are more than "
+                f"In motion, the images of {split} {shots_words(len(logs[0].images))} are more than "
                 f"{1e3 * PAIR_MOVING_S:.0f} ms apart: they count one by one, which needs board.square_m. Trigger the "
                 "cameras together."
             )

@@ -13,7 +13,7 @@ from mobilecal_cli.calibrate.compare import Limits
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
-from mobilecal_cli.report.comparison import change_from_nominal, comparison_json, comparison_text
+from mobilecal_cli.report.comparison import Comparison, change_from_nominal, comparison_json, comparison_text
 
 WHEELS = WheelGeometry(0.1, 0.1, 0.5)
 STD = np.array([1e-3, 1e-3, 1e-3, 2e-3, 2e-3, 2e-3, 1e-4, 1e-4, 5e-4])
@@ -78,7 +78,7 @@ def test_no_conclusion_about_an_unobservable_parameter():
     assert found.unobservable.tolist() == [False] * 8 + [True]
     assert np.isnan(found.sigmas[8])
     assert found.chi2 == 0
-    text = comparison_text(("one", "other"), [found], None)
+    text = comparison_text(Comparison(("one", "other"), (), (found,), None))
     assert "The change of these is not significant." in text
     assert "No conclusion about separation: at least one calibration does not determine it." in text
 
@@ -113,7 +113,7 @@ def test_nominal_values_have_no_sigma():
 
 def test_the_text_has_digits_that_match_the_sigma():
     moved = se3.transform(np.eye(3), np.array([0.00123, 0.0, 0.0]))
-    text = comparison_text(("a", "b"), [difference(robot(), robot(moved, log="b"))], None)
+    text = comparison_text(Comparison(("a", "b"), (), (difference(robot(), robot(moved, log="b")),), None))
     row = next(line.split() for line in text.splitlines() if line.startswith("  t_x"))
     assert row == ["t_x", "+1.2", "2.8", "+0.4", "mm"]
     assert "Change from a to b" in text
@@ -137,8 +137,9 @@ def test_the_first_line_says_whether_the_robot_changed(t_x, std, said, value):
     first = robot(std=std)
     other = robot(se3.transform(np.eye(3), np.array([t_x, 0.0, 0.0])), log="b", std=std)
     found = difference(first, other)
-    assert comparison_text(("a", "b"), [found], None).splitlines()[0] == said
-    plain = json.loads(comparison_json(("a", "b"), (first, other), [found], None))
+    comparison = Comparison(("a", "b"), (first, other), (found,), None)
+    assert comparison_text(comparison).splitlines()[0] == said
+    plain = json.loads(comparison_json(comparison))
     assert plain["against_first"][0]["changed"] is value
 
 

@@ -59,12 +59,14 @@ def names_of(name: str, names: str | Iterable[str]) -> tuple[str, ...]:
     return names
 
 
-def by_name(name: str, given: Mapping[Any, Any]) -> Mapping[str, Any]:
-    """A mapping whose keys are strings.
+def by_name(name: str, given: Mapping[Any, Any] | None) -> Mapping[str, Any]:
+    """A mapping whose keys are strings; None stands for an empty one.
 
     Raises:
         TypeError: something else.
     """
+    if given is None:
+        return {}
     require(name, given, Mapping, "a mapping from names, such as a dict")
     names_of(name, given)
     return given

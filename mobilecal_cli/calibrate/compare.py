@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from mobilecal_cli.calibrate.load import read_params
-from mobilecal_cli.comparison import Difference, History, difference, history
+from mobilecal_cli.comparison import Difference, difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import check_file, write_file
-from mobilecal_cli.model import NINE, CalibratedRobot
-from mobilecal_cli.report.comparison import history_plot
+from mobilecal_cli.model import NINE
+from mobilecal_cli.report.comparison import Comparison, history_plot
 
 #: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
 MOST_NOMINAL_SIGMAS = 5.0
@@ -56,25 +56,6 @@ class Limits:
         if self.heading_deg is not None and turn_deg > self.heading_deg:
             broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {self.heading_deg:g})")
         return broken
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """Several calibrations and their differences.
-
-    Attributes:
-        names: file names.
-        robots: the calibrations.
-        differences: change from the first to each other one.
-        past: test of each parameter over all calibrations; None for two files.
-        broken: limits that are exceeded, as text.
-    """
-
-    names: tuple[str, ...]
-    robots: tuple[CalibratedRobot, ...]
-    differences: tuple[Difference, ...]
-    past: History | None
-    broken: tuple[str, ...]
 
 
 def compare(

@@ -14,16 +14,7 @@ import cv2
 from mobilecal_cli.calibrate import Progress
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    Board,
-    CameraRig,
-    GrayImage,
-    PictureIndex,
-    Rejection,
-    Rig,
-    Shot,
-    Station,
-)
+from mobilecal_cli.model import Board, CameraRig, GrayImage, PictureIndex, Rejection, Rig, Shot, Station
 from mobilecal_cli.readers import Recording, open_recording, read_images
 from mobilecal_cli.stations import Plan, images_of
 from mobilecal_cli.vision import (
@@ -304,13 +295,13 @@ class DetectionWorkers(Processes):
             try:
                 for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
                     waiting.append(self.submit(_detect, rig, board, segment))
-                found, damage = waiting.popleft()()
+                detected, damage = waiting.popleft()()
             except FAILED:
                 break
             for note in damage:
                 self._recording.note(note)
-            count(sum(len(of_camera) for station in found for of_camera in station.found.values()))
-            detections += found
+            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+            detections += detected
             done += 1
         for segment in segments[done:]:
             detections += detect_segment(self._recording, rig, board, segment, count)

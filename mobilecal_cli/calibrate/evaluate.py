@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,44 +11,12 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params, used_for
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    Evaluation,
-    Extraction,
-    Knowledge,
-    Nominal,
-    Solution,
-    WheelGeometry,
-)
-from mobilecal_cli.report.criteria import Check
-from mobilecal_cli.report.evaluation import OwnEstimate, dependence, judge_evaluation
-from mobilecal_cli.report.numbers import reference_pose
-from mobilecal_cli.report.use import small_extents
-from mobilecal_cli.report.verdict import Verdict, evaluated_figures, gate_checks, gates_of
+from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution, WheelGeometry
+from mobilecal_cli.report.evaluation import Evaluated, dependence, judge_evaluation
+from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Evaluated:
-    """Result of an evaluation.
-
-    Attributes:
-        evaluation: the figures.
-        extraction: the recording's measurements.
-        verdict: PASS, FAIL or NOT ENOUGH, with every check.
-        checks: the user's gates.
-        used: names of the recordings that the calibration was made from.
-        notes: what to know about the figures, whole sentences.
-    """
-
-    evaluation: Evaluation
-    extraction: Extraction
-    verdict: Verdict
-    checks: tuple[Check, ...]
-    used: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
 
 
 def evaluate(
@@ -90,24 +58,20 @@ def evaluate(
         wheels = _for_recording(read_params(before), extraction, before).wheels
     parameters = parameters_of(robot, extraction, params)
     progress("solving", 0, None)
-    solution = _solved(extraction, robot)
+    own = _solved(extraction, robot)
     progress("evaluating", 0, None)
-    nominal = extraction.rig.nominal.wheels
-    own = _own_estimate(solution, extraction, robot) if isinstance(solution, Solution) else solution
-    # Path length and rotation by wheels that do not come from the calibration under test, if there are any.
-    wheels_of_its_own = None
-    if isinstance(own, OwnEstimate) and own.robot.knowledge and own.robot.knowledge.observable[6:].all():
-        wheels_of_its_own = own.robot.wheels
+    nominal, reference, offsets, cure = extraction.rig.nominal.wheels, None, {}, ""
+    if isinstance(own, Solution):
+        offsets, cure = clock_offsets(own), "; ".join(gap.cure for gap in motion_gaps(extraction))
+        # Path length and rotation by wheels that do not come from the calibration under test, if there are any.
+        if own.uncertainty is not None and own.uncertainty.observable[6:].all():
+            reference = own.parameters.wheels
     evaluation = evaluate_parameters(
-        extraction,
-        parameters,
-        wheels or nominal,
-        offsets_s=clock_offsets(solution) if isinstance(solution, Solution) else {},
-        reference=wheels_of_its_own or nominal,
+        extraction, parameters, wheels or nominal, offsets_s=offsets, reference=reference or nominal
     )
     used = used_for(robot, extraction)
     checks = tuple(gate_checks(limits, evaluated_figures(evaluation)))
-    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, used, checks)
+    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, cure, used, checks)
     return Evaluated(evaluation, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
 
 
@@ -145,22 +109,3 @@ def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | Mobile
             return solve(replace(extraction, rig=replace(rig, nominal=nominal)))
     except MobilecalError as error:
         return error
-
-
-def _own_estimate(solution: Solution, extraction: Extraction, robot: CalibratedRobot) -> OwnEstimate:
-    cameras, found = solution.cameras, solution.uncertainty
-    assert found is not None  # the default method always has one
-    knowledge = Knowledge(found.reference_covariance, found.observable)
-    own = CalibratedRobot(
-        robot.parent_frame,
-        robot.child_frame,
-        reference_pose(solution.parameters, cameras),
-        solution.parameters.wheels,
-        knowledge,
-    )
-    cure = "; ".join(gap.cure for gap in motion_gaps(extraction))
-    small = {
-        part: " ".join(small_extents(solution.motion, part == "head", part == "base"))
-        for part in ("head", "base")
-    }
-    return OwnEstimate(own, solution.residuals.leg_reprojection_px, cure, small, found.described)

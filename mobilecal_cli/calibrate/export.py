@@ -59,7 +59,7 @@ def export(
     """
     if not isinstance(target, str) or target not in tuple(Target):
         raise ConfigError(f"export to {target}: no such format", f"formats: {', '.join(Target)}")
-    joint_names: Mapping[Any, str] = by_name("wheel_joints", {} if wheel_joints is None else wheel_joints)
+    joint_names: Mapping[Any, str] = by_name("wheel_joints", wheel_joints)
     for side, joint in joint_names.items():
         if side not in SIDES or not (isinstance(joint, str) and joint):
             raise ConfigError(

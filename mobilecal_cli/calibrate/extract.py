@@ -195,10 +195,7 @@ def board_of(config: RigConfig) -> Board | None:
 
 
 def extract(
-    logs: Sequence[Path],
-    config: RigConfig,
-    progress: Progress = silent,
-    jobs: int = 1,
+    logs: Sequence[Path], config: RigConfig, progress: Progress = silent, jobs: int = 1
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """Read recordings of one robot and detect the board in their images.
 
@@ -233,12 +230,7 @@ def extract(
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
-        Snapshot(
-            number,
-            station.index,
-            detected.pictures,
-            detected.thumbnail,
-        )
+        Snapshot(number, station.index, detected.pictures, detected.thumbnail)
         for number, log in enumerate(extracted)
         for station, detected in zip(log.plan.stations, log.detections, strict=True)
     ]
@@ -365,32 +357,34 @@ def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> Non
             refuse_same(names[i], names[j], "images")
 
 
-def refuse_same(one: str, other: str, what: str) -> NoReturn:
+def refuse_same(first: str, other: str, what: str) -> NoReturn:
     """Refuse two recordings, always."""
-    raise ConfigError(f"{one} and {other} are the same recording: they contain the same {what}", _HINT)
+    raise ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
 
 
-def same_signals(one: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]) -> bool:
+def same_signals(
+    first: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]
+) -> bool:
     """Whether all readings of both wheels and all joints are the same while both were recorded."""
-    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (one, other))
+    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (first, other))
     return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
 
 
-def _same_readings(one: Track, other: Track) -> bool:
+def _same_readings(first: Track, other: Track) -> bool:
     """Whether two tracks overlap and are the same there; unwrapped rotations may start elsewhere."""
-    stamps, i, j = np.intersect1d(one.time_ns, other.time_ns, return_indices=True)
-    shorter = min(len(one.time_ns), len(other.time_ns))
+    stamps, i, j = np.intersect1d(first.time_ns, other.time_ns, return_indices=True)
+    shorter = min(len(first.time_ns), len(other.time_ns))
     if not len(stamps) or len(stamps) < _LEAST_OVERLAP * shorter:
         return False
-    begin, end = max(one.time_ns[0], other.time_ns[0]), min(one.time_ns[-1], other.time_ns[-1])
-    overlap = min(int(np.sum((track.time_ns >= begin) & (track.time_ns <= end))) for track in (one, other))
-    differences = one.value[i] - other.value[j]
+    begin, end = max(first.time_ns[0], other.time_ns[0]), min(first.time_ns[-1], other.time_ns[-1])
+    overlap = min(int(np.sum((track.time_ns >= begin) & (track.time_ns <= end))) for track in (first, other))
+    differences = first.value[i] - other.value[j]
     same = np.abs(differences - np.median(differences)) < _SAME_VALUE
     return int(same.sum()) >= _SAME_SHARE * overlap
 
 
-def _same_corners(one: Observation, other: Observation) -> bool:
-    return len(one.views) == len(other.views) and all(
+def _same_corners(observation: Observation, other: Observation) -> bool:
+    return len(observation.views) == len(other.views) and all(
         a.pixels.shape == b.pixels.shape and np.abs(a.pixels - b.pixels).max(initial=0.0) < _SAME_VALUE
-        for a, b in zip(one.views, other.views, strict=True)
+        for a, b in zip(observation.views, other.views, strict=True)
     )

@@ -70,32 +70,28 @@ def gaps_between(
     for track, times in zip(wheels, times_ns, strict=True):
         if len(times) > 1:
             Phi.append(cut_at(track, times).totals_rad)
-    seen = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(wheels))
+    motion = motion_seen(head_pose(chain, joints), np.concatenate(Phi), encoder_steps_rad(wheels))
     gaps = []
-    if not seen.tilts and unseen_height(chain) is None:
+    if not motion.tilts and unseen_height(chain) is None:
         gaps.append(
             Gap(
                 ("translation along the vertical", "rotation about the vertical"),
-                f"the head's tilt spans only {np.degrees(seen.tilted_rad):.2f} degrees "
+                f"the head's tilt spans only {np.degrees(motion.tilted_rad):.2f} degrees "
                 f"(at least {np.degrees(TILTED_RAD):.0f} needed)",
                 "tilt the head up and down by 15 degrees or more between stations, and pan it",
                 (NINE[3:6],),
             )
         )
-    if seen.shows_wheels:
+    if motion.shows_wheels:
         return tuple(gaps)
-    turned, driven = seen.turned_rad, seen.driven_rad
-    parameters: tuple[str, ...]
-    closed_by: tuple[tuple[str, ...], ...]
-    if not (seen.turns or seen.drives):
-        parameters, closed_by = ("radius_right", "radius_left", "separation"), (NINE[6:],)
+    turned, driven = motion.turned_rad, motion.driven_rad
+    if not (motion.turns or motion.drives):
         because = (
             f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
             f"between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)"
         )
-        cure = "drive and turn the base between stations"
-    elif not seen.turns:
-        parameters, closed_by = ("separation", "ratio of the radii"), (("separation",),)
+        gaps.append(Gap(NINE[6:], because, "drive and turn the base between stations", (NINE[6:],)))
+    elif not motion.turns:
         because = (
             f"the base only drives straight: the rotations of the two wheels differ by at most "
             f"{np.degrees(turned):.1f} degrees between stations (at least {np.degrees(TURNED_RAD):.1f} needed)"
@@ -104,15 +100,16 @@ def gaps_between(
         if not turned:
             because = "the left and the right wheel have identical readings between all stations"
             cure = f"check that the driver publishes both wheels, or {cure}"
+        gaps.append(Gap(("separation", "ratio of the radii"), because, cure, (("separation",),)))
     else:
-        parameters = ("common scale of radius_right, radius_left, separation",)
-        closed_by = tuple((name,) for name in NINE[6:])
+        scale = "common scale of radius_right, radius_left, separation"
         because = (
             f"the base only turns in place: the mean rotation of the two wheels is at most "
             f"{np.degrees(driven):.1f} degrees between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)"
         )
         cure = "drive forward or back by 20 cm or more between some stations"
-    return (*gaps, Gap(parameters, because, cure, closed_by))
+        gaps.append(Gap((scale,), because, cure, tuple((name,) for name in NINE[6:])))
+    return tuple(gaps)
 
 
 def require_stations(extraction: Extraction) -> None:

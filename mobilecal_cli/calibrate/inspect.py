@@ -15,13 +15,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import lack_of, sample_board
-from mobilecal_cli.errors import (
-    ConfigError,
-    MobilecalError,
-    ObservationError,
-    RecordingError,
-    SolveError,
-)
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
@@ -44,14 +38,7 @@ from mobilecal_cli.model import (
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.readers import (
-    Extent,
-    Recording,
-    join_splits,
-    open_recording,
-    read_signals,
-    sha256_of,
-)
+from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf

@@ -20,10 +20,7 @@ from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
 
 
 def load(
-    logs: Sequence[Path],
-    config: RigConfig,
-    progress: Progress = silent,
-    jobs: int = 1,
+    logs: Sequence[Path], config: RigConfig, progress: Progress = silent, jobs: int = 1
 ) -> tuple[Extraction, tuple[Snapshot, ...]]:
     """The extraction of recordings with its snapshots, or the one in an extraction.npz with its thumbnails.
 

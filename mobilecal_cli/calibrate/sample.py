@@ -95,7 +95,9 @@ def sample_board(
         name: [None if isinstance(image, Rejection) else find_board(image, board) for image in some]
         for name, some in samples.items()
     }
-    seen = sum(isinstance(detection, Detection) for found in detections.values() for detection in found)
+    detected = sum(
+        isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
+    )
     squares_m = (
         () if cameras is None or not cameras.calibrated or lacks else _squares_m(cameras, board, detections)
     )
@@ -105,7 +107,7 @@ def sample_board(
     if wrong is not None:
         (weak if wrong.exit_code == QualityError.exit_code else lacks).append(wrong)
     size = board.columns, board.rows
-    return BoardView(len(readable), seen, size, square_m, squares_m, stated_m, others), lacks, weak
+    return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), lacks, weak
 
 
 def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:

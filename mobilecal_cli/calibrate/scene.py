@@ -16,14 +16,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import improved_cameras, improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    Extraction,
-    FloatArray,
-    Outlier,
-    Rejection,
-    Residuals,
-)
+from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Outlier, Rejection, Residuals
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
 from mobilecal_cli.report.numbers import station_names
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of

@@ -46,7 +46,7 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import draw_all, path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
-from mobilecal_cli.report.verdict import Case, Gate, gates_of, judge, reasons_of
+from mobilecal_cli.report.verdict import Case, gates_of, judge, reasons_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
@@ -143,7 +143,7 @@ def extract(
         TypeError: an argument of another type.
     """
     path = None if config is None else path_of("config", config)
-    flags = by_name("settings", {} if settings is None else settings)
+    flags = by_name("settings", settings)
     files = paths_of("logs", logs)
     if not files:
         raise ConfigError("logs: no recording is given", "give a recording, or a list of them")
@@ -185,7 +185,7 @@ def solve(
     require("data", data, (Data, Extraction), "what extract() returns")
     require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
     fixed = by_name("fix", fix) if isinstance(fix, Mapping) else dict.fromkeys(names_of("fix", fix))
-    priors = by_name("prior", {} if prior is None else prior)
+    priors = by_name("prior", prior)
     constraints = checked_constraints(
         fixed.items(),
         [(name, pair_of(f"--prior {name}", pair)) for name, pair in priors.items()],
@@ -196,7 +196,7 @@ def solve(
 
 
 def check_options(
-    method: Method, constraints: Constraints | None, hold_out: float | None, settings: Iterable[str] = ()
+    method: Method, constraints: Constraints, hold_out: float | None, settings: Iterable[str] = ()
 ) -> None:
     """Check how to solve, before any work; `settings` are dotted keys that the user gives for this run.
 
@@ -209,7 +209,7 @@ def check_options(
     if hold_out is not None:
         HOLD_OUT.check("hold_out", hold_out)
     if method != "ml":
-        unused = [*(constraints.given if constraints is not None else ())]
+        unused = [*constraints.given]
         unused += [f"--set {key}" for key in settings if key.partition(".")[0] in _ONLY_ML]
         if unused:
             raise ConfigError(
@@ -229,6 +229,7 @@ def fitted(
     Raises:
         MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
     """
+    constraints = constraints or Constraints()
     check_options(method, constraints, hold_out)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
@@ -244,7 +245,7 @@ def fitted(
             on_step=lambda: progress("solving", next(steps), None),
         )
     except SolveError as error:
-        gaps = motion_gaps(extraction, constraints.fixed if constraints is not None else ())
+        gaps = motion_gaps(extraction, constraints.fixed)
         if not gaps:
             raise
         because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
@@ -280,22 +281,13 @@ class Report:
     """
 
     def __init__(
-        self,
-        data: Data,
-        fit: Fit,
-        gates: Mapping[str, float] | Sequence[Gate] = (),
-        last: AnyPath | None = None,
+        self, data: Data, fit: Fit, gates: Mapping[str, float] | None = None, last: AnyPath | None = None
     ) -> None:
         require("data", data, Data, "what extract() returns")
         require("fit", fit, Fit, "what solve() returns")
         self.data, self.fit = data, fit
         solution, extraction = fit.solution, fit.extraction
-        if isinstance(gates, Mapping):
-            limits = {**data.gates, **by_name("gates", gates)}
-            gates = gates_of((), limits, hold_out=fit.trial is not None)
-        require("gates", gates, Sequence, "a mapping from name to limit")
-        for gate in gates:
-            require("gates", gate, Gate, "a mapping from name to limit")
+        limits = gates_of((), {**data.gates, **by_name("gates", gates)}, hold_out=fit.trial is not None)
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         created = (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
         self.provenance = Provenance(__version__, created, fit.method, extraction.logs, settings)
@@ -307,7 +299,7 @@ class Report:
             earlier = read_params(path_of("last", last))
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(robot, earlier, name)
-        self.verdict = judge(solution, extraction, gates, fit.trial, self.change)
+        self.verdict = judge(solution, extraction, limits, fit.trial, self.change)
         level, reasons = self.verdict.level, reasons_of(self.verdict)
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
@@ -468,7 +460,7 @@ def calibrate(
         MobilecalError: see `errors`; nothing is written then.
     """
     settings = [key for key, value in (flags or {}).items() if value is not None]
-    check_options(method, constraints, hold_out, settings)
+    check_options(method, constraints or Constraints(), hold_out, settings)
     directory = output if output is not None else default_output(logs[0])
     check_output(directory, force)
     config = load_rig(config_path, flags)

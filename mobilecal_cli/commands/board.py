@@ -102,8 +102,6 @@ def print_board(
         "board.columns": columns,
         "board.rows": rows,
         "board.square_m": square_m,
-        "board.dictionary": dictionary,
-        "board.marker_share": marker_share,
     }
     if charuco:
         flags["board.dictionary"] = dictionary or _smallest((columns + 1) * (rows + 1) // 2)

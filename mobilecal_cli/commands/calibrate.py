@@ -16,13 +16,11 @@ from mobilecal_cli.commands.options import (
     Gates,
     JUnit,
     Logs,
-    OpenReport,
     Quiet,
     Settings,
-    Stations,
-    Summary,
     Verbose,
     conclude,
+    counts_of,
     errors_to,
     flags_of,
 )
@@ -51,7 +49,7 @@ def calibrate(
         float | None, typer.Option(help="Side of a square, m. [default: measured by the stereo pair]")
     ] = None,
     stations: Annotated[
-        Stations | None,
+        Literal["auto", "all"] | None,
         typer.Option(
             help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
             show_default=False,
@@ -93,10 +91,19 @@ def calibrate(
             readable=False, help="params.yaml to compare the result with. [default: the nominal values]"
         ),
     ] = None,
-    open_report: OpenReport = False,
+    open_report: Annotated[
+        bool,
+        typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
+    ] = False,
     as_json: AsJson = False,
     junit: JUnit = None,
-    summary: Summary = None,
+    summary: Annotated[
+        Path | None,
+        typer.Option(
+            readable=False,
+            help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
+        ),
+    ] = None,
     force: Force = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -120,7 +127,11 @@ def calibrate(
     with errors_to(junit, logs, force, [config, last], output or steps.default_output(logs[0])):
         if summary is not None:
             check_appendable(summary)
-        flags = flags_of(setting, board, square_m, stations)
+        flags = flags_of(setting)
+        if board is not None:
+            flags["board.columns"], flags["board.rows"] = counts_of("--board", board)
+        options = {"board.square_m": square_m, "stations": stations}
+        flags |= {key: value for key, value in options.items() if value is not None}
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
             report, directory = steps.calibrate(

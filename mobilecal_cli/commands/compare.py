@@ -45,13 +45,7 @@ def compare(
     from mobilecal_cli.report.comparison import comparison_json, comparison_text
 
     comparison = compared(files, Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
-    if as_json:
-        typer.echo(
-            comparison_json(comparison.names, comparison.robots, comparison.differences, comparison.past),
-            nl=False,
-        )
-    else:
-        typer.echo(comparison_text(comparison.names, comparison.differences, comparison.past), nl=False)
+    typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
     if comparison.broken:
         conclude(
             "FAIL",

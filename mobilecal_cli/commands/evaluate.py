@@ -54,7 +54,6 @@ def evaluate(
     from mobilecal_cli.export import write_file
     from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
-    from mobilecal_cli.report.verdict import verdict_data
 
     with errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
@@ -68,11 +67,9 @@ def evaluate(
                 progress=progress,
             )
         if junit is not None:
-            write_file(junit, junit_xml(str(logs[0]), verdict_data(result.verdict)), force)
+            write_file(junit, junit_xml(str(logs[0]), result.verdict), force)
     if as_json:
-        text = evaluation_json(
-            result.evaluation, result.extraction, result.verdict, result.checks, result.used
-        )
+        text = evaluation_json(result)
     else:
         text = evaluation_text(evaluation_data(result.evaluation), result.notes, result.verdict)
     typer.echo(text, nl=False)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -76,49 +76,22 @@ Verbose = Annotated[
         help="Print every figure and check; on standard error, each stage.",
     ),
 ]
-OpenReport = Annotated[
-    bool,
-    typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
-]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[
     Path | None,
     typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
 ]
-Summary = Annotated[
-    Path | None,
-    typer.Option(
-        "--summary",
-        readable=False,
-        help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
-    ),
-]
-#: Which moments of a recording are used.
-Stations = Literal["auto", "all"]
 
 
-def flags_of(
-    settings: list[str] | None,
-    board: str | None = None,
-    square_m: float | None = None,
-    stations: Stations | None = None,
-) -> dict[str, Any]:
-    """The flags as dotted keys that override rig.yaml.
+def flags_of(settings: list[str] | None) -> dict[str, Any]:
+    """The settings of `--set` as dotted keys that override rig.yaml.
 
     Raises:
-        ConfigError: a flag is not a valid setting or board size.
+        ConfigError: one is not a valid setting.
     """
     from mobilecal_cli.rig.config import parse_setting
 
-    flags = dict(parse_setting(text) for text in settings or [])
-    if board is not None:
-        columns, rows = counts_of("--board", board)
-        flags |= {"board.columns": columns, "board.rows": rows}
-    if square_m is not None:
-        flags["board.square_m"] = square_m
-    if stations is not None:
-        flags["stations"] = stations
-    return flags
+    return dict(parse_setting(text) for text in settings or [])
 
 
 def counts_of(option: str, text: str) -> tuple[int, int]:
@@ -127,14 +100,14 @@ def counts_of(option: str, text: str) -> tuple[int, int]:
     Raises:
         ConfigError: another text.
     """
-    found = _COUNTS.fullmatch(text)
-    if found is None:
+    match = _COUNTS.fullmatch(text)
+    if match is None:
         given = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
         raise ConfigError(
             f"{option} {given}: not of the form COLUMNSxROWS",
             f"count the inner corners, for example {option} 9x6",
         )
-    return int(found[1]), int(found[2])
+    return int(match[1]), int(match[2])
 
 
 @contextmanager

@@ -54,7 +54,6 @@ SCHEMA_VERSION = 3
 _OF_ODOMETRY = 4  # the version of files with the factors of odometry in place of wheels
 _FACTOR_ORDER = (*NINE[:6], *FACTORS[:3])
 _OLDEST_READ = 1  # no constants; no verdict up to 2
-NEAR_LOCK_DEG = 5.0  # closer to gimbal lock, the noise of x and z is over ten times that of the axis
 _SAME_ROTATION_DEG = 0.01
 _SAME_STD = 1e-3
 _ROUNDING = 1e-6  # of the correlations
@@ -158,14 +157,14 @@ def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str,
         "quaternion_xyzw": se3.quaternion_xyzw(rotation),
         "euler_deg": se3.euler_zyx_deg(rotation),
         "margin_deg": margin_deg,
-        "near_lock": margin_deg < NEAR_LOCK_DEG,
+        "near_lock": margin_deg < se3.NEAR_LOCK_DEG,
     }
 
 
-def _unit(found: EstimatedConstant, sliding: frozenset[str]) -> str:
+def _unit(constant: EstimatedConstant, sliding: frozenset[str]) -> str:
     """Unit of a constant: rad, m, s or share; joints that slide are in m."""
-    unit = {"1": "share"}.get(kind_of(found.kind).unit, kind_of(found.kind).unit)
-    return "m" if found.kind in _JOINT_POSITIONS and found.part in sliding else unit
+    unit = {"1": "share"}.get(kind_of(constant.kind).unit, kind_of(constant.kind).unit)
+    return "m" if constant.kind in _JOINT_POSITIONS and constant.part in sliding else unit
 
 
 class _Section(BaseModel):

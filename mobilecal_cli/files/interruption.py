@@ -51,10 +51,10 @@ def _on_signal(number: int, frame: FrameType | None) -> None:
         raise Interrupted(128 + number)
 
 
-def _on_unraisable(found: sys.UnraisableHookArgs) -> None:
+def _on_unraisable(error: sys.UnraisableHookArgs) -> None:
     """Send a signal again that came while Python called a destructor, which swallows exceptions."""
-    if not isinstance(found.exc_value, Interrupted) or _State.received is None:
-        sys.__unraisablehook__(found)
+    if not isinstance(error.exc_value, Interrupted) or _State.received is None:
+        sys.__unraisablehook__(error)
         return
     number, _State.received = _State.received, None
     Timer(_AGAIN_S, os.kill, (os.getpid(), number)).start()

@@ -32,9 +32,8 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     """
     if len(text) > LARGEST_BYTES:
         raise ValueError(f"{len(text)} characters (limit {LARGEST_BYTES})")
-    if _open_brackets(text) > _DEEPEST or _NESTED_ITEMS.search(
-        text
-    ):  # the parser would take minutes to refuse it
+    # The parser would take minutes to refuse it.
+    if _open_brackets(text) > _DEEPEST or _NESTED_ITEMS.search(text):
         raise ValueError(f"nested deeper than {_DEEPEST} levels")
     try:
         value = YAML(typ="safe", pure=True).load(text)

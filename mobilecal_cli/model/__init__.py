@@ -57,6 +57,7 @@ from mobilecal_cli.model.rig import (
     WheelGeometry,
     WheelSource,
     camera_words,
+    shots_words,
 )
 from mobilecal_cli.model.robot_description import (
     CAMERA_INFO,

@@ -59,13 +59,13 @@ class ReadOnly:
 @cache
 def _annotated(cls: type) -> dict[str, tuple[type[Any], Shape]]:
     """Name → element type and shape of the arrays with a shape."""
-    found = {}
+    shapes = {}
     for name, hint in get_type_hints(cls, include_extras=True).items():
         annotated = next((each for each in (hint, *get_args(hint)) if hasattr(each, "__metadata__")), None)
         shape = tuple(size for size in getattr(annotated, "__metadata__", ()) if isinstance(size, int | str))
         if annotated is not None and shape:
-            found[name] = (get_args(get_args(annotated.__origin__)[1])[0], shape)
-    return found
+            shapes[name] = (get_args(get_args(annotated.__origin__)[1])[0], shape)
+    return shapes
 
 
 def _check_shape(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]) -> None:

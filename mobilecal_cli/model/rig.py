@@ -176,6 +176,11 @@ def camera_words(name: str) -> str:
     return name if "cam" in name else f"{name} camera"
 
 
+def shots_words(cameras: int) -> str:
+    """What some cameras record at one moment, in texts."""
+    return {1: "images", 2: "stereo pairs"}.get(cameras, "groups of images")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedLink(ReadOnly):
     """A constant transform in the chain.

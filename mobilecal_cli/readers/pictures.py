@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, content_of, header_stamp_ns, stamp_of
-from mobilecal_cli.readers.pixels import LARGEST_PIXELS, Video, codec_of, decode_image
+from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
 from mobilecal_cli.readers.signals.series import Clock
 
 #: Places of a topic, spread over it, where two images are read to measure the lag between stamp and log time.
@@ -262,7 +262,7 @@ def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None: 
     if codec is None:
         return None
     if topic not in videos:
-        videos[topic] = Video(codec, LARGEST_PIXELS)
+        videos[topic] = Video(codec)
     return videos[topic]
 
 

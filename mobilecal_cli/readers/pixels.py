@@ -212,13 +212,12 @@ class Video:
 
     Args:
         codec: one of the values of `CODECS`.
-        most_pixels: maximum size of a frame.
 
     Raises:
         RecordingError: PyAV is not installed.
     """
 
-    def __init__(self, codec: str, most_pixels: int) -> None:
+    def __init__(self, codec: str) -> None:
         try:
             import av
             from av.error import FFmpegError
@@ -229,7 +228,7 @@ class Video:
             ) from error
         self._packet, self._errors = av.Packet, FFmpegError
         self._context: Any = av.CodecContext.create(codec, "r")
-        self._context.options = {"max_pixels": str(most_pixels)}
+        self._context.options = {"max_pixels": str(LARGEST_PIXELS)}
         self._context.thread_count = 1  # several threads would delay frames by some messages
         self._context.flags |= av.codec.context.Flags.low_delay
         self._whole = False
@@ -250,6 +249,4 @@ class Video:
         if not frames or not self._whole:
             raise RecordingError("video frame without its key frame", "")
         # The first plane of the planar YUV formats that cameras send is the gray image.
-        frame = frames[-1]
-        gray = frame.to_ndarray(format="gray")
-        return np.asarray(gray, dtype=np.uint8)
+        return np.asarray(frames[-1].to_ndarray(format="gray"), dtype=np.uint8)

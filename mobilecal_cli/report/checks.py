@@ -62,18 +62,18 @@ _ALIKE = 0.1
 @criterion(Metric("mistake", "%"), gated=False)
 def mistake(made: Calibration) -> Iterator[Check]:
     """The mistake in the robot description that explains a bad fit."""
-    found = made.solution.diagnosis
-    if found is None:
+    diagnosis = made.solution.diagnosis
+    if diagnosis is None:
         return
-    shares = [None if s is None else 100 * s for s in (found.error_share, found.corrected_share)]
+    shares = [None if s is None else 100 * s for s in (diagnosis.error_share, diagnosis.corrected_share)]
     said = ("no solution" if share is None else f"{share:.2g} %" for share in shares)
     yield Check(
         "mistake", shares[0], None, "fail",
         "robot description",
-        "{}: point error {} of the distance to the board, {} when corrected".format(found.cause, *said),
+        "{}: point error {} of the distance to the board, {} when corrected".format(diagnosis.cause, *said),
         "no mistake found",
-        f"The recording does not fit the robot's description: {found.cause}.",
-        f"{found.cure[0].upper()}{found.cure[1:]}.",
+        f"The recording does not fit the robot's description: {diagnosis.cause}.",
+        f"{diagnosis.cure[0].upper()}{diagnosis.cure[1:]}.",
     )  # fmt: skip
 
 
@@ -140,9 +140,9 @@ def blind_camera(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("legs", at_least=True))
 def legs(made: Calibration) -> Iterator[Check]:
     """Legs between stations, of several recordings."""
-    seen = made.extraction.observations
-    logs, least = len({o.log for o in seen}), MIN_STATIONS - 1
-    have = len(seen) - logs
+    observations = made.extraction.observations
+    logs, least = len({o.log for o in observations}), MIN_STATIONS - 1
+    have = len(observations) - logs
     if logs > 1:
         yield Check(
             "legs", have, least, enough(have, least),
@@ -154,22 +154,69 @@ def legs(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
+_JUMPS = {
+    "": ("something", "Check the mounts of head, cameras and board, and the cables"),
+    "head mount": ("the camera on the head", "Fasten the camera to the head"),
+    "board": ("the board", "Fasten the board"),
+    "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
+    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
+    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+}
+
+
+@criterion(Metric("jump", "sigma"), gated=False)
+def jump(made: Calibration) -> Iterator[Check]:
+    """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
+
+    One that moves the result by more than the limit makes it neither the old nor the new one. A recording that differs
+    makes the standard deviations wider, and only warns if all expected errors are within their limits all the same.
+    """
+    names, limit = station_names(made.extraction), 2.0
+    first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
+    for change in made.solution.jumps:
+        at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
+        joint = visible(change.part.removeprefix("joint "))
+        at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
+        what, cure = _JUMPS.get(change.part, at_joint)
+        parts = [f"{1e3 * abs(change.move_m):.2g} mm"] if change.move_m else []
+        parts += [f"{math.degrees(change.turn_rad):.2g} degrees"] if change.turn_rad else []
+        size = " by " + " and ".join(parts) if parts else ""
+        moved = "moved" if change.part in ("", "head mount", "board", "right camera") else "changed"
+        lost = f"The images of {change.rejected} stations are not used, because they do not fit those before."
+        station = f"station {names[change.station]} ({at_s:.1f} s)"
+        if change.rejected or change.station != first[change.log]:
+            when, then, harmless = f"at {station}", "Then record again.", False
+        else:
+            when = f"between recording {change.log} and the other{'s' if len(first) > 2 else ''}"
+            then = "Then record again, or calibrate each recording alone."
+            harmless = all(use.within for use in uses(made.solution, made.limits))
+        yield Check(
+            "jump", change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
+            "warning" if harmless else "fail",
+            "changes inside the recording",
+            f"{what} {moved}{size} {when}" if change.part else f"the images do not fit from {station} on",
+            f"moves the result by at most {limit:g} sigma",
+            f"{when[0].upper()}{when[1:]}, {what} {moved}{size}. {lost if change.rejected else ''}".rstrip(),
+            f"{cure}. {then}",
+        )  # fmt: skip
+
+
 @criterion(Metric("observable", at_least=True))
 def observable(made: Calibration) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
 
     A warning if all expected errors are within their limits all the same.
     """
-    found = made.solution.uncertainty
-    if found is None:
+    uncertainty = made.solution.uncertainty
+    if uncertainty is None:
         return
     missing = [
         name for name, ok, by_user, described in zip(
-            NINE, found.observable, found.fixed, found.described, strict=True
+            NINE, uncertainty.observable, uncertainty.fixed, uncertainty.described, strict=True
         ) if not (ok or by_user or described)
     ]  # fmt: skip
-    if found.described.any() and not missing:
-        shown = int(found.observable.sum())
+    if uncertainty.described.any() and not missing:
+        shown = int(uncertainty.observable.sum())
         yield Check(
             "observable", shown, shown, "pass",
             "observable parameters",
@@ -180,8 +227,27 @@ def observable(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
     if not missing:
         return
-    lacking = missing_motion(made.solution, missing)
-    cures = []
+    between = made.solution.between
+    if between is not None and any(between.between_std[NINE.index(name)] for name in missing):
+        because = "the recordings differ from one another"
+        cure = "Calibrate each recording alone, and check that all are of one robot on which nothing was changed."
+    else:
+        because, cure = _motion_to_add(made, missing)
+    within = all(use.within for use in uses(made.solution, made.limits))
+    names = plain_names(missing, made.extraction)
+    yield Check(
+        "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
+        "observable parameters",
+        f"{9 - len(missing)} of 9 (not observable: {', '.join(missing)})",
+        "9 of 9",
+        f"{names[0].upper()}{names[1:]} not determined{f': {because}' if because else ''}.",
+        cure,
+    )  # fmt: skip
+
+
+def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
+    """Why these parameters are not determined, and what to do."""
+    lacking, cures = missing_motion(made.solution, missing), []
     if set(missing) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
     if {"turned_deg", "driven_m"} <= set(lacking):
@@ -190,16 +256,7 @@ def observable(made: Calibration) -> Iterator[Check]:
         cures.append("turn the base by 20 degrees or more between stops")
     elif "driven_m" in lacking:
         cures.append("drive forward and back by 20 cm or more between stops")
-    within = all(use.within for use in uses(made.solution, made.limits))
-    names, because = plain_names(missing, made.extraction), " and ".join(lacking.values())
-    yield Check(
-        "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
-        "observable parameters",
-        f"{9 - len(missing)} of 9 (not observable: {', '.join(missing)})",
-        "9 of 9",
-        f"{names[0].upper()}{names[1:]} not determined{f': {because}' if because else ''}.",
-        f"Record again and {'; '.join(cures)}.",
-    )  # fmt: skip
+    return " and ".join(lacking.values()), f"Record again and {'; '.join(cures)}."
 
 
 _EXTENTS = {
@@ -238,46 +295,6 @@ def camera_info(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-_JUMPS = {
-    "": ("something", "Check the mounts of head, cameras and board, and the cables"),
-    "head mount": ("the camera on the head", "Fasten the camera to the head"),
-    "board": ("the board", "Fasten the board"),
-    "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
-    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
-    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
-}
-
-
-@criterion(Metric("jump", "sigma"), gated=False)
-def jump(made: Calibration) -> Iterator[Check]:
-    """Moments from which on something is not where it was before.
-
-    One that moves the result by more than the limit makes it neither the old nor the new one.
-    """
-    names, limit = station_names(made.extraction), 2.0
-    for found in made.solution.jumps:
-        at_s = (found.time_ns - int(made.extraction.wheels[found.log].time_ns[0])) / 1e9
-        since, joint = (
-            f"station {names[found.station]} ({at_s:.1f} s)",
-            visible(found.part.removeprefix("joint ")),
-        )
-        at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
-        what, cure = _JUMPS.get(found.part, at_joint)
-        parts = [f"{1e3 * abs(found.move_m):.2g} mm"] if found.move_m else []
-        parts += [f"{math.degrees(found.turn_rad):.2g} degrees"] if found.turn_rad else []
-        size = " by " + " and ".join(parts) if parts else ""
-        moved = "moved" if found.part in ("", "head mount", "board", "right camera") else "changed"
-        lost = f"The images of {found.rejected} stations are not used, because they do not fit those before."
-        yield Check(
-            "jump", found.shift_sigmas if math.isfinite(found.shift_sigmas) else None, limit, "fail",
-            "changes inside the recording",
-            f"{what} {moved}{size} at {since}" if found.part else f"the images do not fit from {since} on",
-            f"moves the result by at most {limit:g} sigma",
-            f"At {since}, {what} {moved}{size}. {lost if found.rejected else ''}".rstrip(),
-            f"{cure}. Then record again.",
-        )  # fmt: skip
-
-
 #: Evidence beyond this is a contradiction: the solver's own limit.
 _CONTRADICTION_SIGMAS = 4.0
 
@@ -287,18 +304,18 @@ def contradiction(made: Calibration) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail."""
     solution, shift_limit = made.solution, 2.0
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
-    for found in solution.contradictions:
-        what, cure = contradiction_sentences(found, solution, made.extraction)
-        wider = widths.get(nuisance.family(found.kind), 1.0)
+    for evidence in solution.contradictions:
+        what, cure = contradiction_sentences(evidence, solution, made.extraction)
+        wider = widths.get(nuisance.family(evidence.kind), 1.0)
         yield Check(
-            f"contradiction.{found.kind}.{found.part}",
-            found.sigmas,
+            f"contradiction.{evidence.kind}.{evidence.part}",
+            evidence.sigmas,
             _CONTRADICTION_SIGMAS,
-            "fail" if found.shift_sigmas > shift_limit else "warning",
-            f"robot description: {visible(found.part)}, {nuisance.kind(found.kind).meaning}",
-            f"{found.sigmas:.1f} sigma from the stated values",
+            "fail" if evidence.shift_sigmas > shift_limit else "warning",
+            f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}",
+            f"{evidence.sigmas:.1f} sigma from the stated values",
             f"at most {_CONTRADICTION_SIGMAS:g} sigma",
-            f"{what} It changes the result by up to {found.shift_sigmas:.1f} standard deviations."
+            f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
             + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else ""),
             cure,
         )
@@ -309,7 +326,7 @@ def description(made: Calibration) -> Iterator[Check]:
     """The largest evidence against stated values, where none is a contradiction."""
     solution = made.solution
     if solution.uncertainty is not None and not solution.contradictions:
-        most = max((found.sigmas for found in solution.evidence), default=0.0)
+        most = max((evidence.sigmas for evidence in solution.evidence), default=0.0)
         yield Check(
             "description", most, _CONTRADICTION_SIGMAS, "pass",
             "robot description",
@@ -489,15 +506,16 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
     Good camera calibrations give 0.1 to 0.3 px.
     """
     bad = 1.2
-    found = made.solution.uncertainty
+    uncertainty = made.solution.uncertainty
     stated = float(np.median([o.reprojection_px for o in made.extraction.observations]))
-    px = stated if found is None else found.noise.pixel_px
+    px = stated if uncertainty is None else uncertainty.noise.pixel_px
     text, pair = std_text(px), made.extraction.rig.cameras.calibrated
     what = "stereo reprojection error" if pair else "reprojection error"
     yield Check(
         "stereo_error", px, bad, graded(px, bad),
         f"{what} of the board",
-        f"{text} px (median)" if found is None else f"{text} px (with camera_info as stated: {std_text(stated)} px)",
+        f"{text} px (median)" if uncertainty is None
+        else f"{text} px (with camera_info as stated: {std_text(stated)} px)",
         f"under {bad:g} px",
         f"The {what} of the board is {text} px (0.3 px is usual).",
         f"Calibrate the {'stereo pair' if pair else 'cameras'} again (camera_info), and check that the board is flat.",
@@ -561,8 +579,8 @@ def _noise(metric: Metric, level: float) -> Iterator[Check]:
 @criterion(height := Metric("noise.height", "mm"))
 def height_noise(made: Calibration) -> Iterator[Check]:
     """Noise of the floor's height."""
-    found = made.solution.uncertainty
-    yield from _noise(height, 0.0 if found is None else 1e3 * found.noise.floor_m)
+    uncertainty = made.solution.uncertainty
+    yield from _noise(height, 0.0 if uncertainty is None else 1e3 * uncertainty.noise.floor_m)
 
 
 def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
@@ -672,9 +690,9 @@ def methods(made: Calibration) -> Iterator[Check]:
         1e3 * float(np.linalg.norm(step[3:6])),
         100 * float(np.abs(linear.wheels.vector / refined.wheels.vector - 1).max()),
     ]
-    found = made.solution.uncertainty
-    if found is not None:
-        known = [bool(found.observable[part].all()) for part in (slice(3), slice(3, 6), slice(6, 9))]
+    uncertainty = made.solution.uncertainty
+    if uncertainty is not None:
+        known = [bool(uncertainty.observable[part].all()) for part in (slice(3), slice(3, 6), slice(6, 9))]
         apart = [value if ok else 0.0 for value, ok in zip(apart, known, strict=True)]
     largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
     text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
@@ -734,10 +752,10 @@ def outliers_as_noise(made: Calibration) -> Iterator[Check]:
 )
 def noise(made: Calibration) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves."""
-    found, chain = made.solution.uncertainty, made.extraction.rig.chain
-    if found is None:
+    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
+    if uncertainty is None:
         return
-    levels, moving = found.noise, not all(o.at_rest for o in made.extraction.observations)
+    levels, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
     if chain.joints and len(chain.prismatic) == len(chain.joints):
         yield from _noise(sliding_joint, 1e3 * chain.joint_units[0] * levels.joint_rad)
     else:
@@ -771,9 +789,9 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("rejected", "%"))
 def rejected(made: Calibration) -> Iterator[Check]:
     """Share of rejected stations."""
-    look, found, used = 50.0, stations_looked_at(made.extraction), len(made.extraction.observations)
-    share, counts = 100 * (1 - used / found), rejection_counts(made.extraction)
-    often, lost = next(iter(counts))[1] if counts else "", f"{found - used} of {found}"
+    look, detected, used = 50.0, stations_looked_at(made.extraction), len(made.extraction.observations)
+    share, counts = 100 * (1 - used / detected), rejection_counts(made.extraction)
+    often, lost = next(iter(counts))[1] if counts else "", f"{detected - used} of {detected}"
     yield Check(
         "rejected", share, look, "warning" if share > look else "pass",
         "rejected stations",
@@ -790,16 +808,16 @@ def change(made: Calibration) -> Iterator[Check]:
 
     The limit is how often an unchanged robot shows a change this large.
     """
-    found, unlikely = made.change, 1e-4
-    if found is None or found.p_value is None:
+    difference, unlikely = made.change, 1e-4
+    if difference is None or difference.p_value is None:
         return
-    worst, limit = int(np.argmax(np.abs(np.nan_to_num(found.sigmas)))), 100 * unlikely
-    moved = f"{NINE[worst]} by {float(found.sigmas[worst]):+.1f} sigma"
+    worst, limit = int(np.argmax(np.abs(np.nan_to_num(difference.sigmas)))), 100 * unlikely
+    moved = f"{NINE[worst]} by {float(difference.sigmas[worst]):+.1f} sigma"
     yield Check(
-        "change", 100 * found.p_value, limit, "warning" if found.p_value < unlikely else "pass",
+        "change", 100 * difference.p_value, limit, "warning" if difference.p_value < unlikely else "pass",
         "change since the last calibration",
         f"largest: {moved}",
         f"probability by chance at least {limit:g} %",
-        f"The robot has changed since {visible(found.against)}: {moved}.",
+        f"The robot has changed since {visible(difference.against)}: {moved}.",
         "Check for a loose camera and worn tires. If you find no cause, record and calibrate again.",
     )  # fmt: skip

@@ -53,8 +53,8 @@ def change_since(robot: CalibratedRobot, last: CalibratedRobot, name: str) -> Ch
     Raises:
         ConfigError: the earlier calibration is of other frames.
     """
-    found = difference(last, robot)
-    return Change(name, found.change, found.sigmas, _UNKNOWN, None if found.shared else found.chance)
+    change = difference(last, robot)
+    return Change(name, change.change, change.sigmas, _UNKNOWN, None if change.shared else change.chance)
 
 
 def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | None:
@@ -73,121 +73,144 @@ def change_from_nominal(robot: CalibratedRobot, nominal: Nominal) -> Change | No
     return Change("the nominal values", value, _UNKNOWN, percent, None)
 
 
-def comparison_text(names: Sequence[str], differences: Sequence[Difference], past: History | None) -> str:
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Several calibrations and their differences.
+
+    Attributes:
+        names: file names.
+        robots: the calibrations.
+        differences: change from the first to each other one.
+        past: test of each parameter over all calibrations; None for two files.
+        broken: limits that are exceeded, as text.
+    """
+
+    names: tuple[str, ...]
+    robots: tuple[CalibratedRobot, ...]
+    differences: tuple[Difference, ...]
+    past: History | None
+    broken: tuple[str, ...] = ()
+
+
+def comparison_text(comparison: Comparison) -> str:
     """Change from the first calibration to each other one; for three or more also a test of each parameter.
 
     The first lines, one for each other calibration, say whether it has changed.
     """
-    pairs = zip(names[1:], differences, strict=True)
-    lines = [*(headline(found, visible(names[0]), visible(name)) for name, found in pairs), ""]
-    for name, found in zip(names[1:], differences, strict=True):
-        lines += [f"Change from {visible(names[0])} to {visible(name)}", ""]
+    first, *others = (visible(name) for name in comparison.names)
+    pairs = list(zip(others, comparison.differences, strict=True))
+    lines = [*(headline(each, first, other) for other, each in pairs), ""]
+    for other, each in pairs:
+        lines += [f"Change from {first} to {other}", ""]
         rows = []
-        nine = PARAMETERS if found.assumed is None else factors_of(found.assumed)
+        nine = PARAMETERS if each.assumed is None else factors_of(each.assumed)
         for k, parameter in enumerate(nine):
-            change, s = found.change[k] * parameter.factor, found.std[k] * parameter.factor
-            std = std_text(s) if found.known[k] else "-"
-            sigmas = f"{round(found.sigmas[k], 1) + 0.0:+.1f}" if found.known[k] else "-"
+            change, s = each.change[k] * parameter.factor, each.std[k] * parameter.factor
+            std = std_text(s) if each.known[k] else "-"
+            sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
             name = parameter.factor_name or parameter.name
             rows.append((name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
-        lines += Table.of(heads, rows).lines((14 if found.assumed is None else 32, 12, 12, 10))
+        lines += Table.of(heads, rows).lines((14 if each.assumed is None else 32, 12, 12, 10))
         lines += ["", "  r is a small rotation about the head's axes.", ""]
-        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(found))]
-        lines += ["", f"  {conclusion(found)}", ""]
-    if past is not None:
-        lines += [f"All {len(names)} calibrations, tested against a robot that does not change", ""]
-        for number, chance in zip(NINE, past.chance, strict=True):
+        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(each))]
+        lines += ["", f"  {conclusion(each)}", ""]
+    if comparison.past is not None:
+        lines += [
+            f"All {len(comparison.names)} calibrations, tested against a robot that does not change",
+            "",
+        ]
+        for number, chance in zip(NINE, comparison.past.chance, strict=True):
             lines.append(f"  {number:<14}{constancy(chance)}")
         lines.append("")
     return "\n".join(lines)
 
 
-def comparison_json(
-    names: Sequence[str],
-    robots: Sequence[CalibratedRobot],
-    differences: Sequence[Difference],
-    past: History | None,
-) -> str:
+def comparison_json(comparison: Comparison) -> str:
     """The comparison as JSON: rad and m, or the unit in the key."""
     data: dict[str, Any] = {
         "schema_version": 1,
         "order": list(NINE),
         "calibrations": [
-            {"name": name, "created": robot.created} for name, robot in zip(names, robots, strict=True)
+            {"name": name, "created": robot.created}
+            for name, robot in zip(comparison.names, comparison.robots, strict=True)
         ],
         "against_first": [
             {
-                "change": found.change,
-                "std": np.where(found.known, found.std, np.nan),
-                "sigmas": found.sigmas,
-                "chi2": found.chi2,
-                "chance": found.chance,
-                "changed": changed(found),
-                "share_a_recording": found.shared,
-                "unobservable": dict(zip(NINE, found.unobservable.tolist(), strict=True)),
-                "ray_at_2m_mm": found.ray_m * 1e3,
-                "along_mm_per_m": found.along_m_per_m * 1e3,
-                "heading_deg_per_m": math.degrees(found.heading_rad_per_m),
-                "heading_deg_per_turn": math.degrees(found.heading_rad_per_turn),
+                "change": each.change,
+                "std": np.where(each.known, each.std, np.nan),
+                "sigmas": each.sigmas,
+                "chi2": each.chi2,
+                "chance": each.chance,
+                "changed": changed(each),
+                "share_a_recording": each.shared,
+                "unobservable": dict(zip(NINE, each.unobservable.tolist(), strict=True)),
+                "ray_at_2m_mm": each.ray_m * 1e3,
+                "along_mm_per_m": each.along_m_per_m * 1e3,
+                "heading_deg_per_m": math.degrees(each.heading_rad_per_m),
+                "heading_deg_per_turn": math.degrees(each.heading_rad_per_turn),
             }
-            for found in differences
+            for each in comparison.differences
         ],
-        "chance_unchanged": None if past is None else past.chance,
+        "chance_unchanged": comparison.past and comparison.past.chance,
     }
     return json_text(data, sort_keys=False)
 
 
-def effects(found: Difference) -> tuple[tuple[str, float, str], ...]:
+def effects(difference: Difference) -> tuple[tuple[str, float, str], ...]:
     """What a change means for the robot: (effect, value, unit)."""
     return (
-        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", found.ray_m * 1e3, "mm"),
-        ("Dead reckoning: distance, driving straight", found.along_m_per_m * 1e3, "mm per m"),
-        ("Dead reckoning: heading, driving straight", math.degrees(found.heading_rad_per_m), "deg per m"),
-        ("Heading per full turn", math.degrees(found.heading_rad_per_turn), "deg"),
+        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", difference.ray_m * 1e3, "mm"),
+        ("Dead reckoning: distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
+        (
+            "Dead reckoning: heading, driving straight",
+            math.degrees(difference.heading_rad_per_m),
+            "deg per m",
+        ),
+        ("Heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
     )
 
 
-def changed(found: Difference) -> bool | None:
+def changed(difference: Difference) -> bool | None:
     """Whether the robot has changed, or one of the calibrations is wrong; None where that is unknown."""
-    return None if found.chance is None else found.chance < _UNLIKELY
+    return None if difference.chance is None else difference.chance < _UNLIKELY
 
 
-def headline(found: Difference, first: str, second: str) -> str:
+def headline(difference: Difference, first: str, second: str) -> str:
     """Whether the second calibration differs from the first, with the largest change in sigmas."""
-    change = changed(found)
+    change = changed(difference)
     if change is None:
         return (
             f"Unknown: {first} and {second} have no parameter that both determine with a standard deviation."
         )
-    sigmas = np.where(found.known, np.abs(found.sigmas), 0.0)
+    sigmas = np.where(difference.known, np.abs(difference.sigmas), 0.0)
     worst = int(np.argmax(sigmas))
     said = "Changed" if change else "Unchanged"
-    note = f"; no conclusion about {hidden}" if (hidden := _unobservable(found)) else ""
+    note = f"; no conclusion about {hidden}" if (hidden := _unobservable(difference)) else ""
     return f"{said}: from {first} to {second}, at most {sigmas[worst]:.1f} sigma ({NINE[worst]}){note}."
 
 
-def _unobservable(found: Difference) -> str:
-    return ", ".join(name for name, hides in zip(NINE, found.unobservable, strict=True) if hides)
+def _unobservable(difference: Difference) -> str:
+    return ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
 
 
-def conclusion(found: Difference) -> str:
+def conclusion(difference: Difference) -> str:
     """Whether the robot has changed, and how certain that is."""
-    names = _unobservable(found)
+    names = _unobservable(difference)
     blind = f"No conclusion about {names}: at least one calibration does not determine it." if names else ""
-    if found.chance is None:
+    if difference.chance is None:
         return blind or "No significance test: at least one calibration has no standard deviations."
     verdict = (
         "The robot has changed, or one of the two calibrations is wrong."
-        if changed(found)
+        if changed(difference)
         else f"The change{' of these' if blind else ''} is not significant."
     )
-    note = " The calibrations share a recording, so this test is weak." if found.shared else ""
+    note = " The calibrations share a recording, so this test is weak." if difference.shared else ""
     if blind:
         note += f" {blind}"
     return (
-        f"Chi-squared {found.chi2:.1f} for {int(found.known.sum())} parameters; probability by chance "
-        f"{percent_text(found.chance)}. {verdict}{note}"
+        f"Chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters; probability by chance "
+        f"{percent_text(difference.chance)}. {verdict}{note}"
     )
 
 

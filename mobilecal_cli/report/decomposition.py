@@ -25,15 +25,17 @@ class ErrorPart(NamedTuple):
 
 def error_parts(solution: Solution, extraction: Extraction) -> Mapping[str, ErrorPart]:
     """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without noise levels or legs."""
-    found, legs = solution.uncertainty, solution.residuals.legs
-    if found is None or not len(legs):
+    uncertainty, legs = solution.uncertainty, solution.residuals.legs
+    if uncertainty is None or not len(legs):
         return {}
-    seen, chain, noise = extraction.observations, extraction.rig.chain, found.noise
+    observations, chain, noise = extraction.observations, extraction.rig.chain, uncertainty.noise
     X = solution.parameters.T_h_c
-    joints, (i, j) = np.stack([o.joints for o in seen]), legs.T
+    joints, (i, j) = np.stack([o.joints for o in observations]), legs.T
     T_v_c = head_pose(chain, joints) @ X
-    points_c = np.stack([se3.act(o.T_c_k, extraction.board.grid() * o.square_m) for o in seen])  # (N, M, 3) m
-    points_cov = np.stack([o.points_cov for o in seen])
+    points_c = np.stack(
+        [se3.act(o.T_c_k, extraction.board.grid() * o.square_m) for o in observations]
+    )  # (N, M, 3) m
+    points_cov = np.stack([o.points_cov for o in observations])
     _, by_point = project_with_jacobian(solution.cameras.first, points_c)  # (N, M, 2, 3) px/m
     base = np.zeros((6, 3))  # twists of the base by roll, pitch and height of the floor
     base[0, 0] = base[1, 1] = math.hypot(noise.floor_rad, noise.sway_rad)

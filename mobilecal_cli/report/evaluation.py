@@ -7,19 +7,28 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from mobilecal_cli.comparison import nine_apart
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import BoolArray, CalibratedRobot, CameraRig, Evaluation, Extraction, FloatArray
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    CameraRig,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Solution,
+    Uncertainty,
+)
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
-from mobilecal_cli.report.numbers import std_text, value_text
+from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
+from mobilecal_cli.report.use import small_extents
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
@@ -45,43 +54,47 @@ _TIMES_OWN = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OwnEstimate:
-    """What a recording gives when it is solved by itself.
+class Evaluated:
+    """Result of an evaluation.
 
     Attributes:
-        robot: the nine parameters with their covariance.
-        reprojection_px: (L,) station-to-station corner error of each inlier leg.
-        cure: the motion that makes the unobservable parameters observable; empty if all are.
-        small: what to do about small motion of "head" and "base"; empty sentences where it is large enough.
-        described: (9,) parameters that no motion of the robot shows; these are not compared.
+        evaluation: the figures.
+        extraction: the recording's measurements.
+        verdict: PASS, FAIL or NOT ENOUGH, with every check.
+        checks: the user's gates.
+        used: names of the recordings that the calibration was made from.
+        notes: what to know about the figures, whole sentences.
     """
 
-    robot: CalibratedRobot
-    reprojection_px: FloatArray
-    cure: str = ""
-    small: Mapping[str, str] = field(default_factory=lambda: {"head": "", "base": ""})
-    described: BoolArray = field(default_factory=lambda: np.zeros(9, dtype=np.bool_))
+    evaluation: Evaluation
+    extraction: Extraction
+    verdict: Verdict
+    checks: tuple[Check, ...]
+    used: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def judge_evaluation(
-    found: Evaluation,
+    evaluation: Evaluation,
     cameras: CameraRig,
     robot: CalibratedRobot,
-    own: OwnEstimate | MobilecalError,
+    own: Solution | MobilecalError,
+    cure: str = "",
     used: Sequence[str] = (),
     gates: Sequence[Check] = (),
 ) -> Verdict:
     """Verdict on a calibration. A failed check comes before one that lacks data.
 
     Args:
-        found: errors of the calibration on the recording.
+        evaluation: errors of the calibration on the recording.
         cameras: the recording's stereo pair.
         robot: the calibration under test.
-        own: the recording's own estimate, or the error that prevented it.
+        own: the recording solved by itself, or the error that prevented it.
+        cure: the motion that the recording lacks to determine all parameters; "" if it lacks none.
         used: names of the recordings that the calibration was made from.
         gates: the user's limits, see `gate_checks`.
     """
-    checks = Checks((*_checks(found, cameras, robot, own), *gates))
+    checks = Checks((*_checks(evaluation, cameras, robot, own, cure), *gates))
     if checks.worst.outcome in LEVELS:
         return decided_by(checks.worst, checks)
     agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
@@ -99,9 +112,13 @@ def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
 
 
 def _checks(
-    found: Evaluation, cameras: CameraRig, robot: CalibratedRobot, own: OwnEstimate | MobilecalError
+    evaluation: Evaluation,
+    cameras: CameraRig,
+    robot: CalibratedRobot,
+    own: Solution | MobilecalError,
+    cure: str,
 ) -> Iterator[Check]:
-    have, least = found.stations, MIN_STATIONS
+    have, least = evaluation.stations, MIN_STATIONS
     yield Check(
         "evaluated_stations", have, least, enough(have, least),
         "stations",
@@ -111,7 +128,7 @@ def _checks(
         "Record at least ten stations.",
         at_least=True,
     )  # fmt: skip
-    yield _corner_error(found, cameras, own)
+    yield _corner_error(evaluation, cameras, own)
     if isinstance(own, MobilecalError):
         yield Check(
             "own_estimate", None, None, "not_enough",
@@ -122,14 +139,16 @@ def _checks(
             f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again.",
         )  # fmt: skip
     else:
-        yield from _agreement(robot, own)
+        yield from _agreement(robot, own, cure)
 
 
-def _corner_error(found: Evaluation, cameras: CameraRig, own: OwnEstimate | MobilecalError) -> Check:
+def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | MobilecalError) -> Check:
     """A gross error of the calibration, or of a recording that no calibration explains."""
     limit_px = PIXEL_ERROR_BAD * float(cameras.first.K[0, 0])
-    px = float(np.median(found.reprojection_px))
-    best_px = limit_px if isinstance(own, MobilecalError) else float(np.median(own.reprojection_px))
+    px = float(np.median(evaluation.reprojection_px))
+    best_px = (
+        limit_px if isinstance(own, MobilecalError) else float(np.median(own.residuals.leg_reprojection_px))
+    )
     limit = max(limit_px, _TIMES_OWN * best_px)
     outcome: Outcome = "not_enough" if best_px > limit_px else "fail" if px > limit else "pass"
     if outcome == "not_enough":
@@ -151,12 +170,14 @@ def _corner_error(found: Evaluation, cameras: CameraRig, own: OwnEstimate | Mobi
     )  # fmt: skip
 
 
-def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
-    """Whether each quantity is that of the recording's own estimate."""
-    change, covariance, known = _compared(robot, own.robot)
+def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[Check]:
+    """Whether each quantity is that of the recording's own estimate; without those that no motion shows."""
+    uncertainty = own.uncertainty
+    assert uncertainty is not None  # the default method always has one
+    change, covariance = _compared(robot, own, uncertainty)
     for key, of_wheels, whole, limit, unit in _QUANTITIES:
         name = of_wheels if robot.odometry is None else _OF_ODOMETRY.get(key, of_wheels)
-        part = np.arange(9)[whole][~own.described[whole]]
+        part = np.arange(9)[whole][~uncertainty.described[whole]]
         at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
         x, C = change[part], covariance[np.ix_(part, part)]
         size = float(np.linalg.norm(x))
@@ -167,10 +188,10 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         value: float | None = size
         outcome: Outcome = "pass"
         why = cure = ""
-        if not known[part].all():
+        if not uncertainty.observable[part].all():
             value, outcome, measured = None, "not_enough", "unobservable"
             why = f"The {name} is unobservable in this recording."
-            cure = own.cure or "record more motion of base and head"
+            cure = missing or "record more motion of base and head"
             cure = f"{cure[:1].upper()}{cure[1:]}."
         elif size > max(limit, _SIGMAS * sigma):
             outcome = "fail"
@@ -179,23 +200,24 @@ def _agreement(robot: CalibratedRobot, own: OwnEstimate) -> Iterator[Check]:
         elif largest > needed:
             outcome = "not_enough"
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
-            missing = own.small["head" if key.startswith("camera") else "base"]
-            cure = missing or "Record more stations; mobilecal suggest lists the most useful ones."
+            of_head = key.startswith("camera")
+            small = " ".join(small_extents(own.motion, of_head, not of_head))
+            cure = small or "Record more stations; mobilecal suggest lists the most useful ones."
         yield Check(f"agreement.{key}", value, limit, outcome, name, measured, at_most, why, cure, unit=unit)
 
 
-def _compared(robot: CalibratedRobot, own: CalibratedRobot) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Difference in deg, mm and percent, (9,); its covariance, (9, 9); and which of it is known, (9,)."""
-    wheels = own.wheels
-    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / wheels.vector)])
-    covariance: FloatArray = np.zeros((9, 9))
-    known: BoolArray = np.zeros(9, dtype=np.bool_)
-    if own.knowledge is not None:
-        covariance, known = own.knowledge.covariance.copy(), own.knowledge.observable
+def _compared(
+    robot: CalibratedRobot, own: Solution, uncertainty: Uncertainty
+) -> tuple[FloatArray, FloatArray]:
+    """Difference in deg, mm and percent, (9,), and its covariance, (9, 9)."""
+    estimate = Parameters(reference_pose(own.parameters, own.cameras), own.parameters.wheels)
+    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
+    covariance = uncertainty.reference_covariance.copy()
     if robot.knowledge is not None:
         mine = np.diag(robot.knowledge.observable.astype(np.float64))
         covariance += mine @ robot.knowledge.covariance @ mine
-    return nine_apart(own, robot) * scales, covariance * np.outer(scales, scales), known
+    change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate)
+    return change * scales, covariance * np.outer(scales, scales)
 
 
 @json_value
@@ -244,24 +266,24 @@ class EvaluationData:
     clock_offsets_s: ByName
 
 
-def evaluation_data(found: Evaluation) -> EvaluationData:
+def evaluation_data(evaluation: Evaluation) -> EvaluationData:
     """Every number of an evaluation."""
     errors = {
-        "reprojection_px": found.reprojection_px,
-        "rotation_deg": np.degrees(found.rotation_rad),
-        "translation_mm": found.translation_m * 1e3,
+        "reprojection_px": evaluation.reprojection_px,
+        "rotation_deg": np.degrees(evaluation.rotation_rad),
+        "translation_mm": evaluation.translation_m * 1e3,
     }
     return EvaluationData(
-        stations=found.stations,
-        legs=len(found.legs),
-        driven_m=found.driven_m,
-        turned_deg=math.degrees(found.turned_rad),
+        stations=evaluation.stations,
+        legs=len(evaluation.legs),
+        driven_m=evaluation.driven_m,
+        turned_deg=math.degrees(evaluation.turned_rad),
         **{
             key: SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
             for key, values in errors.items()
         },
-        drift_before=None if found.before is None else DriftData(**drift_figures(found.before)),
-        drift_after=DriftData(**drift_figures(found.after)),
+        drift_before=None if evaluation.before is None else DriftData(**drift_figures(evaluation.before)),
+        drift_after=DriftData(**drift_figures(evaluation.after)),
         per_leg=tuple(
             LegErrorData(
                 log=log,
@@ -269,51 +291,45 @@ def evaluation_data(found: Evaluation) -> EvaluationData:
                 to_station=second,
                 **{key: float(values[leg]) for key, values in errors.items()},
             )
-            for leg, (log, first, second) in enumerate(found.legs.tolist())
+            for leg, (log, first, second) in enumerate(evaluation.legs.tolist())
         ),
-        clock_offsets_s=dict(found.clock_offsets_s),
+        clock_offsets_s=dict(evaluation.clock_offsets_s),
     )
 
 
-def evaluation_json(
-    found: Evaluation,
-    extraction: Extraction,
-    verdict: Verdict,
-    gates: Sequence[Check],
-    used: Sequence[str] = (),
-) -> str:
+def evaluation_json(result: Evaluated) -> str:
     """An evaluation with its verdict and gates for programs."""
-    numbers = evaluation_data(found)
+    numbers = evaluation_data(result.evaluation)
     return json_text(
         {
             "schema_version": 2,
-            "logs": [{"path": log.path, "sha256": log.sha256} for log in extraction.logs],
-            "used_for_calibration": list(used),
-            "notes": [*dependence(used, len(extraction.logs)), *extraction.notes],
+            "logs": [{"path": log.path, "sha256": log.sha256} for log in result.extraction.logs],
+            "used_for_calibration": result.used,
+            "notes": [*result.notes, *result.extraction.notes],
             **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},
-            "verdict": verdict_data(verdict),
-            "gates": gates,
+            "verdict": verdict_data(result.verdict),
+            "gates": result.checks,
         }
     )
 
 
-def evaluation_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
+def evaluation_rows(evaluation: EvaluationData) -> tuple[tuple[str, ...], ...]:
     """Table rows: name of the error, its rms, median, worst value and unit."""
     return tuple(
         (meaning, *(f"{value:.{digits}f}" for value in (spread.rms, spread.median, spread.worst)), unit)
         for meaning, spread, digits, unit in (
-            ("station-to-station corner error", found.reprojection_px, 2, "px"),
-            ("camera rotation error", found.rotation_deg, 3, "deg"),
-            ("camera position error", found.translation_mm, 2, "mm"),
+            ("station-to-station corner error", evaluation.reprojection_px, 2, "px"),
+            ("camera rotation error", evaluation.rotation_deg, 3, "deg"),
+            ("camera position error", evaluation.translation_mm, 2, "mm"),
         )
     )
 
 
-def drift_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
+def drift_rows(evaluation: EvaluationData) -> tuple[tuple[str, ...], ...]:
     """Table rows: name of the drift, before, after and unit."""
     return tuple(
         (meaning, *("-" if drift is None or getattr(drift, key) is None else f"{getattr(drift, key):.2f}"
-                    for drift in (found.drift_before, found.drift_after)), unit)
+                    for drift in (evaluation.drift_before, evaluation.drift_after)), unit)
         for meaning, key, unit in (
             ("dead reckoning: position", "mm_per_m", "mm per m"),
             ("dead reckoning: heading", "deg_per_turn", "deg per turn"),
@@ -321,20 +337,22 @@ def drift_rows(found: EvaluationData) -> tuple[tuple[str, ...], ...]:
     )  # fmt: skip
 
 
-def evaluation_text(found: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None) -> str:
+def evaluation_text(
+    evaluation: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None
+) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     lines = [f"Note: {visible(note)}" for note in notes]
-    motion = f"driven {found.driven_m:.2f} m, turned {found.turned_deg:.0f} deg"
-    lines.append(f"{found.stations} stations, {found.legs} legs; {motion}")
-    if found.clock_offsets_s:
-        offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in found.clock_offsets_s.items())
+    motion = f"driven {evaluation.driven_m:.2f} m, turned {evaluation.turned_deg:.0f} deg"
+    lines.append(f"{evaluation.stations} stations, {evaluation.legs} legs; {motion}")
+    if evaluation.clock_offsets_s:
+        offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in evaluation.clock_offsets_s.items())
         lines.append(f"Clock offsets: {offsets}")
     heads = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
     lines += [
         "",
-        *Table.of(heads, evaluation_rows(found)).lines((36, 9, 9, 9)),
+        *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9)),
         "",
-        *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(found)).lines((36, 9, 9)),
+        *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(evaluation)).lines((36, 9, 9)),
     ]
     if verdict is not None:
         lines += [

@@ -24,19 +24,21 @@ _MEASURED_SQUARE = (
 )
 
 
-def _part(found: Evidence) -> str:
+def _part(evidence: Evidence) -> str:
     """The part of the robot, capitalized; head joints are named as joints."""
-    if found.kind.startswith(("joint", "backlash")):
-        return f"Joint {visible(found.part)}"
-    if found.kind == "clock":
-        return f"Clock of the {visible(found.part)}"
-    return f"{found.part[0].upper()}{found.part[1:]}"
+    if evidence.kind.startswith(("joint", "backlash")):
+        return f"Joint {visible(evidence.part)}"
+    if evidence.kind == "clock":
+        return f"Clock of the {visible(evidence.part)}"
+    return f"{evidence.part[0].upper()}{evidence.part[1:]}"
 
 
-def contradiction_sentences(found: Evidence, solution: Solution, extraction: Extraction) -> tuple[str, str]:
+def contradiction_sentences(
+    evidence: Evidence, solution: Solution, extraction: Extraction
+) -> tuple[str, str]:
     """What the data contradict and by how much, and the cure."""
     scale, meanings = solution.scale, {name: c.meaning for name, c in solution.constants.items()}
-    if found.kind in SCALES and scale is not None:
+    if evidence.kind in SCALES and scale is not None:
         percent, std = abs(100 * (scale.ratio - 1)), 100 * scale.std
         return (
             "The stated squares and the stereo baseline disagree by "
@@ -46,24 +48,25 @@ def contradiction_sentences(found: Evidence, solution: Solution, extraction: Ext
             "The recording cannot tell which of the two is wrong. Measure ten squares with a ruler. If they are as "
             "stated, recalibrate the stereo pair.",
         )
-    measured, words = found.kind == "square_size" and extraction.board.square_m is None, SOURCES[found.kind]
+    measured = evidence.kind == "square_size" and extraction.board.square_m is None
+    words = SOURCES[evidence.kind]
     stated, cure = _MEASURED_SQUARE if measured else (words.stated, words.cure)
-    kind = nuisance.kind(found.kind)
-    priors = " and ".join(sorted({std_text(prior * kind.shown) for prior in found.priors.values()}))
+    kind = nuisance.kind(evidence.kind)
+    priors = " and ".join(sorted({std_text(prior * kind.shown) for prior in evidence.priors.values()}))
     sigmas = {
-        name: abs(value) / math.hypot(std, found.priors[name])
-        for name, (value, std) in found.values.items()
+        name: abs(value) / math.hypot(std, evidence.priors[name])
+        for name, (value, std) in evidence.values.items()
         if math.isfinite(std)
     }
     worst_first = sorted(sigmas, key=lambda name: -sigmas[name])
     differences = []
     for name in worst_first[:1] + [name for name in worst_first[1:] if sigmas[name] > _NAMED_SIGMAS]:
-        value, std = (number * kind.shown for number in found.values[name])
+        value, std = (number * kind.shown for number in evidence.values[name])
         difference = f"{value_text(value, std, 3, '+')} ± {std_text(std)} {kind.shown_unit}"
         differences.append(f"{meanings.get(name, name)} differs by {difference}")
-    together = f"{' and '.join(meanings.get(name, name) for name in found.values)} together differ"
+    together = f"{' and '.join(meanings.get(name, name) for name in evidence.values)} together differ"
     shown = " and ".join(differences) or together
-    return f"{_part(found)}: {shown} from {stated} (prior {priors} {kind.shown_unit}).", cure
+    return f"{_part(evidence)}: {shown} from {stated} (prior {priors} {kind.shown_unit}).", cure
 
 
 _LISTED = 3  # outliers of one kind that are listed singly
@@ -91,13 +94,13 @@ def reprojection_sentence(parts_px: Mapping[str, float], noise_px: float) -> str
 
 def jackknife_sentence(solution: Solution) -> str:
     """Comparison of the jackknife's standard deviations with those of the estimate; "" where there are none."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return ""
-    known = (found.noise_std > 0) & (found.jackknife_std > 0)
+    known = (uncertainty.noise_std > 0) & (uncertainty.jackknife_std > 0)
     if not known.any():
         return ""
-    ratio = found.jackknife_std[known] / found.noise_std[known]
+    ratio = uncertainty.jackknife_std[known] / uncertainty.noise_std[known]
     usual = usual_jackknife_factor(len(solution.residuals.legs))
     sentence = (
         "Jackknife test: solving repeatedly, each time without the corners or the joint readings of one station or "
@@ -106,7 +109,9 @@ def jackknife_sentence(solution: Solution) -> str:
         "are usual."
     )
     widened = [
-        f"{name} ({factor:.1f} times)" for name, factor in zip(NINE, found.widened, strict=True) if factor > 1
+        f"{name} ({factor:.1f} times)"
+        for name, factor in zip(NINE, uncertainty.widened, strict=True)
+        if factor > 1
     ]
     if widened:
         sentence += (
@@ -162,8 +167,8 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             )
         else:
             gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
-        seen = f"{extraction.rig.cameras.cameras_words} the whole board"
-        stop = f"Set {head}, so that {seen}, and stop." if head else f"Stop where {seen}."
+        board_in_view = f"{extraction.rig.cameras.cameras_words} the whole board"
+        stop = f"Set {head}, so that {board_in_view}, and stop." if head else f"Stop where {board_in_view}."
         sentences.append(f"{path[0].upper()}{path[1:]}. {stop} Expected result: {gain}.")
     return tuple(sentences)
 

@@ -33,20 +33,20 @@ _WHY = {
 }
 
 
-def inspection_json(found: Inspection) -> str:
+def inspection_json(inspection: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
-    rig, board = found.rig, found.board
+    rig, board = inspection.rig, inspection.board
     columns, rows = (board.size if board is not None else None) or (None, None)
     data = {
         "recording": {
-            "name": found.name,
-            "containers": found.containers,
-            "size_bytes": found.size_bytes,
-            "start_ns": found.start_ns,
-            "end_ns": found.end_ns,
-            "duration_s": _duration_s(found),
+            "name": inspection.name,
+            "containers": inspection.containers,
+            "size_bytes": inspection.size_bytes,
+            "start_ns": inspection.start_ns,
+            "end_ns": inspection.end_ns,
+            "duration_s": _duration_s(inspection),
         },
-        "topics": found.topics,
+        "topics": inspection.topics,
         "roles": rig and rig.setting_sources,
         "head": rig
         and {
@@ -66,20 +66,21 @@ def inspection_json(found: Inspection) -> str:
             "square_m": board.square_m,
             "square_stated_m": board.stated_m,
         },
-        "motion": found.motion,
-        "time": found.covered and {"images_covered": found.covered[0], "images": found.covered[1]},
-        "missing": found.missing,
-        "weak": found.weak,
-        "exit_code": found.exit_code,
-        "notes": found.notes,
+        "motion": inspection.motion,
+        "time": inspection.covered
+        and {"images_covered": inspection.covered[0], "images": inspection.covered[1]},
+        "missing": inspection.missing,
+        "weak": inspection.weak,
+        "exit_code": inspection.exit_code,
+        "notes": inspection.notes,
     }
     return json_text(data, sort_keys=False)
 
 
-def _duration_s(found: Inspection) -> float | None:
-    if found.start_ns is None or found.end_ns is None:
+def _duration_s(inspection: Inspection) -> float | None:
+    if inspection.start_ns is None or inspection.end_ns is None:
         return None
-    return (found.end_ns - found.start_ns) * 1e-9
+    return (inspection.end_ns - inspection.start_ns) * 1e-9
 
 
 def _cameras(cameras: CameraRig) -> dict[str, Any]:
@@ -96,30 +97,31 @@ def _cameras(cameras: CameraRig) -> dict[str, Any]:
     return {**each, "baseline_m": cameras.baseline_m, "rectified": cameras.rectified}
 
 
-def inspection_text(found: Inspection) -> str:
+def inspection_text(inspection: Inspection) -> str:
     """The summary for the terminal; control characters from the recording are escaped."""
-    facts, duration_s = [", ".join(found.containers), f"{found.size_bytes / 1e6:.1f} MB"], _duration_s(found)
-    if duration_s is not None and found.start_ns is not None:
-        start = datetime.fromtimestamp(found.start_ns // 10**9, UTC)
+    facts = [", ".join(inspection.containers), f"{inspection.size_bytes / 1e6:.1f} MB"]
+    duration_s = _duration_s(inspection)
+    if duration_s is not None and inspection.start_ns is not None:
+        start = datetime.fromtimestamp(inspection.start_ns // 10**9, UTC)
         facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
-    lines = [visible(found.name), f"  {', '.join(facts)}", "", *_topics(found)]
-    if found.rig is not None:
-        lines += ["", "Used for a calibration", *_roles(found.rig)]
-    if found.motion is not None:
-        lines += ["", "Motion", *_motion_lines(found.motion)]
-    if found.board is not None:
-        lines += ["", "Board", *_board(found.board)]
-    lines += _lacks("Missing for a calibration", found.missing)
-    lines += _lacks("Limits of a calibration", found.weak)
-    if found.notes:
-        lines += ["", "Notes", *(line for note in found.notes for line in wrapped(note))]
-    conclusion = f"can be calibrated{', with limits' if found.weak else ''}"
-    if found.missing:
-        conclusion = f"cannot be calibrated as it is (exit code {found.exit_code})"
+    lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
+    if inspection.rig is not None:
+        lines += ["", "Used for a calibration", *_roles(inspection.rig)]
+    if inspection.motion is not None:
+        lines += ["", "Motion", *_motion_lines(inspection.motion)]
+    if inspection.board is not None:
+        lines += ["", "Board", *_board(inspection.board)]
+    lines += _lacks("Missing for a calibration", inspection.missing)
+    lines += _lacks("Limits of a calibration", inspection.weak)
+    if inspection.notes:
+        lines += ["", "Notes", *(line for note in inspection.notes for line in wrapped(note))]
+    conclusion = f"can be calibrated{', with limits' if inspection.weak else ''}"
+    if inspection.missing:
+        conclusion = f"cannot be calibrated as it is (exit code {inspection.exit_code})"
     return "\n".join([*lines, "", f"This recording {conclusion}."]) + "\n"
 
 
-def _topics(found: Inspection) -> list[str]:
+def _topics(inspection: Inspection) -> list[str]:
     rows = [
         (
             visible(topic.name),
@@ -131,7 +133,7 @@ def _topics(found: Inspection) -> list[str]:
             else f"{topic.longest_gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s",
             f"{topic.steps_back} out of order" if topic.steps_back else "",
         )
-        for topic in found.topics
+        for topic in inspection.topics
     ]
     return Table.of(("topic", "type", "number:messages", "number:rate", "longest gap", ""), rows).lines()
 
@@ -207,27 +209,27 @@ class Line:
     exit_code: int = 0
 
 
-def checklist(found: Inspection) -> tuple[Line, ...]:
+def checklist(inspection: Inspection) -> tuple[Line, ...]:
     """All criteria, in order; one with several problems has several lines.
 
     A configuration that is invalid, or a recording that cannot be read, is the only line.
     """
-    lacks: list[tuple[State, Lack]] = [("problem", lack) for lack in found.missing]
-    lacks += [("limit", lack) for lack in found.weak]
+    lacks: list[tuple[State, Lack]] = [("problem", lack) for lack in inspection.missing]
+    lacks += [("limit", lack) for lack in inspection.weak]
     bad = [Line(lack.about, state, lack.what, lack.cure, lack.exit_code) for state, lack in lacks]
     opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
     lines: list[Line] = []
-    for about in () if opened else found.CRITERIA:
-        lines += [line for line in bad if line.about == about] or _good(about, found)
+    for about in () if opened else inspection.CRITERIA:
+        lines += [line for line in bad if line.about == about] or _good(about, inspection)
     return opened or tuple(lines)
 
 
-def _good(about: str, found: Inspection) -> list[Line]:
+def _good(about: str, inspection: Inspection) -> list[Line]:
     """A criterion without a problem: what was found, or unknown; none if it is about problems only."""
     if about in ("recording", "priors", "gates"):
         return []
-    known = {"rig.yaml": "valid", **_known(found.parts), **_measured(found)}.get(about)
-    unknown = "not checked, see the problems" if found.missing else "could not be measured"
+    known = {"rig.yaml": "valid", **_known(inspection.parts), **_measured(inspection)}.get(about)
+    unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
     return [Line(about, "unknown", unknown) if known is None else Line(about, "ok", known)]
 
 
@@ -258,17 +260,17 @@ def _known(parts: Parts) -> dict[str, str]:
     return said
 
 
-def _measured(found: Inspection) -> dict[str, str]:
+def _measured(inspection: Inspection) -> dict[str, str]:
     said = {}
-    if found.covered is not None:
-        first, *others = found.parts.images or ("left", "right")
+    if inspection.covered is not None:
+        first, *others = inspection.parts.images or ("left", "right")
         others_words = "".join(f"{name} images, " for name in others)
         said["time"] = "{} of {} {} images are within the time of {}joints and wheels".format(
-            *found.covered, first, others_words
+            *inspection.covered, first, others_words
         )
-    if found.motion is not None:
-        motion = found.motion
-        still = found.parts.chain is not None and unseen_height(found.parts.chain) is not None
+    if inspection.motion is not None:
+        motion = inspection.motion
+        still = inspection.parts.chain is not None and unseen_height(inspection.parts.chain) is not None
         shown = "all parameters but the camera's height" if still else "all nine parameters"
         stops = (
             "stops not counted, as only a part of the recording was read"
@@ -276,7 +278,7 @@ def _measured(found: Inspection) -> dict[str, str]:
             else f"{motion.rests} stops with images; the motion determines {shown}"
         )
         said["motion"] = f"{stops}; {', '.join(_ranges(motion))}"
-    board = found.board
+    board = inspection.board
     if board is not None and board.size is not None:
         said["board"] = (
             f"{board.size[0]} x {board.size[1]} inner corners, whole in {board.seen} of {board.pictures} images"
@@ -296,9 +298,9 @@ def _ranges(motion: MotionView) -> Iterator[str]:
         yield f"driven {motion.driven_m:.1f} m {'with the nominal wheels' if motion.wheels_deg else 'by the odometry'}"
 
 
-def checklist_text(found: Inspection) -> str:
+def checklist_text(inspection: Inspection) -> str:
     """The criteria for the terminal; control characters from the recording are escaped."""
-    lines = checklist(found)
+    lines = checklist(inspection)
     width = max(len(line.about) for line in lines)
     text = []
     for line in lines:
@@ -306,28 +308,28 @@ def checklist_text(found: Inspection) -> str:
         indent = " " * len(start)
         text += wrapped(line.what, start, indent)
         text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
-    text += [f"note     {visible(note)}" for note in found.notes]
+    text += [f"note     {visible(note)}" for note in inspection.notes]
     number = Counter(line.state for line in lines)
     states: tuple[State, ...] = ("problem", "limit")
     counts = [f"{number[state]} {state}{'s' * (number[state] != 1)}" for state in states if number[state]]
-    end = f" (exit code {found.exit_code})" if number["problem"] else ""
+    end = f" (exit code {inspection.exit_code})" if number["problem"] else ""
     return "\n".join([*text, f"{', '.join(counts) or 'No problems'}{end}."]) + "\n"
 
 
-def checklist_json(found: Inspection) -> str:
+def checklist_json(inspection: Inspection) -> str:
     """The criteria for programs; docs/reference/cli.md lists the keys."""
-    data = {"lines": checklist(found), "notes": found.notes, "exit_code": found.exit_code}
+    data = {"lines": checklist(inspection), "notes": inspection.notes, "exit_code": inspection.exit_code}
     return json_text(data, sort_keys=False)
 
 
 def draft_text(draft: Draft) -> str:
     """The settings with their sources, and the list of TODOs: those that a calibration needs first."""
     lines = ["Filled in"] if draft.filled else []
-    width = max((len(one.key) for one in draft.filled), default=0)
-    for one in draft.filled:
-        lines += wrapped(f"{one.value} ({one.source})", f"  {one.key:<{width}}  ")
+    width = max((len(entry.key) for entry in draft.filled), default=0)
+    for entry in draft.filled:
+        lines += wrapped(f"{entry.value} ({entry.source})", f"  {entry.key:<{width}}  ")
     for title, needed in (("TODO: needed for a calibration", True), ("TODO: optional", False)):
-        todo = [one for one in draft.todo if one.needed == needed]
+        todo = [entry for entry in draft.todo if entry.needed == needed]
         lines += ["", title] if todo else []
         for item in todo:
             lines += wrapped(str(item))

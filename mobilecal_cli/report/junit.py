@@ -83,8 +83,8 @@ def _xml(name: str, cases: Sequence[_Case], seconds: float = 0.0) -> bytes:
         about = {"classname": "mobilecal", "name": visible(case.name), "time": f"{case.seconds:.3f}"}
         element = ET.SubElement(suite, "testcase", about)
         if case.tag:
-            found = ET.SubElement(element, case.tag, {"message": visible(case.message), "type": case.kind})
-            found.text = visible(case.text)
+            child = ET.SubElement(element, case.tag, {"message": visible(case.message), "type": case.kind})
+            child.text = visible(case.text)
         if case.out:
             ET.SubElement(element, "system-out").text = visible(case.out)
     ET.indent(suites)

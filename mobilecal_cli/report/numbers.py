@@ -155,15 +155,15 @@ class NumberData:
 def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
     shown, factors = parameters_of(rig), odometry_factors(rig, solution)
-    T, found = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
+    T, uncertainty = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
     values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
     stds = reference_std(solution) or (None,) * len(PARAMETERS)
     numbers = []
     for k, (parameter, value, std) in enumerate(zip(shown, values, stds, strict=True)):
         state = ""
-        if found is not None:
-            state = "fixed" if std is None else "" if found.observable[k] else "not determined"
-            state = "from the robot description" if found.described[k] else state
+        if uncertainty is not None:
+            state = "fixed" if std is None else "" if uncertainty.observable[k] else "not determined"
+            state = "from the robot description" if uncertainty.described[k] else state
         name, unit = parameter.factor_name or parameter.name, parameter.unit
         if parameter.factor_name:
             (value, std), unit = factors.pop(name), parameter.shown_unit
@@ -206,10 +206,6 @@ def stations_text(extraction: Extraction) -> str:
     return f"{used} of {searched}{f' ({said})' if said and used < searched else ''}"
 
 
-#: Euler angles are shown only if they are further than this from gimbal lock, where x and z are not unique.
-NEAR_LOCK_DEG = 5.0
-
-
 def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
     """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
     T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
@@ -218,29 +214,29 @@ def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
 
 def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:
     """Name → value and standard deviation of the factors of odometry; empty for robots with wheels."""
-    assumed, found = rig.sources.assumed_odometry, solution.uncertainty
+    assumed, uncertainty = rig.sources.assumed_odometry, solution.uncertainty
     if assumed is None:
         return {}
     wheels = solution.parameters.wheels
     values, std = assumed.factors(wheels), [None] * len(FACTORS)
-    if found is not None:
-        std = np.sqrt(np.diag(assumed.covariance(wheels, found.reference_covariance[6:, 6:]))).tolist()
+    if uncertainty is not None:
+        std = np.sqrt(np.diag(assumed.covariance(wheels, uncertainty.reference_covariance[6:, 6:]))).tolist()
     return {name: (value, s) for name, value, s in zip(FACTORS, values.tolist(), std, strict=True)}
 
 
 def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray | None]:
     """1 sigma of the reference camera's rotation vector, (3,), and of its Euler angles x, y, z, (3,), first order.
 
-    None if any part of the rotation is fixed by the user; the second also within `NEAR_LOCK_DEG` of gimbal lock. The
-    covariance is that of a small rotation r about the head's axes: `R_true = exp(r) R`.
+    None if any part of the rotation is fixed by the user; the second also near gimbal lock. The covariance is that of a
+    small rotation r about the head's axes: `R_true = exp(r) R`.
     """
-    R, found = reference_pose(solution.parameters, solution.cameras)[:3, :3], solution.uncertainty
-    if found is None or None in reference_std(solution)[:3]:
+    R, uncertainty = reference_pose(solution.parameters, solution.cameras)[:3, :3], solution.uncertainty
+    if uncertainty is None or None in reference_std(solution)[:3]:
         return None, None
-    C = found.reference_covariance[:3, :3]
+    C = uncertainty.reference_covariance[:3, :3]
     J = np.linalg.inv(se3.left_jacobian_so3(se3.log_so3(R)))
     vector_std = np.degrees(np.sqrt(np.diag(J @ C @ J.T)))
-    if se3.gimbal_margin_deg(R) < NEAR_LOCK_DEG:
+    if se3.gimbal_margin_deg(R) < se3.NEAR_LOCK_DEG:
         return vector_std, None
     step_rad = 1e-5
     ahead, behind = (
@@ -257,11 +253,13 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
     Empty for methods that give none. With the left camera fixed, the pose of a right reference camera varies with the
     estimated stereo pair.
     """
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return ()
-    std = np.sqrt(np.diag(found.reference_covariance))
-    return tuple(None if fixed and s == 0 else float(s) for s, fixed in zip(std, found.fixed, strict=True))
+    std = np.sqrt(np.diag(uncertainty.reference_covariance))
+    return tuple(
+        None if fixed and s == 0 else float(s) for s, fixed in zip(std, uncertainty.fixed, strict=True)
+    )
 
 
 def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:
@@ -273,8 +271,12 @@ def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:
 
 def board_distance_m(extraction: Extraction) -> float:
     """Median distance from the camera to the corners, m; 0 without observations."""
-    seen = extraction.observations
-    return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in seen])) if seen else 0.0
+    observations = extraction.observations
+    return (
+        float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in observations]))
+        if observations
+        else 0.0
+    )
 
 
 def square_size_mm(extraction: Extraction) -> float | None:
@@ -288,7 +290,9 @@ def square_size_mm(extraction: Extraction) -> float | None:
 def stated_priors(solution: Solution) -> dict[str, float]:
     """Constants that the data contradict → their stated priors, before these were widened."""
     return {
-        name: prior for found in reversed(solution.contradictions) for name, prior in found.priors.items()
+        name: prior
+        for evidence in reversed(solution.contradictions)
+        for name, prior in evidence.priors.items()
     }
 
 

@@ -108,7 +108,7 @@ def template(name: str) -> Template:
         """Escape control characters in every string that a template prints."""
         return visible(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
-    found = Environment(
+    environment = Environment(
         loader=PackageLoader("mobilecal_cli.report"),
         autoescape=True,
         undefined=StrictUndefined,
@@ -116,7 +116,7 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
         finalize=shown,
     )
-    return found.get_template(name)
+    return environment.get_template(name)
 
 
 def _change(change: Change) -> str:
@@ -207,8 +207,8 @@ def link_terms(page: str) -> str:
             if not plain and part.strip():
                 parts[i] = _ANY.sub(lambda match: _link(match, linked), part)
             continue
-        found = _NAME.match(part)
-        name = found.group(1).lower() if found else ""
+        matched = _NAME.match(part)
+        name = matched.group(1).lower() if matched else ""
         if name in ("section", "details"):
             linked.clear()
         elif name in _PLAIN and not part.endswith("/>"):

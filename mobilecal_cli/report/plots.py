@@ -28,12 +28,7 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import (
-    image_coverage,
-    predicted_point_rms_m,
-    station_names,
-    std_text,
-)
+from mobilecal_cli.report.numbers import image_coverage, predicted_point_rms_m, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
 
@@ -128,11 +123,7 @@ _PLOTS: list[Callable[[Solution, Extraction], Figure]] = []
 
 
 def plot(
-    section: str,
-    *,
-    half: bool = False,
-    each: Literal["log", "camera"] | None = None,
-    corners: bool = False,
+    section: str, *, half: bool = False, each: Literal["log", "camera"] | None = None, corners: bool = False
 ) -> Callable[[_Draw], _Draw]:
     """Add a function to the plots of the page.
 
@@ -205,9 +196,9 @@ _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
     picked, boards, path, everything = _from_above(solution, extraction, log)
-    seen = [extraction.observations[i] for i in picked]
+    observations = [extraction.observations[i] for i in picked]
     T_w_v = solution.residuals.T_w_v[picked]
-    T_w_c = solution.residuals.T_w_k[picked] @ se3.inverse(np.stack([o.T_c_k for o in seen]))
+    T_w_c = solution.residuals.T_w_k[picked] @ se3.inverse(np.stack([o.T_c_k for o in observations]))
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
     x, y = (Scale.of(column) for column in everything.T)
     axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
@@ -216,7 +207,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
-        without = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), nominal)
+        without = trail(extraction.wheels[log], np.array([o.time_ns for o in observations]), nominal)
         axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "with nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
@@ -266,11 +257,15 @@ def _from_above(
 ) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
     """Observations of one recording (n), the board's ends as seen from each, (n, 2, 2), path, and all points, m."""
     picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
-    seen, board = [extraction.observations[i] for i in picked], extraction.board
+    observations, board = [extraction.observations[i] for i in picked], extraction.board
     ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
-    ends_k *= float(np.median([o.square_m for o in seen]))
-    boards = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(seen), 2, 3)))[..., :2]
-    path = trail(extraction.wheels[log], np.array([o.time_ns for o in seen]), solution.parameters.wheels)
+    ends_k *= float(np.median([o.square_m for o in observations]))
+    boards = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(observations), 2, 3)))[
+        ..., :2
+    ]
+    path = trail(
+        extraction.wheels[log], np.array([o.time_ns for o in observations]), solution.parameters.wheels
+    )
     stations = solution.residuals.T_w_v[picked, :2, 3]
     return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
 
@@ -292,13 +287,13 @@ def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> Flo
 @plot("stations", half=True)
 def head_angles(_: Solution, extraction: Extraction) -> Drawn:
     """Pan and tilt angle at each station; "" if the chain names neither joint."""
-    chain, seen = extraction.rig.chain, extraction.observations
+    chain, observations = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
     if not columns:
         return ""
-    joints_deg = np.degrees(np.stack([o.joints for o in seen]))
+    joints_deg = np.degrees(np.stack([o.joints for o in observations]))
     pan = joints_deg[:, columns[0]]
-    other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(seen))
+    other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(observations))
     canvas = Canvas(HALF, 290.0, "head angles at each station")
     labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
     title = labels[1] if len(columns) == 2 else ""
@@ -308,7 +303,7 @@ def head_angles(_: Solution, extraction: Extraction) -> Drawn:
     names = station_names(extraction)
     for i, (name, x, y) in enumerate(zip(names, pan, other, strict=True)):
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
-    if len(seen) <= _MOST_LABELS:
+    if len(observations) <= _MOST_LABELS:
         canvas.labels(axes.at(np.column_stack([pan, other])), names)
     spans = [
         f"{label.partition(' [')[0]} {np.ptp(v):.0f}°" for label, v in zip(labels, (pan, other), strict=False)
@@ -370,17 +365,17 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
 @plot("description", corners=True)
 def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
-    seen, names = extraction.observations, station_names(extraction)
-    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(seen) if o.several}
+    observations, names = extraction.observations, station_names(extraction)
+    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(observations) if o.several}
     stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
-    x = Scale(-0.6, len(seen) - 0.4)
+    x = Scale(-0.6, len(observations) - 0.4)
     pair = extraction.rig.cameras.calibrated and bool(square_mm)
     what = "residual and square size" if pair else "residual"
     canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
-    residual = Scale.of([o.reprojection_px for o in seen], zero=True)
+    residual = Scale.of([o.reprojection_px for o in observations], zero=True)
     axes = Axes.of(canvas, x, residual, "residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
     axes.grid(x=False)
-    for i, o in enumerate(seen):
+    for i, o in enumerate(observations):
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
     axes.names(names, "" if pair else "station")
     if not pair:
@@ -395,7 +390,7 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     for i, value in square_mm.items():
         axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
     axes.names(names, "station")
-    median = float(np.median([o.reprojection_px for o in seen]))
+    median = float(np.median([o.reprojection_px for o in observations]))
     sizes = f"the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
     return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
 
@@ -409,8 +404,8 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
     """
     import cv2  # slow to import, and other plots do not need it
 
-    found = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
-    detected, residuals = (np.concatenate(each) for each in zip(*found, strict=True))
+    of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
+    detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
     if not len(detected):
         return ""
     camera, of_camera = extraction.rig.cameras.each[k], camera_words(extraction.rig.cameras.names[k])
@@ -418,8 +413,8 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
     longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
     every = max(1, len(detected) // _MOST_DOTS)
-    outlined = max(1, len(found) // _MOST_OUTLINES)
-    for i, (name, (pixels, residual)) in enumerate(zip(station_names(extraction), found, strict=True)):
+    outlined = max(1, len(of_station) // _MOST_OUTLINES)
+    for i, (name, (pixels, residual)) in enumerate(zip(station_names(extraction), of_station, strict=True)):
         if len(pixels) and i % outlined == 0:
             hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
             axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
@@ -488,12 +483,12 @@ def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
 @plot("limits")
 def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
     """Correlation matrix of the nine parameters; "" without a covariance."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return ""
-    std = np.sqrt(np.diag(found.reference_covariance))
+    std = np.sqrt(np.diag(uncertainty.reference_covariance))
     std = np.where(std > 0, std, np.nan)
-    correlation = found.reference_covariance / np.outer(std, std)
+    correlation = uncertainty.reference_covariance / np.outer(std, std)
     canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
     left, top, wide, high = 100.0, 6.0, 58.0, 32.0
     for k, name in enumerate(NINE):
@@ -529,11 +524,8 @@ def error_budget(solution: Solution, _: Extraction) -> Drawn:
         y, x = 46.0 + 24.0 * row, left
         canvas.text(left - 8, y + 13, label, anchor="end")
         for family in (family for family in used if (name, family) in shares):
-            share, width, kind = (
-                shares[name, family],
-                wide * shares[name, family],
-                f"fill {FAMILIES[family].style}",
-            )
+            share, kind = shares[name, family], f"fill {FAMILIES[family].style}"
+            width = wide * share
             tip = f"{label}: {family} {100 * share:.0f} %"
             canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=18)
             if share > _LABELED_SHARE:
@@ -558,10 +550,14 @@ def budget_bar(error: Error) -> Bar:
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
     """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
-    residuals, seen = solution.residuals, extraction.observations
+    residuals, observations = solution.residuals, extraction.observations
     cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
-    shown = [leg for leg, (i, _) in enumerate(residuals.legs) if (seen[i].log, seen[i].station) in pictures]
+    shown = [
+        leg
+        for leg, (i, _) in enumerate(residuals.legs)
+        if (observations[i].log, observations[i].station) in pictures
+    ]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
     chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
     words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
@@ -573,7 +569,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
         if len(views) >= len(ranks) and size > _MOST_VIEW_BYTES:
             break
         i, j = residuals.legs[leg]
-        snapshot = pictures[seen[i].log, seen[i].station]
+        snapshot = pictures[observations[i].log, observations[i].station]
         views.append(
             LegView(
                 observation=int(i),
@@ -588,7 +584,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                         view,
                         residuals.predicted_px[k, leg],
                     )
-                    for k, (name, view) in enumerate(zip(cameras.names, seen[i].views, strict=True))
+                    for k, (name, view) in enumerate(zip(cameras.names, observations[i].views, strict=True))
                     if view.pictures
                 ),
             )

@@ -48,8 +48,8 @@ def tables(case: Case) -> tuple[Table, ...]:
 @table("limits", "Change", "name:", "number:change", "unit", "number:in sigma", "number:in %")
 def change(case: Case) -> Rows:
     """Change of each parameter from the last calibration or the nominal values."""
-    found = case.change
-    if found is None:
+    difference = case.change
+    if difference is None:
         return ()
 
     def shown(value: float, digits: int) -> str:
@@ -66,9 +66,9 @@ def change(case: Case) -> Rows:
         for p, std, value, sigmas, percent in zip(
             parameters_of(case.extraction.rig),
             reference_std(case.solution) or (None,) * len(NINE),
-            found.value.tolist(),
-            found.sigmas.tolist(),
-            found.percent.tolist(),
+            difference.value.tolist(),
+            difference.sigmas.tolist(),
+            difference.percent.tolist(),
             strict=True,
         )
         if np.isfinite(value)
@@ -132,12 +132,12 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
 )  # fmt: skip
 def separately(case: Case) -> Rows:
     """Each recording's own estimate minus the common one, and the spread between recordings."""
-    between, found = case.solution.between, case.solution.uncertainty
-    if between is None or found is None:
+    between, uncertainty = case.solution.between, case.solution.uncertainty
+    if between is None or uncertainty is None:
         return ()
     present = sorted({o.log for o in case.extraction.observations})
     per_unit = [parameter.per_unit for parameter in parameters_of(case.extraction.rig)]
-    without = ["fixed" if by_user else "unobservable" for by_user in found.fixed]
+    without = ["fixed" if by_user else "unobservable" for by_user in uncertainty.fixed]
 
     rows = [
         (
@@ -164,18 +164,18 @@ def separately(case: Case) -> Rows:
 def constants(case: Case) -> Rows:
     """The constants that are furthest from their stated values, the contradicted ones first."""
     solution = case.solution
-    wrong = {(found.kind, found.part) for found in solution.contradictions}
+    wrong = {(evidence.kind, evidence.part) for evidence in solution.contradictions}
     rows = []
-    for found in solution.constants.values():
-        kind, bad = nuisance.kind(found.kind), (found.kind, found.part) in wrong
-        off = abs(found.value) / found.prior if found.prior > 0 else 0.0
-        std = found.std * kind.shown
+    for constant in solution.constants.values():
+        kind, bad = nuisance.kind(constant.kind), (constant.kind, constant.part) in wrong
+        off = abs(constant.value) / constant.prior if constant.prior > 0 else 0.0
+        std = constant.std * kind.shown
         row = (
-            found.name,
-            found.meaning,
-            value_text(found.value * kind.shown, std, 3, "+"),
+            constant.name,
+            constant.meaning,
+            value_text(constant.value * kind.shown, std, 3, "+"),
             std_text(std),
-            "fixed" if found.prior == 0 else std_text(found.prior * kind.shown),
+            "fixed" if constant.prior == 0 else std_text(constant.prior * kind.shown),
             kind.shown_unit,
             "contradicts" if bad else "",
         )

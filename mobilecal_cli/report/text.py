@@ -24,8 +24,8 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 
     Names from the recording are escaped, so that they cannot control the terminal.
     """
-    found, budget = report.parameters, report.error_budget
-    frames = f"{visible(found.child_frame)} in {visible(found.parent_frame)}"
+    parameters, budget = report.parameters, report.error_budget
+    frames = f"{visible(parameters.child_frame)} in {visible(parameters.parent_frame)}"
     sigma = " (± 1 sigma)" if report.uncertainty is not None else ""
     lines = wrapped(f"{frames}, and wheels{sigma}", "", "  ", _WIDTH)
     rows = numbers_table(report.numbers)

@@ -95,12 +95,12 @@ class Error:
 
 def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     """All expected errors that have a limit, the default or that of a gate in `limits`; none without deviations."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return ()
     pairs = [(figure, limits.get(figure.name, figure.limit)) for figure in FIGURES]
     return tuple(
-        Error(f, f.of(found.at_work), limit, shares_of(solution, f.field))
+        Error(f, f.of(uncertainty.at_work), limit, shares_of(solution, f.field))
         for f, limit in pairs
         if limit is not None
     )
@@ -173,42 +173,42 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
     """What improves an error by 5 % or more, the cheapest first."""
     of = {name: share for share, name in error.shares}
     kinds = {kind.name: kind for kind in nuisance.KINDS}
-    found = []
+    cures = []
     scale, measured = solution.constants.get("baseline_scale"), {"baseline_length", "square_size"}
     unstated = extraction.board.square_m is None and scale is not None and scale.std > 0
     if unstated and scale is not None:
         ratio = kinds["square_size"].sigma / scale.std
         removed = sum(of.get(name, 0.0) for name in measured) / (1 + ratio**2)
-        found.append(Cure("Measure the squares, and state board.square_m in rig.yaml", removed))
+        cures.append(Cure("Measure the squares, and state board.square_m in rig.yaml", removed))
     other = [name for name in of if name in kinds and not (unstated and name in measured)]
     if other:
         stated = max(other, key=lambda name: of[name])
         command = source(stated).advice
         command = f"{command[0].upper()}{command[1:]}, and state half of `priors: {stated}` in rig.yaml"
-        found.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
+        cures.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
     noise = sum(
         share for share, name in error.shares if name not in kinds and source(name).family not in _NOT_NOISE
     )
     alone = (error.limit / error.value) ** 2 - (1 - noise) if error.value > 0 else 1.0
-    with_others = alone + sum(cure.removed for cure in found)
+    with_others = alone + sum(cure.removed for cure in cures)
     needed = (math.ceil(noise / room) for room in (alone, with_others) if room > 0)
     times = next((max(2, times) for times in needed if times <= _MOST_STOPS), _MOST_STOPS)
     words = {2: "twice", 3: "three times", 4: "four times"}
-    found.append(Cure(f"Record {words[times]} as many stops", noise * (1 - 1 / times)))
-    return tuple(cure for cure in found if 1 - cure.left >= LEAST_GAIN)
+    cures.append(Cure(f"Record {words[times]} as many stops", noise * (1 - 1 / times)))
+    return tuple(cure for cure in cures if 1 - cure.left >= LEAST_GAIN)
 
 
 def next_step_of(error: Error, solution: Solution, extraction: Extraction) -> str:
     """The cheapest cure that brings an error within its limit; if none does alone, all of them; "" without any."""
-    found = cures_of(error, solution, extraction)
-    for cure in found:
+    cures = cures_of(error, solution, extraction)
+    for cure in cures:
         if cure.left * error.value <= error.limit:
             return cure.text(error)
-    if not found:
+    if not cures:
         return ""
-    first, *others = (cure.command for cure in found)
+    first, *others = (cure.command for cure in cures)
     command = "; ".join((first, *(f"{other[0].lower()}{other[1:]}" for other in others)))
-    return Cure(command, sum(cure.removed for cure in found)).text(error)
+    return Cure(command, sum(cure.removed for cure in cures)).text(error)
 
 
 def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None:
@@ -223,22 +223,22 @@ _NOT_NOISE = frozenset({"nominal values", "other"})
 
 def recommendation(
     solution: Solution, extraction: Extraction, limits: Mapping[str, float]
-) -> tuple[str, ...]:
-    """What limits the expected error nearest to its limit, and the cheapest cure; empty where nothing is known."""
+) -> tuple[str, str]:
+    """What limits the expected error nearest to its limit, and the cheapest cure; "" where nothing is known."""
     error = worst_error(solution, limits)
     if error is None:
-        return ()
+        return "", ""
     cure = next_step_of(error, solution, extraction) or advice(error.shares)
     return limiting_sentence(error.shares, error.figure.meaning), cure
 
 
 def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
     """(share, source) of a parameter, or of an expected error (field of `AtWork`), largest first; empty if unknown."""
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return []
-    columns = {**dict(zip(NINE, found.budget.nine.T, strict=True)), **found.budget.at_work}
-    pairs = zip(columns[name].tolist(), found.budget.sources, strict=True) if name in columns else ()
+    columns = {**dict(zip(NINE, uncertainty.budget.nine.T, strict=True)), **uncertainty.budget.at_work}
+    pairs = zip(columns[name].tolist(), uncertainty.budget.sources, strict=True) if name in columns else ()
     return sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
 
 
@@ -290,6 +290,10 @@ _PAIR = (
     "camera_info", "calibrate the stereo pair again with more images", "camera_info",
     "Recalibrate the stereo pair, or use the exported camera_info.",
 )
+_AMONG = (
+    "camera_info", "calibrate the cameras together", "the robot description",
+    "Correct the pose of this camera in the URDF or in the transforms, or use the exported camchain.",
+)
 _URDF = ("the URDF", "Correct the URDF, or use the exported URDF.")
 _HEAD = ("head geometry", "measure the geometry of the head", *_URDF)
 SOURCES: dict[str, Source] = {
@@ -319,6 +323,8 @@ SOURCES: dict[str, Source] = {
     "stereo_rotation": Source("the stated rotation between the cameras", *_PAIR),
     "baseline_direction": Source("the stated direction of the stereo baseline", *_PAIR),
     "baseline_length": Source("the stated length of the stereo baseline", *_PAIR),
+    "camera_rotation": Source("the stated rotations of the cameras", *_AMONG),
+    "camera_position": Source("the stated positions of the cameras", *_AMONG),
     "square_size": Source("the stated size of the squares", "board", "measure the board (ten squares, with a caliper)",
                           "the stated size",
                           "Measure ten squares with a ruler, and correct board.square_m in rig.yaml."),
@@ -344,6 +350,8 @@ SOURCES: dict[str, Source] = {
     "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides",
                        "no backlash", "Repair the joint, or approach each head pose from the same side."),
     "nominal": Source("the uncertainty of the nominal values", "nominal values", "record more varied motion"),
+    "recordings": Source("the spread between recordings", "recordings",
+                         "check what differs between the recordings, or calibrate each of them alone"),
     "unobservable": Source("the missing motion", "nominal values", "record the missing motion"),
     "user priors": Source("the stated priors", "nominal values", "state more accurate priors"),
     "other": Source("other errors", "other", "record more stops"),
@@ -369,6 +377,7 @@ FAMILIES = {
     "board": Family("The stated geometry of the board limits", "green light"),
     "head geometry": Family("The stated geometry of the head limits", "orange light"),
     "nominal values": Family("The uncertainty of the nominal values limits", "red light"),
+    "recordings": Family("The differences between the recordings limit", "ink dark"),
     "other": Family("Other errors limit", "faint half"),
 }
 

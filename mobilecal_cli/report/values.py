@@ -56,7 +56,6 @@ from mobilecal_cli.report.formats import (
     like,
 )
 from mobilecal_cli.report.numbers import (
-    NEAR_LOCK_DEG,
     NumberData,
     board_distance_m,
     image_coverage,
@@ -133,11 +132,8 @@ class ResultData(ParametersData):
     def orientation(self) -> str:
         """Quaternion, and Euler angles with their standard deviations; without these near gimbal lock."""
         quaternion = ", ".join(f"{q:.6f}" for q in self.quaternion_xyzw)
-        shown, angles, stds = (
-            f"Quaternion (x, y, z, w): {quaternion}.",
-            self.euler_zyx_deg,
-            self.euler_zyx_std_deg,
-        )
+        shown = f"Quaternion (x, y, z, w): {quaternion}."
+        angles, stds = self.euler_zyx_deg, self.euler_zyx_std_deg
         if angles is None:
             margin = f"{self.gimbal_margin_deg:.1f}"
             return f"{shown} Euler angles are not shown: the orientation is {margin}° from gimbal lock."
@@ -460,7 +456,7 @@ def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, f
     """What limits a solution, its cures from the cheapest on, and the stops that improve it; limits as for `uses`."""
     error = worst_error(solution, limits)
     return Advice(
-        limiting="".join(recommendation(solution, extraction, limits)[:1]),
+        limiting=recommendation(solution, extraction, limits)[0],
         cures=() if error is None else tuple(c.text(error) for c in cures_of(error, solution, extraction)),
         stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
     )
@@ -523,16 +519,19 @@ def build_report(case: Case) -> ReportData:
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
         constants=_constants(solution),
         error_budget=_budget(case),
-        evidence=tuple(like(EvidenceData, found, values=_values(found)) for found in solution.evidence),
+        evidence=tuple(
+            like(EvidenceData, evidence, values=_values(evidence)) for evidence in solution.evidence
+        ),
         contradictions=tuple(
-            _contradiction(found, solution, extraction) for found in solution.contradictions
+            _contradiction(evidence, solution, extraction) for evidence in solution.contradictions
         ),
         scale=None
         if scale is None
         else like(
             ScaleData,
             scale,
-            consistent=not scale.apart and not any(found.kind in SCALES for found in solution.contradictions),
+            consistent=not scale.apart
+            and not any(evidence.kind in SCALES for evidence in solution.contradictions),
             text=scale_sentence(scale),
         ),
         logs=None
@@ -584,7 +583,7 @@ def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) ->
         "translation_m": T[:3, 3],
         "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
-        "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= NEAR_LOCK_DEG else None,
+        "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= se3.NEAR_LOCK_DEG else None,
         "gimbal_margin_deg": lock_deg,
     }
 
@@ -620,23 +619,23 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
 
 
 def _uncertainty(solution: Solution) -> UncertaintyData | None:
-    found = solution.uncertainty
-    if found is None:
+    uncertainty = solution.uncertainty
+    if uncertainty is None:
         return None
-    covariance = found.reference_covariance
+    covariance = uncertainty.reference_covariance
     std = np.sqrt(np.diag(covariance))
     known = np.where(std > 0, std, 1.0)
     names = ("observable", "fixed", "described", "jackknife_std", "widened")
-    by_name = {"std": std} | {name: getattr(found, name) for name in names}
+    by_name = {"std": std} | {name: getattr(uncertainty, name) for name in names}
     return like(
         UncertaintyData,
-        found,
+        uncertainty,
         order=NINE,
         covariance=covariance,
         correlation=covariance / np.outer(known, known),
-        unobservable_directions=found.unobservable,
+        unobservable_directions=uncertainty.unobservable,
         jackknife_text=jackknife_sentence(solution),
-        predicted=found.at_work,
+        predicted=uncertainty.at_work,
         **{key: dict(zip(NINE, values.tolist(), strict=True)) for key, values in by_name.items()},
     )
 
@@ -659,25 +658,25 @@ def _budget(case: Case) -> BudgetData | None:
     solution = case.solution
     if solution.uncertainty is None:
         return None
-    said = recommendation(solution, case.extraction, case.verdict.limits) or ("", "")
+    limiting, cure = recommendation(solution, case.extraction, case.verdict.limits)
     budget = solution.uncertainty.budget
     nine, at_work = (
         {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
         for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
     )
-    return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=said[0], advice=said[1])
+    return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=limiting, advice=cure)
 
 
-def _values(found: Evidence) -> dict[str, EvidenceValue]:
+def _values(evidence: Evidence) -> dict[str, EvidenceValue]:
     return {
-        name: EvidenceValue(value=value, std=std, prior=found.priors[name])
-        for name, (value, std) in found.values.items()
+        name: EvidenceValue(value=value, std=std, prior=evidence.priors[name])
+        for name, (value, std) in evidence.values.items()
     }
 
 
-def _contradiction(found: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
-    text, cure = contradiction_sentences(found, solution, extraction)
-    return like(ContradictionData, found, values=_values(found), text=text, cure=cure)
+def _contradiction(evidence: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
+    text, cure = contradiction_sentences(evidence, solution, extraction)
+    return like(ContradictionData, evidence, values=_values(evidence), text=text, cure=cure)
 
 
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
@@ -750,9 +749,9 @@ def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
 
 def _coverage(extraction: Extraction) -> dict[str, float]:
     """Camera → share of its image in which corners were detected, 0 to 1."""
-    cameras, seen = extraction.rig.cameras, extraction.observations
+    cameras, observations = extraction.rig.cameras, extraction.observations
     shares = {}
-    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True) if seen else ()):
-        pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in seen])
+    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True) if observations else ()):
+        pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in observations])
         shares[name] = image_coverage(pixels, camera.width, camera.height)
     return shares

@@ -80,19 +80,19 @@ class Case:
 def judge(
     solution: Solution,
     extraction: Extraction,
-    gates: Sequence[Gate] = (),
+    gates: Mapping[str, float] | None = None,
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> Verdict:
     """The verdict on a solution, see `Case`. The first criterion that is not met decides.
 
-    Gates are limits of the user on the metrics; those on an expected error replace the default limit.
+    Gates are the user's limits by the name of the metric; those on an expected error replace the default limit.
     """
-    limits = {gate.name: gate.limit for gate in gates if gate.name in _USE_GATES}
+    limits = {name: limit for name, limit in (gates or {}).items() if name in _USE_GATES}
     made = Calibration(solution, extraction, limits, change)
-    found = [check for criterion in CRITERIA for check in criterion.checks(made)]
-    metrics = figures_of(solution, extraction, trial, found)
-    checks = Checks((*found, *gate_checks(gates, metrics, lambda gate: _gate_cure(gate, made))))
+    of_criteria = [check for criterion in CRITERIA for check in criterion.checks(made)]
+    metrics = figures_of(solution, extraction, trial, of_criteria)
+    checks = Checks((*of_criteria, *gate_checks(gates or {}, metrics, lambda *gate: _gate_cure(made, *gate))))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return replace(decided_by(decisive, checks, metrics), limits=limits)
@@ -179,18 +179,10 @@ def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
     return {metric.name: metric for metric in (*first, *(judged[name] for name in sorted(judged)))}
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
-    """A limit on the figure with this name, a lower one if its metric says so."""
-
-    name: str
-    limit: float
-
-
 def gates_of(
     flags: Sequence[str], config: Mapping[str, float], *, evaluating: bool = False, hold_out: bool = True
-) -> tuple[Gate, ...]:
-    """Gates of the command line and the configuration; the command line takes precedence.
+) -> dict[str, float]:
+    """Gates of the command line and the configuration, name → limit; the command line takes precedence.
 
     Args:
         flags: `NAME=LIMIT`.
@@ -224,10 +216,10 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    gates = tuple(Gate(name, number_of(f"gate {name}", limit)) for name, limit in limits.items())
-    for gate in gates:
-        if not math.isfinite(gate.limit):
-            raise ConfigError(f"gate {gate.name}: the limit is {gate.limit}", "give a finite number")
+    gates = {name: number_of(f"gate {name}", limit) for name, limit in limits.items()}
+    for name, limit in gates.items():
+        if not math.isfinite(limit):
+            raise ConfigError(f"gate {name}: the limit is {limit}", "give a finite number")
     return gates
 
 
@@ -244,66 +236,66 @@ def figures_of(
     checks: Iterable[Check] = (),
 ) -> dict[str, float | None]:
     """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
-    found = solution.uncertainty
+    uncertainty = solution.uncertainty
     factors = odometry_factors(extraction.rig, solution)
     names = (name for name in gate_metrics() if factors or not name.startswith("std.odometry."))
     figures: dict[str, float | None] = dict.fromkeys(names)
     figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
     figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
-    if found is not None:
+    if uncertainty is not None:
         noise = [name for name in figures if name.startswith("noise.")]
         figures |= dict.fromkeys(noise, 0.0)  # levels of zero have no criterion
-        figures["observable"] = float(np.sum(found.observable | found.fixed))
+        figures["observable"] = float(np.sum(uncertainty.observable | uncertainty.fixed))
         named = PARAMETERS[:6] if factors else PARAMETERS
         figures |= {p.gate: std for p, std in zip(named, reference_std(solution), strict=False)}
         figures |= {f"std.odometry.{name}": std for name, (_, std) in factors.items()}
-        figures |= {figure.name: figure.of(found.at_work) for figure in FIGURES}
+        figures |= {figure.name: figure.of(uncertainty.at_work) for figure in FIGURES}
     if hold_out is not None:
         figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}
     return figures | {check.id: check.value for check in checks if check.id in figures}
 
 
-def evaluated_figures(found: Evaluation) -> Figures:
+def evaluated_figures(evaluation: Evaluation) -> Figures:
     """Every figure of an evaluation that a gate can limit."""
-    return {metric.name: of(found) for metric, of in _EVALUATED.items()}
+    return {metric.name: of(evaluation) for metric, of in _EVALUATED.items()}
 
 
-def _gate_cure(gate: Gate, made: Calibration) -> str:
+def _gate_cure(made: Calibration, name: str, limit: float) -> str:
     """What improves a figure beyond its gate: for a standard deviation by its error budget."""
-    found, names = made.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
-    if found is None:
+    uncertainty, names = made.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
+    if uncertainty is None:
         return "Calibrate with --method ml (the default), which estimates standard deviations."
-    if gate.name not in names:
+    if name not in names:
         return ""
-    k = names.index(gate.name)
+    k = names.index(name)
     shares = shares_of(made.solution, PARAMETERS[k].name)
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
     value = float(reference_std(made.solution)[k] or 0.0)
-    error = Error(Figure("", gate.name, label, label, unit, 1.0), value, gate.limit, shares)
+    error = Error(Figure("", name, label, label, unit, 1.0), value, limit, shares)
     return next_step_of(error, made.solution, made.extraction) or advice(shares)
 
 
 def gate_checks(
-    gates: Sequence[Gate], figures: Figures, cure: Callable[[Gate], str] = lambda _: ""
+    gates: Mapping[str, float], figures: Figures, cure: Callable[[str, float], str] = lambda *_: ""
 ) -> Iterator[Check]:
     """Each gate as a criterion of the verdict, with its cure; an unknown figure fails.
 
     Known expected errors in use are left out: `judge` compares them with the limits of their gates.
     """
     metrics = gate_metrics() | gate_metrics(evaluating=True)
-    for gate in gates:
-        value, metric = figures.get(gate.name), metrics[gate.name]
-        if gate.name in _USE_GATES and value is not None:
+    for name, limit in gates.items():
+        value, metric = figures.get(name), metrics[name]
+        if name in _USE_GATES and value is not None:
             continue
-        passes = value is not None and (value >= gate.limit if metric.at_least else abs(value) <= gate.limit)
-        measured = "unknown" if value is None else _rounded(value, gate.limit)
+        passes = value is not None and (value >= limit if metric.at_least else abs(value) <= limit)
+        measured = "unknown" if value is None else _rounded(value, limit)
         yield Check(
-            f"{_GATE}{gate.name}", value, gate.limit, "pass" if passes else "fail",
-            f"gate {gate.name}",
+            f"{_GATE}{name}", value, limit, "pass" if passes else "fail",
+            f"gate {name}",
             measured,
-            f"at {'least' if metric.at_least else 'most'} {gate.limit:g}",
-            f"{gate.name} = {measured} (limit {gate.limit:g}).",
-            cure(gate) or "Record again, or change the limit.",
+            f"at {'least' if metric.at_least else 'most'} {limit:g}",
+            f"{name} = {measured} (limit {limit:g}).",
+            cure(name, limit) or "Record again, or change the limit.",
             unit=metric.unit,
             at_least=metric.at_least,
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -84,10 +84,10 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         return dict.fromkeys(SIDES, cameras.both.image)
     chosen = {name: topic for name, topic in configured.items() if topic is not None}
     if len(chosen) == len(configured):
-        for one, other in itertools.combinations(chosen, 2):
-            if chosen[one] == chosen[other]:
+        for first, other in itertools.combinations(chosen, 2):
+            if chosen[first] == chosen[other]:
                 raise ConfigError(
-                    f"cameras.{one}.image and cameras.{other}.image are both {chosen[one]}",
+                    f"cameras.{first}.image and cameras.{other}.image are both {chosen[first]}",
                     "set them to different topics; for both cameras in one image, set cameras.both.image",
                 )
         return chosen
@@ -116,8 +116,8 @@ _COLOR = {"color", "colour", "rgb"}
 
 def _is_depth(topic: str) -> bool:
     """Whether the name of an image topic indicates depth, or another image in which no board is found."""
-    found = set(words(topic))
-    return bool(found & _DEPTH) or ("stereo" in found and side_of(topic) is None)
+    parts = set(words(topic))
+    return bool(parts & _DEPTH) or ("stereo" in parts and side_of(topic) is None)
 
 
 def _camera_of(topic_words: Iterable[str]) -> tuple[str, ...]:
@@ -141,11 +141,13 @@ def _pair(
     Raises:
         ConfigError: several stereo cameras.
     """
-    found = pairs(present)
-    numbered = [pair for pair in numbered_pairs(present) if pair not in found]
+    possible = pairs(present)
+    numbered = [pair for pair in numbered_pairs(present) if pair not in possible]
     # A number says less than a side: its camera infos must be those of a pair.
-    found += [pair for pair in numbered if _has_baseline(pair, config, description)]
-    candidates = [pair for pair in found if all(pair[side] == chosen.get(side, pair[side]) for side in SIDES)]
+    possible += [pair for pair in numbered if _has_baseline(pair, config, description)]
+    candidates = [
+        pair for pair in possible if all(pair[side] == chosen.get(side, pair[side]) for side in SIDES)
+    ]
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
         candidates = fitting or candidates
@@ -290,13 +292,7 @@ def _camera(info: CameraInfo, rectified: bool) -> Camera:
     return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
 
-def stereo_rig(
-    left: CameraInfo,
-    right: CameraInfo,
-    rectified: bool,
-    names: Sequence[str] = SIDES,
-    reference: str | None = None,
-) -> CameraRig:
+def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: str = "left") -> CameraRig:
     """Geometry of the stereo pair from its two camera infos, by ROS conventions.
 
     Raw coordinates x of a camera become rectified coordinates R x. The rectified frames are parallel, and
@@ -329,15 +325,8 @@ def stereo_rig(
     check_baseline(offset)
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
-    return CameraRig(
-        tuple(names),
-        (_camera(left, rectified), _camera(right, rectified)),
-        (np.eye(4), T_c_r),
-        rectified,
-        (left.R, right.R),
-        reference or names[0],
-        calibrated=True,
-    )
+    cameras = _camera(left, rectified), _camera(right, rectified)
+    return CameraRig.pair(*cameras, T_c_r, rectified, left.R, right.R, reference)
 
 
 def camera_rig(
@@ -366,7 +355,7 @@ def camera_rig(
         )
     posed = any(config.cameras.of(name).pose is not None for name in names)
     if names == SIDES and not posed:
-        return stereo_rig(infos["left"], infos["right"], rectified, names, reference)
+        return stereo_rig(infos["left"], infos["right"], rectified, reference)
     if config.board.square_m is None:
         what = (
             "one camera does" if len(names) == 1 else f"{len(names)} cameras without a calibrated baseline do"

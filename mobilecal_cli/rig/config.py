@@ -54,7 +54,7 @@ class _Section(BaseModel):
     """
 
     example: ClassVar[str] = ""
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=False)
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 _Dictionary = Literal[
@@ -161,7 +161,7 @@ class BothInOneConfig(_Section):
 class CamerasConfig(_Section):
     """A stereo pair (left and right, or both), or one or more cameras with other names, the first one first."""
 
-    model_config = ConfigDict(frozen=True, extra="allow", strict=False)
+    model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, CameraTopics] = Field(init=False)
     example: ClassVar[str] = (
         "left:  {image: /stereo/left/image_raw, info: /stereo/left/camera_info}\n"

@@ -43,8 +43,9 @@ from mobilecal_cli.rig.config import (
     WheelsNominal,
 )
 from mobilecal_cli.rig.joints import pan_and_tilt
-from mobilecal_cli.rig.names import counters, joint_state_names, named_as
+from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
 from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
+from mobilecal_cli.rig.settings import pose_settings
 from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
 
 _WIDTH = 100
@@ -339,7 +340,7 @@ def _wheels(page: _Page) -> None:
             _wheel(page, side, sources[side])
         return
     sets = counters(page.description.numbers)
-    whole = [one for one in sets if all(n.integer and n.jump is None for side in SIDES for n in one[side])]
+    whole = tick_counters(sets)
     if len(sets) == 1 and whole:
         page.add("wheels:")
         for side in SIDES:
@@ -354,7 +355,12 @@ def _wheels(page: _Page) -> None:
     page.ask_for(
         "wheels",
         "wheels",
-        *(f"candidate: {_described(number)}" for one in sets for side in SIDES for number in one[side]),
+        *(
+            f"candidate: {_described(number)}"
+            for by_side in sets
+            for side in SIDES
+            for number in by_side[side]
+        ),
         *_example("wheels", WheelsConfig),
     )
     odometry = [topic.name for topic in page.description.topics if topic.type == ODOMETRY]
@@ -365,10 +371,10 @@ def _wheels(page: _Page) -> None:
 def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
     """The wheels of one side that the survey found."""
     parts = source.every
-    where = ", ".join(f"{one.joint or one.field} on {one.topic}" for one in parts)
+    where = ", ".join(f"{part.joint or part.field} on {part.topic}" for part in parts)
     if source.joint is not None:
-        topic = source.topic if len({one.topic for one in parts}) == 1 else None
-        joints = [one.joint for one in parts]
+        topic = source.topic if len({part.topic for part in parts}) == 1 else None
+        joints = [part.joint for part in parts]
         several = {"joint": joints[0]} if len(parts) == 1 else {"joints": joints}
         kind = "pair of joints" if len(parts) == 1 else "set of joints"
         page.fill(
@@ -379,7 +385,7 @@ def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
         )
         return
     counted = {"ticks_per_revolution": source.ticks_per_revolution, "bits": source.bits}
-    places = _fields([(one.topic, one.field or "") for one in parts])
+    places = _fields([(part.topic, part.field or "") for part in parts])
     page.fill(f"wheels.{side}", _flow(places | counted), "recording: counters of a known driver", where)
 
 
@@ -399,13 +405,13 @@ def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
         said = f"bits: it starts again after 2^{number.wraps} steps"
     elif width is not None:
         said = "bits: width of its type"
-    entry = _fields([(one.topic, one.path) for one in numbers]) | {
+    entry = _fields([(counter.topic, counter.path) for counter in numbers]) | {
         "ticks_per_revolution": TODO,
         "bits": width,
     }
     kind = "pair" if len(numbers) == 1 else "set"
     source = f"recording: the only {kind} of whole numbers named as counters; {said}"
-    shown = ", ".join(f"{one.path} on {one.topic}" for one in numbers)
+    shown = ", ".join(f"{counter.path} on {counter.topic}" for counter in numbers)
     page.fill(f"wheels.{side}", _flow(entry), source, shown + ("" if width is None else f", bits: {width}"))
 
 
@@ -505,8 +511,7 @@ def _nominal(page: _Page) -> None:
             indent=indent,
         )
     if drawn.T_h_reference is not None:
-        T = drawn.T_h_reference
-        value = _entries({"translation_m": T[:3, 3], "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3])})
+        value = _entries(pose_settings(drawn.T_h_reference))
         source = "URDF: fixed joints from the head to the camera's frame"
         page.fill("nominal.head_eye", f"{{{value}}}", source, value)
     else:

@@ -28,8 +28,8 @@ def words(name: str) -> list[str]:
 
 def side_of(name: str) -> Side | None:
     """The side in a name, None if the name contains neither or both."""
-    found = {side for word in words(name) if (side := _SIDES.get(word) or _NUMBERED.get(word))}
-    return found.pop() if len(found) == 1 else None
+    sides = {side for word in words(name) if (side := _SIDES.get(word) or _NUMBERED.get(word))}
+    return sides.pop() if len(sides) == 1 else None
 
 
 def mirrored(name: str) -> tuple[str, ...]:
@@ -44,7 +44,7 @@ def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
         side = side_of(name)
         if side is not None:
             by_key.setdefault(mirrored(name), {}).setdefault(side, name)
-    return [found for found in by_key.values() if len(found) == 2]
+    return [members for members in by_key.values() if len(members) == 2]
 
 
 def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
@@ -54,7 +54,7 @@ def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
         numbers = {int(number) for _, number in _NUMBERED_CAMERA.findall(name)}
         if len(numbers) == 1:
             by_key.setdefault(_NUMBERED_CAMERA.sub(r"\1*", name), {})[numbers.pop()] = name
-    pairs = (sorted(found.items()) for found in by_key.values() if len(found) == 2)
+    pairs = (sorted(members.items()) for members in by_key.values() if len(members) == 2)
     return [{"left": low[1], "right": high[1]} for low, high in pairs if high[0] == low[0] + 1]
 
 
@@ -71,8 +71,8 @@ _WHEEL_WORDS = {*COUNTER_WORDS, "wheel"}
 
 def may_be_a_reading(topic: str, path: str) -> bool:
     """Whether the names of a topic and a field suggest the reading of a wheel or of a head joint."""
-    found = {*words(topic), *words(path), *_wheel_words(topic), *_wheel_words(path)}
-    return bool(found & (_WHEEL_WORDS | _HEAD_JOINT_WORDS)) and not found & _COMMANDS
+    parts = {*words(topic), *words(path), *_wheel_words(topic), *_wheel_words(path)}
+    return bool(parts & (_WHEEL_WORDS | _HEAD_JOINT_WORDS)) and not parts & _COMMANDS
 
 
 #: Words of the place of a wheel on its side; numbers count as such too.
@@ -126,9 +126,9 @@ def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
     """Sets of wheels whose names differ only by side and place; each wheel of a side has one opposite to it."""
     sets: dict[tuple[str, ...], dict[tuple[str, ...], dict[Side, str]]] = {}
     for name in sorted(names):
-        found = wheel_place(name)
-        if found is not None:
-            rest, side, place = found
+        wheel = wheel_place(name)
+        if wheel is not None:
+            rest, side, place = wheel
             sets.setdefault(rest, {}).setdefault(place, {}).setdefault(side, name)
     whole = [[pair for pair in places.values() if len(pair) == 2] for places in sets.values()]
     return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
@@ -142,8 +142,8 @@ def steered(names: Iterable[str]) -> list[str]:
 def other_drive(description: RobotDescription) -> str:
     """A drive that is no differential drive, by the names of topics, types and joints; "" if nothing names one."""
     names = [name for topic in description.topics for name in (topic.name, topic.type)]
-    found = {word for name in (*names, *joint_state_names(description)) for word in words(name)}
-    return next((drive for word, drive in OTHER_DRIVES.items() if word in found), "")
+    present = {word for name in (*names, *joint_state_names(description)) for word in words(name)}
+    return next((drive for word, drive in OTHER_DRIVES.items() if word in present), "")
 
 
 def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField, ...]]]:
@@ -152,19 +152,30 @@ def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField
     Fields named as counters are preferred to those that are only named as something of a wheel.
     """
     by_name = {f"{field.topic} {field.path}": field for field in fields}
-    found: list[list[dict[Side, tuple[NumberField, ...]]]] = []
+    every_set: list[list[dict[Side, tuple[NumberField, ...]]]] = []
     for wanted in (COUNTER_WORDS, _WHEEL_WORDS):
         named = [
             name for name in by_name if wanted & {*_wheel_words(name)} and not _NOT_DRIVEN & {*words(name)}
         ]
-        found.append(
+        every_set.append(
             [
-                {side: tuple(by_name[name] for name in one[side]) for side in SIDES}
+                {side: tuple(by_name[name] for name in by_side[side]) for side in SIDES}
                 for integer in (True, False)
-                for one in wheel_sets(name for name in named if by_name[name].integer is integer)
+                for by_side in wheel_sets(name for name in named if by_name[name].integer is integer)
             ]
         )
-    return next((sets for sets in found if sets), [])
+    return next((sets for sets in every_set if sets), [])
+
+
+def tick_counters(
+    sets: Iterable[dict[Side, tuple[NumberField, ...]]],
+) -> list[dict[Side, tuple[NumberField, ...]]]:
+    """Those sets of `counters` that are whole numbers without jumps of another size than a counter's."""
+    return [
+        by_side
+        for by_side in sets
+        if all(n.integer and n.jump is None for side in SIDES for n in by_side[side])
+    ]
 
 
 def named_as(joint: str, fields: Sequence[NumberField]) -> list[NumberField]:

@@ -35,7 +35,8 @@ def _numbers(array: FloatArray) -> list[float]:
     return [float(value) + 0.0 for value in array]
 
 
-def _pose(T: FloatArray) -> dict[str, Any]:
+def pose_settings(T: FloatArray) -> dict[str, Any]:
+    """A pose as rig.yaml states it."""
     return {
         "translation_m": _numbers(T[:3, 3]),
         "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
@@ -63,7 +64,7 @@ def _chain(chain: HeadChain) -> list[dict[str, Any]]:
 def _camera(rig: Rig, name: str) -> dict[str, Any]:
     settings: dict[str, Any] = {"image": rig.sources.image[name], "info": rig.sources.info[name]}
     if not rig.cameras.calibrated and name != rig.cameras.names[0]:
-        settings["pose"] = _pose(rig.cameras.T_c_each[rig.cameras.names.index(name)])
+        settings["pose"] = pose_settings(rig.cameras.T_c_each[rig.cameras.names.index(name)])
     return settings
 
 
@@ -129,7 +130,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         sizes = asdict(nominal.wheels)
         settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
-        settings.setdefault("nominal", {})["head_eye"] = _pose(nominal.T_h_reference)
+        settings.setdefault("nominal", {})["head_eye"] = pose_settings(nominal.T_h_reference)
     if rig.noise.given:
         settings["noise"] = rig.noise.given
     if rig.prior_sigmas:

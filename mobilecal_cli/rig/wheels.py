@@ -31,6 +31,7 @@ from mobilecal_cli.rig.names import (
     joint_state_names,
     other_drive,
     steered,
+    tick_counters,
     wheel_place,
     wheel_sets,
     words,
@@ -53,18 +54,8 @@ _SERVED = (
 )
 #: Words of odometry that is not from wheels alone, and of odometry that is not from wheels at all.
 _FUSED = {
-    "filtered",
-    "ekf",
-    "ukf",
-    "fused",
-    "fusion",
-    "combined",
-    "localization",
-    "imu",
-    "gyro",
-    "map",
-    "amcl",
-}
+    "filtered", "ekf", "ukf", "fused", "fusion", "combined", "localization", "imu", "gyro", "map", "amcl",
+}  # fmt: skip
 _NOT_WHEELS = {
     "visual", "vo", "vio", "svo", "camera", "cam", "stereo", "rgbd", "t265", "zed", "realsense", "oak", "rtabmap",
     "orb", "slam", "vins", "okvis", "lidar", "laser", "velodyne", "ouster", "livox", "lio", "loam", "scan", "icp",
@@ -87,7 +78,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     sources: dict[Side, WheelSource] = {side: source for side, source in stated.items() if source is not None}
     if len(sources) < len(SIDES):
         sources = {**_found(config, description), **sources}
-    read = {side: {(one.topic, one.joint, one.field) for one in sources[side].every} for side in SIDES}
+    read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
         raise ConfigError(
@@ -160,7 +151,9 @@ def _found(config: RigConfig, description: RobotDescription) -> dict[Side, Wheel
     _refuse_other_drives(description)
     sets = _wheel_joints(description)
     if len(sets) > 1:
-        several = "; ".join(" and ".join(name for side in SIDES for name in one[side]) for one in sets)
+        several = "; ".join(
+            " and ".join(name for side in SIDES for name in by_side[side]) for by_side in sets
+        )
         raise ConfigError(
             f"several pairs of joints could be the wheels: {several}",
             "set wheels.left.joint and wheels.right.joint in rig.yaml",
@@ -193,12 +186,12 @@ def _refuse_other_drives(description: RobotDescription) -> None:
 
 
 def _of_counters(
-    config: RigConfig, description: RobotDescription, sets: Sequence[Mapping[Side, Sequence[NumberField]]]
+    config: RigConfig, description: RobotDescription, sets: Sequence[dict[Side, tuple[NumberField, ...]]]
 ) -> dict[Side, WheelSource]:
     """Tick counters found by name, with the steps per turn of the configuration or of a known driver."""
     types = {topic.name: topic.type for topic in description.topics}
-    shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in one[side]) for one in sets]
-    whole = [one for one in sets if all(n.integer and n.jump is None for side in SIDES for n in one[side])]
+    shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
+    whole = tick_counters(sets)
     if len(sets) > 1 or not whole:
         raise RecordingError(
             f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
@@ -352,7 +345,7 @@ def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, t
 
     Joints that are named for the other side are there: their readings are exchanged, not their places.
     """
-    read = {side: tuple(one.joint or "" for one in source.every) for side, source in sources.items()}
+    read = {side: tuple(part.joint or "" for part in source.every) for side, source in sources.items()}
     if len(read) == 2 and all(name in urdf.joints for names in read.values() for name in names):
         crossed = all(
             (place := wheel_place(name)) is not None and place[1] != side

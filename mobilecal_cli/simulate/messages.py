@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
+from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Rosbag2Writer
@@ -36,7 +37,6 @@ from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.targets import Container
 
-Ros = Literal[1, 2]
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
 _OWN_SLIP = 0.001  # of one of several wheels of a side, rad per sqrt(rad)
 _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
@@ -44,87 +44,88 @@ _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """One message, not yet serialized."""
+    """One message, not yet serialized.
+
+    Attributes:
+        time_ns: stamp and log time.
+        topic, type: ROS topic, and type in ROS 2 spelling.
+        fields: name → value, those that are not zero; dictionaries are the messages in it.
+    """
 
     time_ns: int
     topic: str
     type: str
-    message: Any
+    fields: Mapping[str, Any]
 
 
 class Publisher:
-    """Creates messages for ROS 1 or ROS 2, which differ in field names only."""
+    """Serializes messages for ROS 1 or ROS 2, which differ in field names only."""
 
-    def __init__(self, ros: Ros) -> None:
+    def __init__(self, ros: Literal[1, 2]) -> None:
         self.ros = ros
         self.store: Typestore = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
 
-    def header(self, time_ns: int, frame_id: str = "") -> Any:  # noqa: ANN401  (a generated class)
-        """std_msgs/Header."""
-        stamp = self.make("builtin_interfaces/msg/Time", sec=time_ns // 10**9, nanosec=time_ns % 10**9)
-        sequence: dict[str, Any] = {"seq": 0} if self.ros == 1 else {}
-        return self.make("std_msgs/msg/Header", stamp=stamp, frame_id=frame_id, **sequence)
+    def serialized(self, published: Published) -> bytes:
+        """The bytes of a message."""
+        serialize = self.store.serialize_ros1 if self.ros == 1 else self.store.serialize_cdr
+        return bytes(serialize(self._made(published.type, published.fields), published.type))
 
-    def make(self, kind: str, **fields: Any) -> Any:  # noqa: ANN401
-        """Create a message of a given type."""
+    def _made(self, kind: str, given: Mapping[str, Any]) -> Any:  # noqa: ANN401  (a generated class)
+        fields: dict[str, Any] = {}
+        definition: Any = self.store.fielddefs[kind][1]  # rosbags' nested tuples
+        for name, (node, what) in definition:
+            ros2_name = name.lower()  # ROS 1 has the matrices of a camera in upper case
+            if node == Nodetype.NAME:
+                fields[name] = self._made(what, given.get(ros2_name, {}))
+            else:
+                fields[name] = given.get(ros2_name, 0 if node == Nodetype.BASE else np.zeros(what[1]))
         return self.store.types[kind](**fields)
 
-    def camera_info(self, info: CameraInfo, time_ns: int) -> Any:  # noqa: ANN401
-        """sensor_msgs/CameraInfo; ROS 1 has matrix names in upper case."""
-        matrices = {"d": info.D, "k": info.K.ravel(), "r": info.R.ravel(), "p": info.P.ravel()}
-        named = {name.upper() if self.ros == 1 else name: value for name, value in matrices.items()}
-        roi = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
-        )
-        return self.make(
-            "sensor_msgs/msg/CameraInfo",
-            header=self.header(time_ns, info.frame_id),
-            height=info.height,
-            width=info.width,
-            distortion_model=info.distortion,
-            binning_x=0,
-            binning_y=0,
-            roi=roi,
-            **named,
-        )
 
-    def odometry(self, pose: FloatArray, time_ns: int) -> Any:  # noqa: ANN401
-        """nav_msgs/Odometry of a pose x, y (m), heading (rad), with a covariance that means nothing."""
-        x, y, heading = (float(value) for value in pose)
-        at = self.make("geometry_msgs/msg/Point", x=x, y=y, z=0.0)
-        turned = {"x": 0.0, "y": 0.0, "z": float(np.sin(heading / 2)), "w": float(np.cos(heading / 2))}
-        placed = self.make(
-            "geometry_msgs/msg/Pose",
-            position=at,
-            orientation=self.make("geometry_msgs/msg/Quaternion", **turned),
-        )
-        still = [self.make("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0) for _ in range(2)]
-        twist = self.make("geometry_msgs/msg/Twist", linear=still[0], angular=still[1])
-        return self.make(
-            "nav_msgs/msg/Odometry",
-            header=self.header(time_ns, "odom"),
-            child_frame_id="base_link",
-            pose=self.make("geometry_msgs/msg/PoseWithCovariance", pose=placed, covariance=np.eye(6).ravel()),
-            twist=self.make(
-                "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.eye(6).ravel()
-            ),
-        )
+def _header(time_ns: int, frame_id: str = "") -> dict[str, Any]:
+    """Fields of std_msgs/Header."""
+    return {"stamp": {"sec": time_ns // 10**9, "nanosec": time_ns % 10**9}, "frame_id": frame_id}
 
-    def picture(self, grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) -> tuple[str, Any]:
-        """8-bit image in the scenario's format: message type and message."""
-        image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
-        header = self.header(time_ns, frame_id)
-        if scenario.pictures == "mono8":
-            height, width = image.shape
-            kind = "sensor_msgs/msg/Image"
-            fields: dict[str, Any] = {"height": height, "width": width, "encoding": "mono8"}
-            fields |= {"is_bigendian": 0, "step": width, "data": image.ravel()}
-            return kind, self.make(kind, header=header, **fields)
-        kind = "sensor_msgs/msg/CompressedImage"
-        options = [cv2.IMWRITE_JPEG_QUALITY, scenario.jpeg_quality] if scenario.pictures == "jpeg" else []
-        ending = ".jpg" if scenario.pictures == "jpeg" else ".png"
-        data = cv2.imencode(ending, image, options)[1].ravel()
-        return kind, self.make(kind, header=header, format=scenario.pictures, data=data)
+
+def _camera_info(info: CameraInfo, time_ns: int) -> dict[str, Any]:
+    """Fields of sensor_msgs/CameraInfo."""
+    return {
+        "header": _header(time_ns, info.frame_id),
+        "height": info.height,
+        "width": info.width,
+        "distortion_model": info.distortion,
+        "d": info.D,
+        "k": info.K.ravel(),
+        "r": info.R.ravel(),
+        "p": info.P.ravel(),
+    }
+
+
+def _odometry(pose: FloatArray, time_ns: int) -> dict[str, Any]:
+    """Fields of nav_msgs/Odometry of a pose x, y (m), heading (rad), with a covariance that means nothing."""
+    x, y, heading = (float(value) for value in pose)
+    turned = {"z": float(np.sin(heading / 2)), "w": float(np.cos(heading / 2))}
+    covariance = np.eye(6).ravel()
+    return {
+        "header": _header(time_ns, "odom"),
+        "child_frame_id": "base_link",
+        "pose": {"pose": {"position": {"x": x, "y": y}, "orientation": turned}, "covariance": covariance},
+        "twist": {"covariance": covariance},
+    }
+
+
+def _picture(grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) -> tuple[str, dict[str, Any]]:
+    """8-bit image in the scenario's format: message type and fields."""
+    image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
+    header = _header(time_ns, frame_id)
+    if scenario.pictures == "mono8":
+        height, width = image.shape
+        size = {"height": height, "width": width, "step": width}
+        return "sensor_msgs/msg/Image", {"header": header, "encoding": "mono8", "data": image.ravel(), **size}
+    options = [cv2.IMWRITE_JPEG_QUALITY, scenario.jpeg_quality] if scenario.pictures == "jpeg" else []
+    ending = ".jpg" if scenario.pictures == "jpeg" else ".png"
+    data = cv2.imencode(ending, image, options)[1].ravel()
+    return "sensor_msgs/msg/CompressedImage", {"header": header, "format": scenario.pictures, "data": data}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,7 +175,7 @@ def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
     return np.stack([np.cumsum(chord * np.cos(middle)), np.cumsum(chord * np.sin(middle)), heading], axis=1)
 
 
-def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
+def _state_messages(world: World) -> Iterator[Published]:
     scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 3])
     # Exact recordings also sample every change of speed, because the angles are linear in between.
@@ -199,24 +200,17 @@ def _state_messages(publisher: Publisher, world: World) -> Iterator[Published]:
         nanoseconds(times_s), joints, wheels, positions, odometry, strict=True
     ):
         stamp = int(time_ns)
-        kind, nothing = "sensor_msgs/msg/JointState", np.zeros(0)
-        state = publisher.make(
-            kind,
-            header=publisher.header(stamp),
-            name=names,
-            position=head if apart else np.concatenate([head, rolled]),
-            velocity=nothing,
-            effort=nothing,
-        )
-        yield Published(stamp, "/joint_states", kind, state)
+        position = head if apart else np.concatenate([head, rolled])
+        state = {"header": _header(stamp), "name": names, "position": position}
+        yield Published(stamp, "/joint_states", "sensor_msgs/msg/JointState", state)
         if robot.wheel_signal == "odometry":
-            yield Published(stamp, "/odom", "nav_msgs/msg/Odometry", publisher.odometry(pose, stamp))
+            yield Published(stamp, "/odom", "nav_msgs/msg/Odometry", _odometry(pose, stamp))
         if counters:
             kind = f"std_msgs/msg/{_COUNTER_TYPES[robot.tick_bits]}"
             for side, angle in (("right", wheel[0]), ("left", wheel[1])):
                 ticks = int(np.round(angle * robot.ticks_per_revolution / (2 * np.pi)))
                 count = (2**robot.tick_bits - _COUNTER_START_BELOW_WRAP + ticks) % 2**robot.tick_bits
-                yield Published(stamp, f"/wheel_ticks/{side}", kind, publisher.make(kind, data=count))
+                yield Published(stamp, f"/wheel_ticks/{side}", kind, {"data": count})
 
 
 def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -231,9 +225,7 @@ def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, Fl
     return floor, world.noise.stamp_s * random.normal(size=len(times_s))
 
 
-def _picture_messages(
-    publisher: Publisher, world: World, drawn: Callable[[int, int], None]
-) -> Iterator[Published]:
+def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterator[Published]:
     scenario, route, robot = world.scenario, world.route, world.actual.stated
     random = np.random.default_rng([scenario.seed, 4])
     rig, shape = world.actual.rig_cameras, world.actual.shape(route.board)
@@ -248,49 +240,32 @@ def _picture_messages(
             grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k)
             if not scenario.exact:
                 grey = grey + scenario.pixel_noise_grey * random.normal(size=grey.shape)
-            kind, message = publisher.picture(grey, info.frame_id, stamp, scenario)
-            yield Published(stamp, topics.image[name], kind, message)
-            kind = "sensor_msgs/msg/CameraInfo"
-            yield Published(stamp, topics.info[name], kind, publisher.camera_info(info, stamp))
+            kind, fields = _picture(grey, info.frame_id, stamp, scenario)
+            yield Published(stamp, topics.image[name], kind, fields)
+            yield Published(stamp, topics.info[name], "sensor_msgs/msg/CameraInfo", _camera_info(info, stamp))
         drawn(i + 1, len(stamps))
 
 
 def published(
-    scenario: Scenario,
-    robot: SimulatedRobot,
-    route: Route,
-    publisher: Publisher,
-    drawn: Callable[[int, int], None],
+    scenario: Scenario, robot: SimulatedRobot, route: Route, drawn: Callable[[int, int], None]
 ) -> Iterator[Published]:
     """All messages of a recording in order of time, created lazily.
 
     Args:
         scenario, robot, route: what to record.
-        publisher: for ROS 1 or 2.
         drawn: called with the number of rendered moments and their total.
     """
     constants, noise = scenario.imperfections(robot)
     world = World(scenario, route, ActualRobot(robot, constants), noise)
-    description = publisher.make("std_msgs/msg/String", data=urdf_text(robot))
     return heapq.merge(
-        [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)],
-        _state_messages(publisher, world),
-        _picture_messages(publisher, world, drawn),
+        [Published(START_NS, "/robot_description", "std_msgs/msg/String", {"data": urdf_text(robot)})],
+        _state_messages(world),
+        _picture_messages(world, drawn),
         key=lambda m: m.time_ns,
     )
 
 
-Write = Callable[[Path, Iterable[Published], Publisher], None]
-
-
-def ros_of(container: Container) -> Ros:
-    """ROS version of a container's messages."""
-    return 1 if container.startswith("bag") or container == "mcap-ros1" else 2
-
-
-def _serialized(publisher: Publisher, published: Published) -> bytes:
-    serialize = publisher.store.serialize_ros1 if publisher.ros == 1 else publisher.store.serialize_cdr
-    return bytes(serialize(published.message, published.type))
+_Write = Callable[[Path, Iterable[Published], Publisher], None]
 
 
 def _mcap(
@@ -307,8 +282,7 @@ def _mcap(
                 name = published.type.replace("/msg/", "/") if publisher.ros == 1 else published.type
                 schema = writer.register_schema(name, f"{profile}msg", definition.encode())
                 channels[published.topic] = writer.register_channel(published.topic, encoding, schema)
-            time_ns = published.time_ns
-            data = _serialized(publisher, published)
+            time_ns, data = published.time_ns, publisher.serialized(published)
             writer.add_message(channels[published.topic], time_ns, data, time_ns)
         writer.finish()  # type: ignore[no-untyped-call]
 
@@ -320,7 +294,7 @@ def _connected(writer: Any, messages: Iterable[Published], publisher: Publisher)
             topic = published.topic
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
-            writer.write(connections[topic], published.time_ns, _serialized(publisher, published))
+            writer.write(connections[topic], published.time_ns, publisher.serialized(published))
 
 
 def _rosbag2(plugin: StoragePlugin, path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
@@ -339,7 +313,7 @@ def _bag(
     _connected(writer, messages, publisher)
 
 
-WRITERS: dict[Container, Write] = {
+_WRITERS: dict[Container, _Write] = {
     "mcap": partial(_mcap, CompressionType.NONE),
     "mcap-lz4": partial(_mcap, CompressionType.LZ4),
     "mcap-zstd": partial(_mcap, CompressionType.ZSTD),
@@ -350,3 +324,9 @@ WRITERS: dict[Container, Write] = {
     "bag-lz4": partial(_bag, BagWriter.CompressionFormat.LZ4),
     "bag-bz2": partial(_bag, BagWriter.CompressionFormat.BZ2),
 }
+
+
+def write(container: Container, path: Path, messages: Iterable[Published]) -> None:
+    """Write messages, in order of time, as a recording."""
+    ros1 = container.startswith("bag") or container == "mcap-ros1"
+    _WRITERS[container](path, messages, Publisher(1 if ros1 else 2))

@@ -11,7 +11,7 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import check_file, check_parent, recognized_file, write_synced
 from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
-from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
+from mobilecal_cli.simulate.messages import published, write
 from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
 
 _DIRECTORIES = ("rosbag2", "rosbag2-mcap")
@@ -49,13 +49,12 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
     recognized = recognized_folder if scenario.container in _DIRECTORIES else recognized_file
     _check(out, truth, recognized, force)
     robot, route = scenario.plan()
-    publisher = Publisher(ros_of(scenario.container))
     messages = published(
-        scenario, robot, route, publisher, lambda done, total: progress("rendering images", done, total)
+        scenario, robot, route, lambda done, total: progress("rendering images", done, total)
     )
     try:
         with partial_of(truth, recognized_file) as text, partial_of(out, recognized) as recording:
-            WRITERS[scenario.container](recording, messages, publisher)
+            write(scenario.container, recording, messages)
             write_synced(text, truth_yaml(scenario, robot, route).encode())
             with uninterrupted():
                 place(recording, out, recognized, force)

@@ -6,7 +6,7 @@ are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Literal
@@ -71,21 +71,6 @@ def stereo_infos(
         f"{prefix}_right_optical", WIDTH, HEIGHT, K_right, D_right, "plumb_bob", R_rect_r, P_right
     )
     return left, right
-
-
-def camera_rig(infos: Sequence[CameraInfo], mounted: Mapping[str, FloatArray]) -> CameraRig:
-    """Cameras by their poses; or a stereo pair for raw images: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0))."""
-    cameras = [
-        Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion) for info in infos
-    ]
-    if mounted:
-        names, rotations = tuple(mounted), tuple(info.R for info in infos)
-        return CameraRig(names, tuple(cameras), tuple(mounted.values()), False, rotations, names[0])
-    left, right = infos
-    T_c_r = np.eye(4)
-    T_c_r[:3, :3] = left.R.T @ right.R
-    T_c_r[:3, 3] = left.R.T @ np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
-    return CameraRig.pair(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
 
 
 def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
@@ -257,8 +242,22 @@ class SimulatedRobot:
 
     @property
     def rig_cameras(self) -> CameraRig:
-        """The cameras, for raw images."""
-        return camera_rig(self.infos, self.mounted)
+        """The cameras, for raw images: by their poses, or a stereo pair.
+
+        Of a pair: x_c = R_rect_c^T (R_rect_r x_r + (baseline, 0, 0)).
+        """
+        cameras = tuple(
+            Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
+            for info in self.infos
+        )
+        if self.mounted:
+            names, rotations = tuple(self.mounted), tuple(info.R for info in self.infos)
+            return CameraRig(names, cameras, tuple(self.mounted.values()), False, rotations, names[0])
+        left, right = self.infos
+        baseline = np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
+        T_c_r = np.eye(4)
+        T_c_r[:3, :3], T_c_r[:3, 3] = left.R.T @ right.R, left.R.T @ baseline
+        return CameraRig.pair(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
 
     def head_pose(self, joints_rad: FloatArray) -> FloatArray:
         """T_v_h from the simulator's own forward kinematics: (J,) → (4, 4)."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, get_args
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -118,8 +117,6 @@ def base_in_world(poses: FloatArray) -> FloatArray:
     return T
 
 
-MOTIONS: tuple[str, ...] = get_args(Motion)
-
 REST_S = 1.2
 _SPEED_MPS = 0.3
 #: Rate of turns in place.
@@ -221,8 +218,8 @@ class Planner:
 
         def beside(aim: FloatArray) -> FloatArray:
             joints = self._aimed(resting_rad, aim)
-            seen = np.linalg.inv(self.robot.head_pose(joints) @ self.robot.T_h_c) @ point_v
-            return np.asarray(seen[:2] / max(float(seen[2]), 0.1))
+            point_c = np.linalg.inv(self.robot.head_pose(joints) @ self.robot.T_h_c) @ point_v
+            return np.asarray(point_c[:2] / max(float(point_c[2]), 0.1))
 
         aim = least_squares(beside, [math.atan2(point_v[1], point_v[0]), 0.0]).x
         return self._aimed(resting_rad, aim)
@@ -277,26 +274,13 @@ class Planner:
         still = motion == "head_fixed" or not self._aim
         spread = 0.12 if still else 1.1 if motion == "large_turns" else 0.6
         last_turn = math.remainder(facing - there[2], 2 * math.pi) + random.uniform(-spread, spread)
-        if (
-            motion == "large_turns"
-        ):  # turn in the opposite direction, if the leg's turn is then at most 300 degrees (360 without a head)
+        # Turn in the opposite direction, if the leg's turn is then at most 300 degrees (360 without a head).
+        if motion == "large_turns":
             total = there[2] - base[2] + last_turn
             other, most = total - math.copysign(2 * math.pi, total), math.radians(300 if self._aim else 360)
             last_turn = last_turn + other - total if abs(other) <= most else last_turn
         last = Stretch(abs(last_turn) / TURN_RADPS, 0.0, math.copysign(TURN_RADPS, last_turn))
         return [s for s in (first, arc, last) if s.duration_s > 0]
-
-    def route(
-        self,
-        motion: Motion,
-        stretches: list[Stretch],
-        knots_s: list[float],
-        knots: list[Any],
-        rests_s: FloatArray,
-    ) -> Route:
-        """The planned route."""
-        drive = Drive(tuple(stretches))
-        return Route(motion, drive, np.array(knots_s), np.array(knots), rests_s, self.T_w_k, self.board)
 
     def allowed(self, base: Pose) -> bool:
         """Whether a pose is suitable for a stop."""
@@ -346,7 +330,8 @@ def plan_stops(planner: Planner, motion: Motion, stations: int) -> Route:
         knots += [joints, joints]
         clock += duration + REST_S
         base = there
-    return planner.route(motion, stretches, knots_s, knots, np.array(rests))
+    drive, board = Drive(tuple(stretches)), planner.board
+    return Route(motion, drive, np.array(knots_s), np.array(knots), np.array(rests), planner.T_w_k, board)
 
 
 def plan_moving(planner: Planner, duration_s: float) -> Route:
@@ -375,7 +360,8 @@ def plan_moving(planner: Planner, duration_s: float) -> Route:
         clock, base = clock + _KNOT_S, there
     knots_s.append(clock)
     joints.append(joints[-1])
-    return planner.route("moving", stretches, knots_s, joints, np.zeros((0, 2)))
+    drive, no_rests, board = Drive(tuple(stretches)), np.zeros((0, 2)), planner.board
+    return Route("moving", drive, np.array(knots_s), np.array(joints), no_rests, planner.T_w_k, board)
 
 
 @lru_cache(maxsize=64)

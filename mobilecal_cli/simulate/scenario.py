@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import get_args
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
 
-CONTAINERS: tuple[str, ...] = get_args(Container)
 _BOARD = Board(9, 6, 0.08)
 PRINTED: dict[BoardKind, Board] = {
     "charuco": Board(15, 11, 0.08, Markers("charuco", "DICT_5X5_1000", 0.75)),

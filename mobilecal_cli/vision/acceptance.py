@@ -45,14 +45,15 @@ def check_size(grid: FloatArray) -> Miss | None:
     return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
-def _limit_px(off_px: FloatArray, edge_px: float) -> float:
+def _limit_px(grid_map: GridMap, edge_px: float) -> float:
     """Largest distance of a corner from the smooth map through the others, px; see `GridMap.off_px`."""
-    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * upper_median(off_px.ravel())))
+    usual_px = upper_median(grid_map.off_px.ravel())
+    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * usual_px))
 
 
 def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
     """(rows, columns) whether a corner is off the grid of the others."""
-    return np.asarray(grid_map.off_px > _limit_px(grid_map.off_px, edge_px))
+    return np.asarray(grid_map.off_px > _limit_px(grid_map, edge_px))
 
 
 def fit_board(
@@ -93,7 +94,7 @@ def accepted(
         order: of the corners.
     """
     edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
-    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map.off_px, edge_px)
+    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map, edge_px)
     if worst_px > most_px:
         return Miss(
             "corners not on a regular grid", f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px"

@@ -28,15 +28,11 @@ from mobilecal_cli.vision.saddles import least_response, may_show_board
 from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Detection, Miss
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
-_ADAPTIVE = (
-    cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-)  # for uneven light; slow in full images
+# For uneven light; slow in full images.
+_ADAPTIVE = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 _PAINTED = 1.2  # margin painted over beyond the corners, in squares
-_FINAL = (
-    "squares too small",
-    "board extends beyond the grid",
-    "blurred",
-)  # reasons that no other search changes
+# Reasons that no other search changes.
+_FINAL = ("squares too small", "board extends beyond the grid", "blurred")
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 # Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)
@@ -186,15 +182,19 @@ class SizeVote:
     """Estimate of the board's size from several images.
 
     Attributes:
-        size: (columns, rows) inner corners, columns the larger count; None when no image shows a whole board
-            or no size has a majority.
         votes: size → number of images that show a whole board of this size.
         pictures: number of images examined.
     """
 
-    size: tuple[int, int] | None
     votes: Mapping[tuple[int, int], int]
     pictures: int
+
+    @property
+    def size(self) -> tuple[int, int] | None:
+        """(columns, rows) inner corners, columns the larger count; None without a majority of the votes."""
+        return next(
+            (size for size, votes in self.votes.items() if 2 * votes > sum(self.votes.values())), None
+        )
 
 
 def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> SizeVote:
@@ -217,9 +217,7 @@ def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> Siz
             votes[size] += 1
         if len(votes) == 1 and votes.total() == enough:
             break
-    leading = votes.most_common(1)
-    size = leading[0][0] if leading and 2 * leading[0][1] > votes.total() else None
-    return SizeVote(size, dict(votes), pictures)
+    return SizeVote(votes, pictures)
 
 
 def _size_in(image: GrayImage) -> tuple[int, int] | None:

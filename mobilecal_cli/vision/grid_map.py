@@ -62,12 +62,6 @@ class Fisheye:
         return np.asarray(self.center_px + scale[..., None] * points[..., :2])
 
 
-def fisheyes(height: int, width: int) -> tuple[Fisheye, ...]:
-    """Lenses to start from in images of this size."""
-    center_px = np.array([(width - 1) / 2, (height - 1) / 2])
-    return tuple(Fisheye(center_px, max(width, height) * focal) for focal in _FOCAL_LENGTHS)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Frame:
     """The part of `fit_grid` that depends only on the board's size.
@@ -238,14 +232,17 @@ def fit_grid(grid: FloatArray, image_shape: tuple[int, int] | None = None) -> Gr
 
 def _fisheye_fit(grid: FloatArray, image_shape: tuple[int, int]) -> GridMap | None:
     """The smoothest map through a fisheye lens, by Gauss-Newton steps on the lens from the best of a few."""
-    fits = [_fit(grid, lens) for lens in fisheyes(*image_shape) if lens.reaches(grid.reshape(-1, 2))]
+    (height, width), side_px = image_shape, max(image_shape)
+    center_px = np.array([(width - 1) / 2, (height - 1) / 2])
+    lenses = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
+    fits = [_fit(grid, lens) for lens in lenses if lens.reaches(grid.reshape(-1, 2))]
     best = min(fits, key=lambda fit: fit.sigma_px, default=None)
     if best is None or best.lens is None:
         return None
     start, change = best.lens, np.zeros(3)
 
     def cost(change: FloatArray) -> tuple[FloatArray, GridMap]:
-        fit = _fit(grid, start.moved(change, max(image_shape)))
+        fit = _fit(grid, start.moved(change, side_px))
         return np.append(fit.residual / _LENS_PX, change), fit
 
     costs, best = cost(change)

@@ -34,27 +34,27 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     corners = find(np.ascontiguousarray(image), board, markers)
     if isinstance(corners, Miss):
         return corners
-    pixels, seen = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
+    pixels, good = np.zeros((board.corners, 2)), np.zeros(board.corners, dtype=np.bool_)
     numbers, places = corners
-    pixels[numbers], seen[numbers] = places, True
+    pixels[numbers], good[numbers] = places, True
     grid = board.grid()[:, :2]
     for _ in range(3):
-        if seen.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[seen] - grid[seen].mean(axis=0)) < 2:
+        if good.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[good] - grid[good].mean(axis=0)) < 2:
             return Miss(
                 OCCLUDED,
-                f"{seen.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
+                f"{good.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
             )
-        off = np.linalg.norm(scatter_px(grid[seen], pixels[seen]), axis=1)
+        off = np.linalg.norm(scatter_px(grid[good], pixels[good]), axis=1)
         usual = float(np.median(off)) / 1.1774
         gross = off > max(_GROSS_SIGMAS * usual, _GROSS_PX)
         if not gross.any():
             break
-        seen[np.flatnonzero(seen)[gross]] = False
-    edge = _edge_px(grid[seen], pixels[seen])
+        good[np.flatnonzero(good)[gross]] = False
+    edge = _edge_px(grid[good], pixels[good])
     if edge < MIN_EDGE_PX:
         return Miss("squares too small", f"square side {edge:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
-    sigma_px = max(rms(scatter_px(grid[seen], pixels[seen])), _FLOOR_PX)
-    return Detection(np.where(seen[:, None], pixels, 0.0), sigma_px, seen)
+    sigma_px = max(rms(scatter_px(grid[good], pixels[good])), _FLOOR_PX)
+    return Detection(np.where(good[:, None], pixels, 0.0), sigma_px, good)
 
 
 def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:

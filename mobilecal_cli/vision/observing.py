@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -22,6 +23,7 @@ from mobilecal_cli.model import (
     Rejection,
     Station,
     camera_words,
+    shots_words,
 )
 from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
@@ -95,24 +97,26 @@ class StationCorners:
         limit is the roughness of the mean grid, because refinement errors common to all images do not average
         out. Noise in excess of the fits' covariances is added equally to all corners.
         """
-        n, seen = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
-        weight = (self.seen & seen)[..., None]
+        n, mostly = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        weight = (self.seen & mostly)[..., None]
         mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
         if board.markers is None:
             roughness = roughness_px(camera, mean.reshape(board.rows, board.columns, 2))
         else:
-            roughness = rms(scatter_px(board.grid()[seen, :2], mean[seen]))
+            roughness = rms(scatter_px(board.grid()[mostly, :2], mean[mostly]))
         sigma_px = max(roughness, FLOOR_PX)
         if n > 1:
-            freedom = max(2 * (int(weight.sum()) - int(seen.sum())), 1)
+            freedom = max(2 * (int(weight.sum()) - int(mostly.sum())), 1)
             scatter = np.sqrt(np.sum(weight * (self.pixels - mean) ** 2) / freedom)
             sigma_px = max(sigma_px, float(scatter / np.sqrt(n)))
         times = np.maximum(weight.sum(axis=0), 1)[..., None]
         claimed = np.sum(self.cov * weight[..., None], axis=0) / times**2
-        usual = float(np.median(np.trace(claimed[seen], axis1=1, axis2=2))) / 2
+        usual = float(np.median(np.trace(claimed[mostly], axis1=1, axis2=2))) / 2
         cov = claimed + max(sigma_px**2 - usual, 0.0) * np.eye(2)
         sigma_px = max(sigma_px, float(np.sqrt(usual)))
-        return Corners(mean, sigma_px, n, seen, np.where(seen[:, None, None], cov / sigma_px**2, np.eye(2)))
+        return Corners(
+            mean, sigma_px, n, mostly, np.where(mostly[:, None, None], cov / sigma_px**2, np.eye(2))
+        )
 
 
 def _by_reason(misses: Sequence[Miss]) -> str:
@@ -126,7 +130,7 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     by_camera = zip(names, zip(*shots, strict=True), strict=True)
     misses = {name: [item for item in items if isinstance(item, Miss)] for name, items in by_camera}
     every = [miss for of_camera in misses.values() for miss in of_camera]
-    what = {1: "images", 2: "stereo pairs"}.get(len(names), "groups of images")
+    what = shots_words(len(names))
     if not every:
         return f"no {what}", f"the station has no {what}"
     details = [f"{name}: {_by_reason(items)}" for name, items in misses.items() if items]
@@ -145,7 +149,7 @@ def _best_fit(
     for others in product(turns(board), repeat=len(views) - 1):
         option = (views[0], *(turned_view(view, board, k) for view, k in zip(views[1:], others, strict=True)))
         fits.append((triangulate(rig, *_common_pixels(option)), option))
-    return min(fits, key=lambda one: one[0].rms_px if isinstance(one[0], StereoPoints) else np.inf)
+    return min(fits, key=lambda fit: fit[0].rms_px if isinstance(fit[0], StereoPoints) else np.inf)
 
 
 def _by_one(
@@ -156,9 +160,9 @@ def _by_one(
     Cameras whose poses are only described are too far off for triangulation: 1 degree is more than the disparity shows.
     """
     most = max(range(len(views)), key=lambda k: int(views[k].seen.sum()))
-    points_k, seen = square_m * board.grid(), views[most].seen
-    pixels, noises = [views[most].pixels[seen]], [views[most].cov_px2[seen]]
-    pose = pose_from_one(rig.some((most,)), points_k[seen], pixels, noises)
+    points_k, in_view = square_m * board.grid(), views[most].seen
+    pixels, noises = [views[most].pixels[in_view]], [views[most].cov_px2[in_view]]
+    pose = pose_from_one(rig.some((most,)), points_k[in_view], pixels, noises)
     if isinstance(pose, Miss):
         return pose, tuple(views)
     numbered = []
@@ -212,7 +216,11 @@ class Measured:
 
     def rejected(self, reason: str, detail: str) -> Rejection:
         """Rejection of this station."""
-        return Rejection("vision", reason, detail, self.station.time_ns, self.station.index, self.log)
+        return _rejection(self.log, self.station, reason, detail)
+
+
+def _rejection(log: int, station: Station, reason: str, detail: str) -> Rejection:
+    return Rejection("vision", reason, detail, station.time_ns, station.index, log)
 
 
 def _showing(
@@ -222,7 +230,7 @@ def _showing(
     groups = Counter(tuple(k for k, item in enumerate(shot) if isinstance(item, Detection)) for shot in shots)
     best = max(groups, key=lambda group: (len(group), groups[group]))
     detected = [[item for k in best if isinstance(item := shot[k], Detection)] for shot in shots]
-    return best, [found for found in detected if len(found) == len(best)]
+    return best, [together for together in detected if len(together) == len(best)]
 
 
 def measure(
@@ -244,16 +252,13 @@ def measure(
     Returns:
         The board at this station, or a rejection.
     """
-
-    def rejected(reason: str, detail: str) -> Rejection:
-        return Rejection("vision", reason, detail, station.time_ns, station.index, log)
-
+    rejected = partial(_rejection, log, station)
     shown, detected = _showing(shots)
     if not shown:
         return rejected(*_unusable(rig.names, shots))
-    images = [StationCorners.of(found, board) for found in zip(*detected, strict=True)]
+    images = [StationCorners.of(together, board) for together in zip(*detected, strict=True)]
     drift_px = np.max([of_camera.drift_px for of_camera in images], axis=0)
-    claimed_px = float(np.median([max(d.sigma_px for d in found) for found in detected]))
+    claimed_px = float(np.median([max(d.sigma_px for d in together) for together in detected]))
     limit_px = max(_MAX_DRIFT_PX, _DRIFT_SIGMAS * claimed_px)
     still = drift_px <= limit_px
     if 2 * np.sum(still) <= len(detected):

@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FACTORS
-from mobilecal_cli.simulate.messages import WRITERS, Publisher, published, ros_of
+from mobilecal_cli.simulate.messages import published, write
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -113,9 +113,9 @@ def test_three_cameras_from_a_recording(tmp_path, off):
     robot = three_on_pan_tilt()
     scenario = Scenario(stations=10, seed=6, pictures="png")
     route = plan_route(robot, stations=scenario.stations, board=scenario.board, seed=scenario.seed)
-    path, publisher = tmp_path / "three.mcap", Publisher(ros_of("mcap"))
-    messages = published(scenario, robot, route, publisher, lambda done, total: None)
-    WRITERS["mcap"](path, messages, publisher)
+    path = tmp_path / "three.mcap"
+    messages = published(scenario, robot, route, lambda done, total: None)
+    write("mcap", path, messages)
     settings = {**SQUARE}
     for side in ("left", "right"):
         wheel = {"topic": f"/wheel_ticks/{side}", "field": "data", "ticks_per_revolution": 4096, "bits": 16}

@@ -136,7 +136,7 @@ def calls():
         {"hold_out.stations": 1},
         object(),
     ]
-    yield from (("Report", "gates", value) for value in but(gates, ""))
+    yield from (("Report", "gates", value) for value in but(gates, "", None))
     yield from (("Report", "last", value) for value in [*but(NOTHING, None), "\0", "/"])
     yield from (("save", "directory", value) for value in but([*NOTHING, "\0", "/"], "x"))
     yield from (("compare", "first", value) for value in NOTHING)

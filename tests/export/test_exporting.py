@@ -191,7 +191,7 @@ def test_an_unobservable_separation_stays_in_the_urdf_and_in_the_controller():
     ]
     assert b'radius="0.101"' in made.content
     assert any("separation unchanged, it is unobservable" in change for change in made.notes)
-    sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS, None))["diff_drive_controller"]
+    sizes = yaml.safe_load(diff_drive_yaml(partly([8]), JOINTS))["diff_drive_controller"]
     assert set(sizes["ros__parameters"]) == {
         "left_wheel_names", "right_wheel_names", "wheel_radius", "left_wheel_radius_multiplier",
         "right_wheel_radius_multiplier",
@@ -202,10 +202,10 @@ def test_unobservable_radii_stay():
     made = patched_urdf(URDF, partly([6, 7]), JOINTS)
     assert made.content.count(b'radius="0.1"') == 2
     assert b"0 0.215 0" in made.content
-    sizes = yaml.safe_load(diff_drive_yaml(partly([6, 7]), JOINTS, None))["diff_drive_controller"]
+    sizes = yaml.safe_load(diff_drive_yaml(partly([6, 7]), JOINTS))["diff_drive_controller"]
     assert not [name for name in sizes["ros__parameters"] if "radius" in name]
     with pytest.raises(ConfigError, match="neither the wheel radii nor the separation"):
-        diff_drive_yaml(partly([6, 7, 8]), JOINTS, None)
+        diff_drive_yaml(partly([6, 7, 8]), JOINTS)
 
 
 def test_an_unobservable_height_of_the_camera_stays():

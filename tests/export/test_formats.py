@@ -125,7 +125,8 @@ def test_xacro_reads_the_properties(tmp_path):
 
 @pytest.mark.parametrize("nominal", [None, WheelGeometry(0.1, 0.1, 0.48)])
 def test_ros2_control(nominal):
-    text = diff_drive_yaml(ROBOT, {"left": "l", "right": "r"}, nominal)
+    robot = replace(ROBOT, nominal_wheels=nominal)
+    text = diff_drive_yaml(robot, {"left": "l", "right": "r"})
     data = yaml.safe_load(text)["diff_drive_controller"]["ros__parameters"]
     jsonschema.validate(data, DIFF_DRIVE)
     # As the controller multiplies them out.
@@ -134,8 +135,8 @@ def test_ros2_control(nominal):
     assert data["wheel_radius"] * data["right_wheel_radius_multiplier"] == pytest.approx(0.101)
     assert data["wheel_radius"] == pytest.approx(0.1 if nominal else 0.1015)
     assert (data["left_wheel_names"], data["right_wheel_names"]) == (["l"], ["r"])
-    several = replace(ROBOT, side_joints={"left": ("a", "b"), "right": ("c", "d")})
-    named = yaml.safe_load(diff_drive_yaml(several, {"left": "l"}, nominal))["diff_drive_controller"]
+    several = replace(robot, side_joints={"left": ("a", "b"), "right": ("c", "d")})
+    named = yaml.safe_load(diff_drive_yaml(several, {"left": "l"}))["diff_drive_controller"]
     names = (named["ros__parameters"][f"{side}_wheel_names"] for side in ("left", "right"))
     assert list(names) == [["l"], ["c", "d"]]  # a joint that the user names stands for its whole side
 

@@ -45,7 +45,7 @@ def test_any_frame_name(parent, child):
     parseString(Xacro().text(named))
     message = yaml.safe_load(StaticTransformYaml().text(named))
     assert (message["header"]["frame_id"], message["child_frame_id"]) == (parent, child)
-    drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}, None))
+    drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}))
     assert drive["diff_drive_controller"]["ros__parameters"]["left_wheel_names"] == [parent]
     with suppress(ConfigError):
         node = parseString(StaticTransformLaunch().text(named)).getElementsByTagName("node")[0]

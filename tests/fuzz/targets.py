@@ -46,7 +46,7 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
-from mobilecal_cli.report.comparison import comparison_text
+from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.resolve import survey_rig
@@ -105,10 +105,11 @@ def _rig(path: Path) -> None:
 
 def _params(path: Path) -> None:
     robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
-    comparison_text(["a", "b"], [difference(robot, robot)], history([robot, robot]))
+    both = (robot, robot)
+    comparison_text(Comparison(("a", "b"), both, (difference(*both),), history(both)))
     for text in (Json().text, StaticTransformLaunch().text, StaticTransformYaml().text, Xacro().text):
         text(robot)
-    diff_drive_yaml(robot, robot.wheel_joints, robot.nominal_wheels)
+    diff_drive_yaml(robot, robot.wheel_joints)
 
 
 def _urdf(path: Path) -> None:

@@ -93,7 +93,7 @@ def make_provenance(extraction: Extraction) -> Provenance:
 
 
 def made(
-    solution: Solution, extraction: Extraction, trial=None, change=None, gates=(), **provenance
+    solution: Solution, extraction: Extraction, trial=None, change=None, gates=None, **provenance
 ) -> ReportData:
     """The report on a solution; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)

@@ -65,7 +65,7 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     assert (report.verdict.level, report.verdict.reason) == ("FAIL", "The robot is too gray.")
     assert (check.value, check.unit, check.measured_text) == (3.0, "shades", "3 shades")
     assert report.metrics["color"] == 3.0
-    assert verdict.gates_of(["color=4"], {}) == (verdict.Gate("color", 4.0),)
+    assert verdict.gates_of(["color=4"], {}) == {"color": 4.0}
     assert "The robot is too gray." in page_of(*case)
     assert 'name="color of the robot"' in junit_xml("log", report.verdict).decode()
     assert '"measured_text": "3 shades"' in json_text(report)

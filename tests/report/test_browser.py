@@ -15,7 +15,6 @@ from mobilecal_cli.model import FixedLink, FleetRow, JointLink, LogSource, Nomin
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import fleet_html
 from mobilecal_cli.report.numbers import reference_pose
-from mobilecal_cli.report.verdict import Gate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
@@ -247,7 +246,7 @@ def test_nothing_of_the_log_becomes_markup(browser, page):
 def test_it_prints_one_sheet_to_sign(browser, tmp_path, level):
     """A4, with verdict, numbers, recording, hash, date and lines for robot and signature."""
     solution, extraction = solved()
-    gates = [Gate("predicted.camera_mm", 0.1)] if level == "NOT ENOUGH" else []
+    gates = {"predicted.camera_mm": 0.1} if level == "NOT ENOUGH" else {}
     if level == "FAIL":
         wide = replace(WHEELS, separation_m=3 * solution.parameters.wheels.separation_m)
         extraction = replace(

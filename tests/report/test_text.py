@@ -19,7 +19,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.model.text import verdict_lines
-from mobilecal_cli.report.comparison import comparison_text
+from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import fleet_text
@@ -67,7 +67,7 @@ def texts(extraction):
         "details": summary_text(report, verbose=True),
         "verdict": f"{report.verdict.level}\n{report.verdict.reason}\n{report.verdict.next_step}\n{checks}",
         "evaluation": evaluation_text(evaluation_data(trial)),
-        "comparison": comparison_text(["one", "two", "three"], changes, history(past)),
+        "comparison": comparison_text(Comparison(("one", "two", "three"), past, changes, history(past))),
         "fleet": fleet_text(rows),
         "page": prose(page),
         "suggestions": "\n".join(suggestion_sentences(solution, slipped)) + "\n",

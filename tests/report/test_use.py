@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.use import (
     FAMILIES,
@@ -118,6 +119,8 @@ def test_methods_without_standard_deviations_say_so():
 def test_the_words_know_every_source():
     solution, _ = drawn()
     assert set(solution.uncertainty.budget.sources) <= set(SOURCES)
+    stated = {kind.name: SOURCES[kind.name] for kind in KINDS}
+    assert [name for name, words in stated.items() if not (words.stated and words.cure)] == []
     for name in (*NINE, *solution.uncertainty.budget.at_work):
         shares = family_shares(shares_of(solution, name))
         assert sum(share for share, _ in shares) == pytest.approx(1.0, abs=1e-6)

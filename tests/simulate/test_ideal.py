@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import MOTIONS, plan_route
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.targets import Motion
 from tests.extractions import Noise, ideal_extraction
 
 
@@ -40,7 +42,7 @@ def driven(track, wheels, begin_ns, end_ns):
     return T
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", get_args(Motion))
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_closed_loop_holds_exactly(name, motion):
     """T_V_Hi X T_Ci_Cj = T_Vi_Vj T_V_Hj X (eq. 3), with the base's motion from the wheels alone."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -20,7 +21,8 @@ from mobilecal_cli.simulate.imperfect import PRIORS, START_NS, Noise, constant_k
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import base_in_world
-from mobilecal_cli.simulate.scenario import CONTAINERS, Scenario
+from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.targets import Container
 from tests.extractions import Imperfection, imperfect_extraction
 
 SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
@@ -65,7 +67,7 @@ def reference(tmp_path_factory):
     return contents(path, SMALL)
 
 
-@pytest.mark.parametrize("container", [container for container in CONTAINERS if container != "mcap"])
+@pytest.mark.parametrize("container", [container for container in get_args(Container) if container != "mcap"])
 def test_every_container_holds_the_same_values(tmp_path, reference, container):
     scenario = replace(SMALL, container=container)
     description, signals, pictures = contents(recorded(tmp_path, scenario), scenario)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Board
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import MOTIONS, Planner, base_in_world, plan_route
+from mobilecal_cli.simulate.route import Planner, base_in_world, plan_route
+from mobilecal_cli.targets import Motion
 
 STATIONS = 6
 
@@ -28,7 +30,7 @@ def camera_poses(robot, route, times_s):
         yield base @ robot.head_pose(angles) @ robot.T_h_c
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("motion", get_args(Motion))
 @pytest.mark.parametrize("name", ROBOTS)
 def test_both_cameras_see_the_whole_board(name, motion):
     """By OpenCV's projection, at every station or all along a moving route."""
@@ -46,7 +48,7 @@ def test_both_cameras_see_the_whole_board(name, motion):
             assert np.all(at < np.array([camera.width, camera.height]) - 20)
 
 
-@pytest.mark.parametrize("motion", [motion for motion in MOTIONS if motion != "moving"])
+@pytest.mark.parametrize("motion", [motion for motion in get_args(Motion) if motion != "moving"])
 def test_base_and_head_stand_still_at_the_rests(motion):
     robot, route = planned("paper", motion)
     assert len(route.rests_s) == STATIONS

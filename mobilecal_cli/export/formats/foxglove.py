@@ -208,11 +208,8 @@ def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
 
 
 def _add_station(messages: _Messages, scene: Scene, station: int) -> None:
-    observation, residuals, leg = (
-        scene.extraction.observations[station],
-        scene.residuals,
-        scene.legs.get(station),
-    )
+    observation, residuals = scene.extraction.observations[station], scene.residuals
+    leg = scene.legs.get(station)
     time_ns, names, images = observation.time_ns, scene.names, scene.images.get(station, {})
     board = _transform(time_ns, names.world, names.board, residuals.T_w_k[station])
     messages.add("/tf_board", time_ns, FrameTransforms(transforms=[board]))

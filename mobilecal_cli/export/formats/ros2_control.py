@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request
 from mobilecal_cli.export.text import decimal, quoted
-from mobilecal_cli.model import FACTORS, SIDES, CalibratedRobot, Side, WheelGeometry
+from mobilecal_cli.model import FACTORS, SIDES, CalibratedRobot, Side
 from mobilecal_cli.model.text import visible
 
 
@@ -17,10 +17,10 @@ class Ros2Control(Format):
     options = frozenset({"--left-joint", "--right-joint"})
 
     def export(self, asked: Request) -> Exported:
-        return Exported(diff_drive_yaml(asked.robot, asked.joints, asked.robot.nominal_wheels).encode())
+        return Exported(diff_drive_yaml(asked.robot, asked.joints).encode())
 
 
-def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal: WheelGeometry | None) -> str:
+def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
     """Parameters of ros2_control's diff_drive_controller.
 
     The controller takes one wheel radius and one separation, each with multipliers. The multipliers refer to the
@@ -28,15 +28,15 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str], nominal:
     Unobservable sizes are left out, so that the controller keeps its own.
 
     Args:
+        robot: its nominal radii count as their mean.
         joints: names of the wheel joints, as far as they are known.
-        nominal: sizes that the multipliers refer to; the mean of their radii is used.
 
     Raises:
         ConfigError: all sizes are unobservable.
     """
     if robot.odometry is not None:
         return _factors_yaml(robot, joints)
-    wheels = robot.wheels
+    wheels, nominal = robot.wheels, robot.nominal_wheels
     radius_m, separation_m = (wheels.radius_left_m + wheels.radius_right_m) / 2, wheels.separation_m
     base = "the mean of both radii and the calibrated separation"
     if nominal is not None:

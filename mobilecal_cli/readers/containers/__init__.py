@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
 
@@ -40,120 +39,113 @@ def open_recording(paths: Sequence[Path]) -> Recording:
     if not paths:
         raise RecordingError("no recording given", "give one: mobilecal calibrate LOG")
     with ExitStack() as stack:
-        opened = _Opened(stack)
+        recording = stack.enter_context(Recording(paths))
         for path in paths:
             with boundary(path):
-                opened.add(path)
-        if not opened.parts:
-            raise RecordingError("; ".join(opened.notes), KNOWN)
-        undo_steps(opened.parts)
-        recording = Recording(paths, opened.parts, opened.stated, opened.notes, stack.pop_all())
-    if recording.damage and not any(info.count is None or info.count for info in recording.topics):
-        recording.close()
-        raise RecordingError(
-            f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
-            "copy the recording again, or record a new one",
-        )
+                _add(recording, path)
+        if not recording.parts:
+            raise RecordingError("; ".join(recording.damage), KNOWN)
+        undo_steps(recording.parts)
+        recording.complete()
+        if recording.damage and not any(info.count is None or info.count for info in recording.topics):
+            raise RecordingError(
+                f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
+                "copy the recording again, or record a new one",
+            )
+        stack.pop_all()  # the recording stays open
     return recording
 
 
-@dataclass
-class _Opened:
-    """What has been opened so far."""
+def _add(recording: Recording, path: Path) -> None:
+    """Open a file or a directory as a part of a recording."""
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or directory", "check the path")
+    if path.is_dir():
+        _add_directory(recording, path)
+    elif path.name == METADATA:
+        _add_directory(recording, path.parent)
+    else:
+        recording.parts.append(_opened(recording, path))
 
-    stack: ExitStack
-    parts: list[Storage] = field(default_factory=list)
-    stated: dict[str, int] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
 
-    def add(self, path: Path) -> None:
-        """Open a file or a directory."""
-        if not path.exists():
-            raise RecordingError(f"{path}: no such file or directory", "check the path")
-        if path.is_dir():
-            self._directory(path)
-        elif path.name == METADATA:
-            self._directory(path.parent)
-        else:
-            self.parts.append(self._file(path))
-
-    def _file(self, path: Path) -> Storage:
-        magic = _magic(path)
-        trouble = ""
-        source = path
-        if magic == ZSTD_MAGIC:
-            folder = enter_scratch(self.stack)
-            source = folder / path.stem
-            with path.open("rb") as packed, full_disk_told():
-                trouble = expand(packed, source)
-            magic = _magic(source, path)
-        if magic not in CONTAINERS:
-            raise RecordingError(f"{path}: not a recording", KNOWN)
-        storage = CONTAINERS[magic](source)
-        self.stack.callback(storage.close)
-        if trouble:
-            storage.note(
-                f"the compressed file is truncated or damaged ({trouble}); the decompressed part is used"
-            )
-        return storage
-
-    def _directory(self, folder: Path) -> None:
-        listed = self._listed(folder) if (folder / METADATA).is_file() else []
-        names = {_unpacked(path.name) for path in listed}
-        entries = sorted(folder.iterdir())
-        inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
-        # The player unpacks a compressed file next to it.
-        files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
-        if listed:
-            if files or inside:
-                self._refuse(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
-            for path in listed:
-                try:
-                    with boundary(path):
-                        self.parts.append(self._file(path))
-                except RecordingError as error:  # the other parts may suffice
-                    self.notes.append(f"{error.message}; this part is skipped")
-            return
-        if not files and not inside:
-            raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
-        storages = [self._file(path) for path in files]
-        groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
-        if len(groups) > 1 or inside:
-            self._refuse(folder, [*groups, *inside])
-        self.parts.extend(storages)
-
-    def _refuse(self, folder: Path, recordings: Sequence[str]) -> None:
-        """Refuse a directory with several recordings, or with one in a directory of its own.
-
-        Raises:
-            RecordingError: always.
-        """
-        count = f"{len(recordings)} recordings" if len(recordings) > 1 else "a directory with a recording"
-        raise RecordingError(
-            f"{folder}: contains {count}: {'; '.join(recordings)}",
-            "give the recording to use, or give all recordings of one robot to calibrate them together",
+def _opened(recording: Recording, path: Path) -> Storage:
+    """A file, which is closed together with the recording."""
+    magic = _magic(path)
+    trouble = ""
+    source = path
+    if magic == ZSTD_MAGIC:
+        folder = enter_scratch(recording)
+        source = folder / path.stem
+        with path.open("rb") as packed, full_disk_told():
+            trouble = expand(packed, source)
+        magic = _magic(source, path)
+    if magic not in CONTAINERS:
+        raise RecordingError(f"{path}: not a recording", KNOWN)
+    storage = CONTAINERS[magic](source)
+    recording.callback(storage.close)
+    if trouble:
+        storage.note(
+            f"the compressed file is truncated or damaged ({trouble}); the decompressed part is used"
         )
+    return storage
 
-    def _listed(self, folder: Path) -> list[Path]:
-        """Files listed in metadata.yaml, and its message counts; empty if it cannot be used."""
-        try:
-            information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))[
-                "rosbag2_bagfile_information"
-            ]
-            names = dict.fromkeys(PurePath(name).name for name in information["relative_file_paths"])
-            stated = {
-                str(entry["topic_metadata"]["name"]): int(entry["message_count"])
-                for entry in information.get("topics_with_message_count") or ()
-            }
-        except Exception as error:  # a damaged YAML file may raise anything
-            self.notes.append(
-                f"{folder / METADATA}: cannot be used ({type(error).__name__}: {error}); "
-                "the files in the directory are read instead"
-            )
-            return []
-        for topic, count in stated.items():
-            self.stated[topic] = self.stated.get(topic, 0) + count
-        return [folder / name for name in names]
+
+def _add_directory(recording: Recording, folder: Path) -> None:
+    listed = _listed(recording, folder) if (folder / METADATA).is_file() else []
+    names = {_unpacked(path.name) for path in listed}
+    entries = sorted(folder.iterdir())
+    inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
+    # The player unpacks a compressed file next to it.
+    files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
+    if listed:
+        if files or inside:
+            _refuse(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
+        for path in listed:
+            try:
+                with boundary(path):
+                    recording.parts.append(_opened(recording, path))
+            except RecordingError as error:  # the other parts may suffice
+                recording.note(f"{error.message}; this part is skipped")
+        return
+    if not files and not inside:
+        raise RecordingError(f"{folder}: no recording in this directory", KNOWN)
+    storages = [_opened(recording, path) for path in files]
+    groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
+    if len(groups) > 1 or inside:
+        _refuse(folder, [*groups, *inside])
+    recording.parts += storages
+
+
+def _refuse(folder: Path, recordings: Sequence[str]) -> None:
+    """Refuse a directory with several recordings, or with one in a directory of its own.
+
+    Raises:
+        RecordingError: always.
+    """
+    count = f"{len(recordings)} recordings" if len(recordings) > 1 else "a directory with a recording"
+    raise RecordingError(
+        f"{folder}: contains {count}: {'; '.join(recordings)}",
+        "give the recording to use, or give all recordings of one robot to calibrate them together",
+    )
+
+
+def _listed(recording: Recording, folder: Path) -> list[Path]:
+    """Files listed in metadata.yaml, whose message counts the recording receives; empty if it cannot be used."""
+    try:
+        information = load_yaml(read_text(folder / METADATA, LARGEST_BYTES))["rosbag2_bagfile_information"]
+        names = dict.fromkeys(PurePath(name).name for name in information["relative_file_paths"])
+        stated = {
+            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+            for entry in information.get("topics_with_message_count") or ()
+        }
+    except Exception as error:  # a damaged YAML file may raise anything
+        recording.note(
+            f"{folder / METADATA}: cannot be used ({type(error).__name__}: {error}); "
+            "the files in the directory are read instead"
+        )
+        return []
+    recording.stated.update(stated)
+    return [folder / name for name in names]
 
 
 def _magic(path: Path, name: Path | None = None) -> bytes:

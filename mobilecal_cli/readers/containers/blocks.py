@@ -101,7 +101,7 @@ class BlockStorage(Storage):
         """Fill channels, blocks and counts: from the index, or by `Reindex`."""
 
     @abstractmethod
-    def take_record(self, at: int, found: Reindex) -> int | None:
+    def take_record(self, at: int, reindex: Reindex) -> int | None:
         """Pass on the record at a byte; returns where the next one begins, None at the end of the data.
 
         Raises:
@@ -117,7 +117,7 @@ class BlockStorage(Storage):
         """Whether a complete record begins at a byte."""
 
     @abstractmethod
-    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
+    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
         """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
 
     def load(self, block: Block) -> bytes:
@@ -334,8 +334,8 @@ class BlockStorage(Storage):
         if block.last is None and next(messages, None) is not None:
             raise ValueError(f"more than {_MOST_MESSAGES} messages")
 
-    def _note_block(self, block: Block, found: int, error: Exception) -> None:
-        kept = f"its first {found} messages are used" if found else "its messages are skipped"
+    def _note_block(self, block: Block, messages: int, error: Exception) -> None:
+        kept = f"its first {messages} messages are used" if messages else "its messages are skipped"
         self.note(
             f"the {'chunk' if block.is_chunk else 'block'} at byte {block.offset} of {self.size} is "
             f"damaged ({type(error).__name__}: {error}); {kept}"

@@ -180,7 +180,7 @@ class McapStorage(BlockStorage):
         name = ros2_spelling(schema.name) if schema else ""
         self.channels[channel.id] = Channel(channel.id, channel.topic, name, encoding, definition, kind)
 
-    def take_record(self, at: int, found: Reindex) -> int | None:
+    def take_record(self, at: int, reindex: Reindex) -> int | None:
         """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
         opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
         body = at + _HEAD.size
@@ -191,28 +191,28 @@ class McapStorage(BlockStorage):
         try:
             if opcode == Opcode.MESSAGE_INDEX:
                 index = records.MessageIndex.read(_stream(self.read_at(body, length)))
-                found.index(index.channel_id, len(index.records))
+                reindex.index(index.channel_id, len(index.records))
             elif opcode == Opcode.MESSAGE:
                 number, _, time_ns, _ = _MESSAGE.unpack(self.read_at(body, _MESSAGE.size))
-                found.message(at, body + length, number, time_ns)
+                reindex.message(at, body + length, number, time_ns)
             elif opcode == Opcode.CHUNK:
                 start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
-                found.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
+                reindex.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
             else:
-                found.other()
+                reindex.other()
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._define(opcode, self.read_at(body, length))
         except Exception as error:  # one damaged record; the next one has its own header
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return int(body + length)
 
-    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
+    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
         """The part of an uncompressed chunk before the end of a truncated file; None if another chunk follows."""
         if self.read_at(at, 1)[0] != Opcode.CHUNK:
             return None
-        found.other()  # gives the channels, by which messages are recognized
+        reindex.other()  # gives the channels, by which messages are recognized
         body = at + _HEAD.size + _CHUNK.size + 12
-        if found.next_record(at + 1, chunks=True) is not None:
+        if reindex.next_record(at + 1, chunks=True) is not None:
             return None
         if body >= self.size or self.read_at(body - 12, 4) != bytes(4):
             return None

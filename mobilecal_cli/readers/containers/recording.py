@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import heapq
-from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -38,28 +38,24 @@ def boundary(path: Path) -> Iterator[None]:
 class Recording(ExitStack):
     """An open recording. Use it as a context manager, or close it.
 
-    Args:
+    Attributes:
         paths: as given by the user.
-        parts: the open files.
+        parts: the open files, in order of time.
         stated: topic → message count in metadata.yaml, if there is one.
-        notes: remarks from opening.
-        resources: closed together with the recording.
+        topics: what the files contain.
     """
 
-    def __init__(
-        self,
-        paths: Sequence[Path],
-        parts: Sequence[Storage],
-        stated: Mapping[str, int],
-        notes: Sequence[str],
-        resources: ExitStack,
-    ) -> None:
+    def __init__(self, paths: Sequence[Path]) -> None:
         super().__init__()
-        self.push(resources)
         self.paths = tuple(paths)
-        self.parts = tuple(sorted(parts, key=lambda part: part.start_ns if part.start_ns is not None else -1))
-        self._stated = dict(stated)
-        self._notes = dict.fromkeys(notes)
+        self.parts: list[Storage] = []
+        self.stated: Counter[str] = Counter()
+        self.topics: tuple[TopicInfo, ...] = ()
+        self._notes: dict[str, None] = {}
+
+    def complete(self) -> None:
+        """Bring the parts in order of time, and list the topics, after all parts are added."""
+        self.parts.sort(key=lambda part: part.start_ns if part.start_ns is not None else -1)
         self.topics = self._list_topics()
         self._by_name = {info.name: info for info in self.topics}
 
@@ -149,15 +145,15 @@ class Recording(ExitStack):
             with boundary(part.path):
                 yield from part.near(topics, inside)
 
-    def bytes_of(self, topics: Collection[str]) -> int:
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         """Number of bytes that `messages` reads for the topics."""
-        return sum(part.bytes_of(topics) for part in self.parts)
+        own = self._of_part(extent)
+        return sum(part.bytes_of(topics, own) for part in self.parts)
 
     def share(self, topics: Collection[str], extent: Extent) -> float:
         """Share of the bytes of `messages` that an extent leaves, 0 to 1."""
-        own = self._of_part(extent)
         every = self.bytes_of(topics)
-        return sum(part.bytes_of(topics, own) for part in self.parts) / every if every else 1.0
+        return self.bytes_of(topics, extent) / every if every else 1.0
 
     def _of_part(self, extent: Extent) -> Extent:
         """The share of an extent for each file."""
@@ -209,10 +205,10 @@ class Recording(ExitStack):
             for message in merged:
                 read[message.topic] += 1
                 yield message
-        for topic in sorted(topics & self._stated.keys()) if extent is EVERYTHING else ():
-            if read[topic] < self._stated[topic]:
+        for topic in sorted(topics & self.stated.keys()) if extent is EVERYTHING else ():
+            if read[topic] < self.stated[topic]:
                 self.note(
-                    f"{topic}: metadata.yaml states {self._stated[topic]} messages, {read[topic]} could be read"
+                    f"{topic}: metadata.yaml states {self.stated[topic]} messages, {read[topic]} could be read"
                 )
 
     def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[Message]:

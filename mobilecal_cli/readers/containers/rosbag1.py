@@ -217,7 +217,7 @@ class BagStorage(BlockStorage):
         topic = fields[b"topic"].decode()
         self.channels[number] = Channel(number, topic, ros2_spelling(name), "ros1", text, "msg")
 
-    def take_record(self, at: int, found: Reindex) -> int | None:
+    def take_record(self, at: int, reindex: Reindex) -> int | None:
         """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
         fields, body, end = self._head(at)
         if end > self.size:
@@ -225,16 +225,16 @@ class BagStorage(BlockStorage):
         kind = fields[b"op"][0]
         if kind == _CHUNK:
             # The index records give the channels. The times are only in the chunk, or in the index entries.
-            found.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
+            reindex.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
         elif kind == _INDEX:
-            found.index(_u32(fields, b"conn"), _u32(fields, b"count"))
+            reindex.index(_u32(fields, b"conn"), _u32(fields, b"count"))
             log_ns = self._index_entries(body, end)[:, 0].tolist()
             if log_ns:
-                found.stretch(min(log_ns), max(log_ns))
+                reindex.stretch(min(log_ns), max(log_ns))
         elif kind == _MESSAGE:
-            found.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
+            reindex.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
         elif kind == _CONNECTION:
-            found.other()
+            reindex.other()
             self._define(fields, self.read_at(body, end - body))
         elif kind == _CHUNK_INFO:
             return None
@@ -258,7 +258,7 @@ class BagStorage(BlockStorage):
         except Exception:  # arbitrary bytes may raise anything
             return False
 
-    def cut_chunk(self, at: int, found: Reindex) -> Block | None:
+    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
         """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
         try:
             fields, body, _ = self._head(at)

@@ -226,13 +226,11 @@ class SqliteStorage(Storage):
         return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
 
     def _message(self, row: int, number: int, time_ns: int, payload: object) -> Message:
-        channel, data = (
-            self.channels[number],
-            payload if isinstance(payload, bytes) else str(payload).encode(),
-        )
+        channel = self.channels[number]
+        data = payload if isinstance(payload, bytes) else str(payload).encode()
         if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
             with suppress(Exception):  # a damaged frame; the message is reported as undecodable on use
-                data = bytes(message_payload(data))
+                data = message_payload(data)
         for first, size_ns in self._steps:
             time_ns += size_ns * (first <= row)
         return Message(channel, time_ns, data)
@@ -278,10 +276,10 @@ class SqliteStorage(Storage):
                 failures = failures + len(left) if left is batch else 0
             except sqlite3.Error:
                 for number in left:
-                    found = None
+                    fetched = None
                     with suppress(sqlite3.Error):
-                        found = self._connection.execute(f"{select} WHERE id = ?", (number,)).fetchone()
-                    yield found
-                    failures = 0 if found else failures + 1
+                        fetched = self._connection.execute(f"{select} WHERE id = ?", (number,)).fetchone()
+                    yield fetched
+                    failures = 0 if fetched else failures + 1
             if failures >= MOST_FAILURES:
                 return

@@ -196,16 +196,12 @@ def decompress(data: bytes, method: str, size: int) -> bytes:
     return whole
 
 
-def message_payload(payload: Payload) -> Payload:
-    """A CDR payload, decompressed if rosbag2 compressed each message separately (zstd).
-
-    No CDR payload begins like a zstd frame, because its first byte is 0.
+def message_payload(payload: Payload) -> bytes:
+    """A CDR payload that rosbag2 compressed separately: one that begins with `ZSTD_MAGIC`, as no other does.
 
     Raises:
         ValueError: the frame is damaged or too large.
     """
-    if bytes(payload[:4]) != ZSTD_MAGIC:
-        return payload
     limit = largest_size(len(payload))
     with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
         whole = reader.read(limit + 1)

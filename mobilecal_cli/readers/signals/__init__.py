@@ -37,7 +37,6 @@ from mobilecal_cli.readers.signals.series import (
     Series,
     clock_notes,
     cut,
-    order_notes,
     pause_notes,
 )
 from mobilecal_cli.readers.signals.wheels import (
@@ -129,7 +128,7 @@ class Subscriptions:
         self, sources: Mapping[str, JointField | JointTransform]
     ) -> dict[str, Callable[[list[str]], Quantity]]:
         """Collect joints from messages other than JointState; each is available after the pass."""
-        found: dict[str, Callable[[list[str]], Quantity]] = {}
+        elsewhere: dict[str, Callable[[list[str]], Quantity]] = {}
         moved: dict[str, dict[str, JointTransform]] = {}
         for name, source in sources.items():
             self.recording.topic(source.topic)
@@ -139,14 +138,14 @@ class Subscriptions:
             series = Series(source.topic, f"joint {name} ({source.topic} {source.field})")
             field = FieldSeries(source.field, "joints.fields", series, source.scale.__mul__)
             self._subscribe(source.topic, field.take)
-            found[name] = partial(self._checked, Quantity(series, _plain_track, field.check))
+            elsewhere[name] = partial(self._checked, Quantity(series, _plain_track, field.check))
         for topic, joints in moved.items():
             transforms = Transforms(topic, joints)
             self._subscribe(topic, transforms.take)
             for name, series in transforms.series.items():
                 track, check = partial(transforms.track, name), partial(transforms.check, name)
-                found[name] = partial(self._checked, Quantity(series, track, check))
-        return found
+                elsewhere[name] = partial(self._checked, Quantity(series, track, check))
+        return elsewhere
 
     def wheel(self, side: Side, source: WheelSource) -> Callable[[list[str]], Quantity]:
         """Collect the readings of one wheel of a side; it is available after the pass."""
@@ -232,9 +231,9 @@ class Subscriptions:
 
     def joint_quantity(self, name: str, topics: Sequence[str]) -> Quantity:
         """A head joint from the JointState topic with most of its readings."""
-        found = [self._joints[topic].position[name] for topic in topics]
-        best = max(found, key=len, default=None)
-        if best is None or not (len(best) or any(series.not_finite for series in found)):
+        quantities = [self._joints[topic].position[name] for topic in topics]
+        best = max(quantities, key=len, default=None)
+        if best is None or not (len(best) or any(series.not_finite for series in quantities)):
             where = ", ".join(topics) or "any topic"
             raise RecordingError(
                 f"{self.recording.name}: no position of joint {name} on {where}; "
@@ -242,7 +241,7 @@ class Subscriptions:
                 "correct joints in rig.yaml, or the URDF's joint names",
             )
         if not len(best):
-            best = max(found, key=lambda series: series.not_finite)
+            best = max(quantities, key=lambda series: series.not_finite)
         return Quantity(best, _plain_track)
 
     def _wheel_of_joints(self, side: Side, source: WheelSource, name: str, notes: list[str]) -> Quantity:
@@ -335,13 +334,13 @@ def read_signals(
     notes: list[str] = []
     for name, series in images.items():
         read.check_images(name, series)
-    turning = {side: [found(notes) for found in wheels[side]] for side in SIDES}
+    turning = {side: [wheel(notes) for wheel in wheels[side]] for side in SIDES}
     moving = {
         name: elsewhere[name](notes) if name in elsewhere else read.joint_quantity(name, sources.joints)
         for name in joints
     }
-    read_over_time = (*moving.values(), *(one for side in SIDES for one in turning[side]))
-    every = dict.fromkeys([*images.values(), *(one.series for one in read_over_time)])
+    read_over_time = (*moving.values(), *(wheel for side in SIDES for wheel in turning[side]))
+    every = dict.fromkeys([*images.values(), *(each.series for each in read_over_time)])
     samples = [series.samples(notes) for series in every]
     pieces, steps = cut(samples)
     notes = [
@@ -355,23 +354,23 @@ def read_signals(
 
     def signals_of(samples: Mapping[Series, Samples]) -> Signals:
         some: list[str] = []
-        tracks = {name: _track(one, samples, some) for name, one in moving.items()}
+        tracks = {name: _track(joint, samples, some) for name, joint in moving.items()}
         wheels = sides_of(
             {
-                side: [(one.series.label, _track(one, samples, some)) for one in each]
+                side: [(wheel.series.label, _track(wheel, samples, some)) for wheel in each]
                 for side, each in turning.items()
             },
             some,
         )
-        found: dict[str, PictureIndex] = {}
+        indices: dict[str, PictureIndex] = {}
         for camera, series in images.items():
             index = _index(samples[series], series.topic in read.video, some)
-            found[camera] = index.rows(infos.usual_at(sources.info.get(camera, ""), index.log_ns))
-            if not len(found[camera].time_ns):
+            indices[camera] = index.rows(infos.usual_at(sources.info.get(camera, ""), index.log_ns))
+            if not len(indices[camera].time_ns):
                 raise RecordingError(f"{series.topic}: no usable images", "record all cameras the whole time")
         for side, track in wheels.items():
             some += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, found, tuple(some), infos.corrected)
+        return Signals(tracks, wheels, indices, tuple(some), infos.corrected)
 
     return _usable([dict(zip(every, piece, strict=True)) for piece in pieces], signals_of, notes)
 
@@ -384,8 +383,7 @@ def _track(quantity: Quantity, samples: Mapping[Series, Samples], notes: list[st
 
 
 def _index(samples: Samples, sequential: bool, notes: list[str]) -> PictureIndex:
-    keep, found = order_notes(samples.label, samples.stamp_ns)
-    notes += found
+    keep = samples.kept(notes)
     new = samples.value[:, 0] == 0
     since = np.maximum.accumulate(np.where(new, np.arange(len(new)), 0))
     if repeated := int(np.sum(keep & ~new)):

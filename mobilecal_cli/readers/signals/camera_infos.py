@@ -250,15 +250,15 @@ class InfoChanges:
             stated.counts[stated.runs[-1][1]] += 1
             return
         try:
-            found = camera_info(channel.decode(payload), channel.topic)
+            decoded = camera_info(channel.decode(payload), channel.topic)
         except (RecordingError, *NOT_ITS_TYPE):
             return
-        known = (k for k, info in enumerate(stated.infos) if not _difference(info, found))
+        known = (k for k, info in enumerate(stated.infos) if not _difference(info, decoded))
         which = next(known, len(stated.infos))
         if which == len(stated.infos):
             if which == _MOST_KEPT:
                 return
-            stated.infos.append(found)
+            stated.infos.append(decoded)
             stated.counts.append(0)
         stated.last = own
         stated.counts[which] += 1

@@ -48,10 +48,22 @@ class Samples:
         stamp_ns, log_ns, value = self.stamp_ns[rows], self.log_ns[rows], self.value[rows]
         return replace(self, stamp_ns=stamp_ns, log_ns=log_ns, value=value, shift_ns=shift_ns)
 
+    def kept(self, notes: list[str]) -> BoolArray:
+        """`in_order` of the stamps; notes what is dropped."""
+        keep, duplicates, dropped, back_s = in_order(self.stamp_ns)
+        total = len(self)
+        if duplicates:
+            notes.append(f"{self.label}: {duplicates} of {total} stamps occur twice; the first is kept")
+        if dropped:
+            notes.append(
+                f"{self.label}: the clock steps back by up to {back_s:.3f} s; {dropped} of {total} samples "
+                "are out of order and dropped"
+            )
+        return keep
+
     def ordered(self, notes: list[str]) -> tuple[IntArray, FloatArray]:
         """Strictly increasing times (n,), and values (n, width); notes what is dropped."""
-        keep, found = order_notes(self.label, self.stamp_ns)
-        notes += found
+        keep = self.kept(notes)
         return self.time_ns[keep], self.value[keep]
 
 
@@ -100,20 +112,6 @@ class Series:
         stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
         value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
         return Samples(self.topic, self.label, stamp_ns, log_ns, value)
-
-
-def order_notes(label: str, time_ns: IntArray) -> tuple[BoolArray, list[str]]:
-    """`in_order`, and notes on what it drops."""
-    keep, duplicates, dropped, back_s = in_order(time_ns)
-    notes = []
-    if duplicates:
-        notes.append(f"{label}: {duplicates} of {len(time_ns)} stamps occur twice; the first is kept")
-    if dropped:
-        notes.append(
-            f"{label}: the clock steps back by up to {back_s:.3f} s; {dropped} of {len(time_ns)} samples "
-            "are out of order and dropped"
-        )
-    return keep, notes
 
 
 #: Two topics whose lags between stamp and log time differ by more use different clocks.
@@ -292,7 +290,9 @@ def pause_notes(series: Sequence[Samples]) -> list[str]:
 
 def _together(series: Sequence[Samples], steps: Sequence[IntArray]) -> list[dict[int, int]]:
     """Steps of several series at about one time, as number of the series → index of its message."""
-    every = sorted((int(series[k].log_ns[i]), k, int(i)) for k, found in enumerate(steps) for i in found)
+    every = sorted(
+        (int(series[k].log_ns[i]), k, int(i)) for k, backward in enumerate(steps) for i in backward
+    )
     groups: list[dict[int, int]] = []
     last_ns = 0
     for log_ns, k, index in every:
