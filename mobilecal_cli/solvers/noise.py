@@ -20,9 +20,10 @@ _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 _LENGTH_FACTOR = 3.0
 _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
 _WORTH, _FADES_AT = 2.0, 4.0
-# Stated priors may be too narrow: the chance of more than s times falls as this power of 1 / s. What the data show of
-# a kind's constants by less than the second is not used, see `widths`.
-_TOO_NARROW, _SHOWN, _WIDEST = 1.0, 0.01, 1e3
+# Stated priors may be too narrow, those of one kind or all of them: the chance of more than s times falls as these
+# powers of 1 / s. What the data show of a kind's constants by less than `_SHOWN` is not used, see `widths`.
+_TOO_NARROW, _ALL_TOO_NARROW = 1.0, 1.5
+_SHOWN, _WIDEST = 0.01, 1e3
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
@@ -175,7 +176,9 @@ def widths(lin: Posterior) -> dict[str, float]:
     """Kind of constants → how many times as wide as stated its priors are, after one step of the fixed point.
 
     The same estimate as a noise level's: the constants of a kind, as estimated, are its residuals, of which the data
-    show n directions. The density of the factor is that of Pareto: stated priors are right, or too narrow.
+    show n directions with the sum of squares q. A kind's factor is the product of two, its own and that of the whole
+    description: where many kinds are off, those that the data do not show are likely off, too. Either factor is at
+    least 1, with the density of Pareto: stated priors are right, or too narrow.
     """
     priors = lin.priors
     off = priors.displacement(lin.state) - priors.mean
@@ -188,13 +191,32 @@ def widths(lin: Posterior) -> dict[str, float]:
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):
         if used[k]:
             columns.setdefault(family(row.kind), []).append(k)
-    factors = {}
-    for kind, mine in columns.items():
-        shown = float(left[mine].sum())
-        n = shown**2 / max(float(np.sum(left[mine] ** 2)), _SHOWN**2)
-        variance = float(squares[mine].sum()) / (shown + _SHOWN) * n / (n + _TOO_NARROW)
-        factors[kind] = min(max(math.sqrt(variance), 1.0), _WIDEST)
-    return factors
+    shown = np.array([left[mine].sum() for mine in columns.values()])
+    n = shown**2 / np.maximum([np.sum(left[mine] ** 2) for mine in columns.values()], _SHOWN**2)
+    q = n * [squares[mine].sum() for mine in columns.values()] / (shown + _SHOWN)
+    variance = np.clip(np.maximum(q / (n + _TOO_NARROW), common_variance(q, n)), 1.0, _WIDEST**2)
+    return dict(zip(columns, np.sqrt(variance).tolist(), strict=True))
+
+
+def common_variance(q: FloatArray, n: FloatArray) -> float:
+    """Likeliest squared factor of the priors of all kinds, at least 1, beside a factor of each kind alone.
+
+    With u the logarithm of the common squared factor, and each kind's own factor at its optimum, minus twice the
+    logarithm of the posterior density is convex; its slope is ``b + sum_k max(-a, n_k - q_k exp(-u))``, a and b the
+    exponents of Pareto's density. With b > a, one kind alone is never worth a common factor, but several are. Those
+    that the common factor explains are the m with the least ``q / (n + a)``, and the slope is zero at
+    ``exp(u) = sum q / (sum n + (m - K) a + b)``, both sums over these.
+
+    Args:
+        q, n: (K,) sum of squares of each kind, in units of the stated priors, and number of directions.
+    """
+    alone = q / (n + _TOO_NARROW)
+    order = np.argsort(alone)
+    explained, directions = (np.append(0.0, np.cumsum(part[order])) for part in (q, n))
+    freedom = directions + _TOO_NARROW * np.arange(-len(q), 1) + _ALL_TOO_NARROW
+    variance = explained / np.where(freedom > 0, freedom, math.nan)
+    explains = variance <= np.append(alone[order], np.inf)
+    return max(float(variance[np.argmax(explains)]), 1.0)
 
 
 class LevelSearch:

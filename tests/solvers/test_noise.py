@@ -1,0 +1,35 @@
+"""The common scale of a description's priors."""
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.solvers.noise import _ALL_TOO_NARROW, _TOO_NARROW, common_variance
+
+
+def density(u, q, n):
+    """Minus twice the logarithm of the posterior density, each kind's own factor at its optimum."""
+    alone = np.log(np.maximum(q, 1e-300) / (n + _TOO_NARROW))
+    own = np.maximum(alone - u, 0.0)
+    return _ALL_TOO_NARROW * u + np.sum(n * (u + own) + q * np.exp(-(u + own)) + _TOO_NARROW * own)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_common_factor_is_the_likeliest(seed):
+    random = np.random.default_rng(seed)
+    kinds = int(random.integers(1, 12))
+    n = random.choice([0.001, 0.3, 1.0, 2.0, 4.0], kinds)
+    q = random.gamma(n / 2, 2.0) * random.choice([1.0, 9.0, 25.0]) * random.choice([1.0, 1.0, 400.0], kinds)
+    u = np.linspace(0.0, 12.0, 4001)
+    best = u[np.argmin([density(each, q, n) for each in u])]
+    assert np.log(common_variance(q, n)) == pytest.approx(best, abs=2 * (u[1] - u[0]))
+
+
+def test_one_kind_that_is_off_says_nothing_of_the_others():
+    assert common_variance(np.array([400.0, 0.5, 0.0]), np.array([1.0, 1.0, 0.0])) == 1.0
+    assert common_variance(np.array([400.0]), np.array([1.0])) == 1.0
+    assert common_variance(np.array([]), np.array([])) == 1.0
+
+
+def test_where_most_kinds_are_off_so_are_those_that_the_data_do_not_show():
+    q, n = 9.0 * np.array([1.0, 2.0, 1.0, 3.0, 0.0]), np.array([1.0, 2.0, 1.0, 3.0, 0.0])
+    assert 6 < common_variance(q, n) < 9
