@@ -21,19 +21,20 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
 )
-from mobilecal_cli.simulate import imperfect
-from mobilecal_cli.simulate.imperfect import (
+from mobilecal_cli.simulate.messages import nanoseconds
+from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.route import Route, plan_route
+from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
+from tests import actual
+from tests.actual import (
     ActualRobot,
     camera_in_world,
     constant_kinds,
     floor_poses,
-    nanoseconds,
+    pixels,
     rolled_as_read,
     station_times_s,
 )
-from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot, pixels
-from mobilecal_cli.simulate.route import Route, plan_route
-from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
 from tests.robots import corners_of, rig_of
 
 _TRACK_STEP_S = 0.02
@@ -74,7 +75,7 @@ class Noise:
     wheel_length_m: float = 0.0
 
 
-STATION_NOISE = Noise(**asdict(imperfect.STATION_NOISE))
+STATION_NOISE = Noise(**asdict(actual.STATION_NOISE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +161,7 @@ class HeavyTails:
 
 
 def floor_in_base(noise: Noise, path_m: FloatArray, random: np.random.Generator, still: bool) -> FloatArray:
-    """As `imperfect.floor_in_base`, alike over the driven distances (N,) at the stations, m."""
+    """As `actual.floor_in_base`, alike over the driven distances (N,) at the stations, m."""
     turns, lifts = random.normal(size=(len(path_m), 2)), random.normal(size=len(path_m))
     if noise.floor_length_m:
         root = _process_root(path_m / noise.floor_length_m, noise.floor_smooth)

@@ -6,9 +6,11 @@ import sys
 from pathlib import Path
 
 from mobilecal_cli.model import Board
+from mobilecal_cli.simulate.messages import World
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.scenario import Scenario
+from tests.actual import ImperfectWorld
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans
 
 ROBOTS |= {"rgbd_odometry": rgbd_with_odometry, "skid_steer_pan": skid_steer_that_pans}
@@ -19,7 +21,7 @@ SAMPLES: dict[str, Scenario] = {
     "paper_robot.bag": Scenario(container="bag"),
     "paper_robot_rosbag2": Scenario(container="rosbag2"),
     "tick_robot.mcap": Scenario(robot="tick", board=_SMALL_BOARD, seed=1),
-    "imperfect_robot.mcap": Scenario(stations=16, seed=2, imperfect=True),
+    "imperfect_robot.mcap": Scenario(stations=16, seed=2),
     "head_fixed.mcap": Scenario(motion="head_fixed", stations=10),
     "straight.mcap": Scenario(motion="straight", stations=10),
     "rgbd_odometry.mcap": Scenario(robot="rgbd_odometry", seed=3),
@@ -41,7 +43,8 @@ def main(directory: Path) -> None:
     directory.mkdir(parents=True, exist_ok=True)
     (directory / "tick_robot.rig.yaml").write_text(TICK_RIG, encoding="utf-8")
     for name, scenario in SAMPLES.items():
-        simulate(scenario, directory / name, force=True)
+        world_of = ImperfectWorld if name.startswith("imperfect") else World
+        simulate(scenario, directory / name, force=True, world_of=world_of)
         print(f"written: {directory / name}")
 
 

@@ -27,9 +27,8 @@ from mobilecal_cli.export import check_output, write_file
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problems_of, read_text
-from mobilecal_cli.model import FleetRow
 from mobilecal_cli.readers import looks_recorded, sha256_of
-from mobilecal_cli.report.fleet import fleet_csv, fleet_html
+from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
 from mobilecal_cli.rig.config import load_rig, read_urdf
 

@@ -22,28 +22,23 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     NINE,
     SIDES,
-    Inspection,
     IntArray,
-    JointRange,
-    Lack,
     LogSource,
-    MotionView,
-    Parts,
     PictureIndex,
     Rig,
     RobotDescription,
     Signals,
     TopicInfo,
-    TopicView,
     WheelTrack,
     sampled,
 )
 from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
+from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.joints import outside_chain
-from mobilecal_cli.rig.resolve import Survey, complete_rig, stereo_layout
+from mobilecal_cli.rig.resolve import complete_rig, stereo_layout
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
 #: At most so much of a recording is decompressed for the motion.
@@ -141,7 +136,7 @@ def inspect(
             end_ns=recording.end_ns,
             topics=tuple(_topic(recording, info, times.get(info.name)) for info in recording.topics),
             rig=rig,
-            parts=Parts() if survey is None else _parts(survey),
+            survey=survey,
             board=board,
             motion=motion,
             covered=covered,
@@ -182,14 +177,6 @@ def check(
         return inspect(logs, config_path, flags, progress)
     except (ConfigError, RecordingError) as error:
         return Inspection(str(logs[0]), missing=(lack_of(about, error),))
-
-
-def _parts(survey: Survey) -> Parts:
-    joints = survey.joints
-    if joints is not None:
-        joints = tuple(dict.fromkeys([*joints, *(source.topic for source in survey.elsewhere.values())]))
-    chain, origin = (None, "") if survey.head is None else (survey.head.chain, survey.head.origin)
-    return Parts(survey.images, survey.cameras, survey.wheels, chain, origin, joints)
 
 
 def _size_bytes(logs: Sequence[Path]) -> int:

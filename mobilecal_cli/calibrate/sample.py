@@ -15,13 +15,13 @@ from mobilecal_cli.model import (
     BoardView,
     CameraRig,
     GrayImage,
-    Lack,
     Rejection,
     Sources,
     Station,
     StereoLayout,
 )
 from mobilecal_cli.readers import Recording, pictures_near
+from mobilecal_cli.report.inspection import Lack
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 

@@ -13,7 +13,7 @@ import typer
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
 
 if TYPE_CHECKING:
-    from mobilecal_cli.model import Inspection
+    from mobilecal_cli.report.inspection import Inspection
 
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
 _LONGEST_SHOWN = 40  # characters of a text that is refused

@@ -41,12 +41,6 @@ def simulate(
     camera_late: Annotated[
         float, typer.Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")
     ] = 0.0,
-    imperfect: Annotated[
-        bool,
-        typer.Option(
-            "--imperfect", help="Robot, cameras and board differ from their description; uneven floor."
-        ),
-    ] = False,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -70,7 +64,6 @@ def simulate(
         kind=board,
         exact=exact,
         camera_late_s=camera_late,
-        imperfect=imperfect,
     )
     with progress_bar(quiet) as progress:
         truth = record(scenario, out, force, progress)

@@ -13,16 +13,6 @@ from mobilecal_cli.model.findings import (
     ScaleCheck,
     Suggestion,
 )
-from mobilecal_cli.model.inspection import (
-    BoardView,
-    FleetRow,
-    Inspection,
-    JointRange,
-    Lack,
-    MotionView,
-    Parts,
-    TopicView,
-)
 from mobilecal_cli.model.observations import (
     Corners,
     Extraction,
@@ -67,6 +57,7 @@ from mobilecal_cli.model.robot_description import (
     ODOMETRY,
     STRING,
     TRANSFORMS,
+    BoardView,
     NumberField,
     RobotDescription,
     TopicInfo,

@@ -82,3 +82,27 @@ class NumberField:
     bits: int | None = None
     wraps: int | None = None
     jump: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardView:
+    """The board in a few images spread over the recording.
+
+    Attributes:
+        pictures: number of images searched.
+        seen: number of images with a whole board of the most frequent size.
+        size: (columns, rows) inner corners, None if no size is the most frequent.
+        square_m: side of a square measured with the stereo pair, m: median over the pairs; None if no pair shows the
+            board.
+        squares_m: measured side in each pair, m.
+        stated_m: side of a square as configured, m; None if it is not.
+        other_sizes: number of images that show a whole board of another size.
+    """
+
+    pictures: int
+    seen: int
+    size: tuple[int, int] | None
+    square_m: float | None = None
+    squares_m: tuple[float, ...] = ()
+    stated_m: float | None = None
+    other_sizes: int = 0

@@ -6,12 +6,13 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import NINE, FleetRow, FloatArray
+from mobilecal_cli.model import NINE, FloatArray
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
 from mobilecal_cli.report.page import template
@@ -21,6 +22,37 @@ from mobilecal_cli.report.page import template
 OUT_OF_FLEET, OUT_OF_SIGMA = 5.0, 3.0
 _NAMED = 5  # number of skipped names that are listed
 _FEWEST = 5  # among fewer robots there are no outliers
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """Result of one robot, or a directory entry that was skipped.
+
+    Attributes:
+        name: name of the robot, or of the entry.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR" without a result, or "SKIPPED" for an entry.
+        exit_code: exit code of `mobilecal calibrate`.
+        reason: one sentence.
+        stations: number of stations used.
+        rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
+        lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
+        std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
+        skipped: why the robot was not calibrated in this run; empty if it was.
+        hint: what to do next, if it did not pass.
+        seconds: how long it took, s.
+    """
+
+    name: str
+    verdict: str
+    exit_code: int
+    reason: str
+    stations: int = 0
+    rotvec_rad: tuple[float, ...] = ()
+    lengths_m: tuple[float, ...] = ()
+    std: tuple[float | None, ...] = ()
+    skipped: str = ""
+    hint: str = ""
+    seconds: float = 0.0
 
 
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:

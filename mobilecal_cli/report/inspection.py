@@ -1,22 +1,18 @@
-"""What `inspect` and `check` print about a recording, as text and as JSON, and what `init` filled in."""
+"""The summary of a recording: what `inspect` and `check` print, as text and as JSON, and what `init` filled in."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import (
     SIDES,
     BoardView,
     CameraRig,
-    Inspection,
-    Lack,
-    MotionView,
-    Parts,
     Rig,
     camera_words,
     listed,
@@ -24,6 +20,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.rig.draft import Draft
+from mobilecal_cli.rig.resolve import Survey
 
 #: Source of a setting in `Rig.setting_sources` → its text.
 _WHY = {
@@ -31,6 +28,135 @@ _WHY = {
     "flag": "from an option",
     "file": "from the configuration",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class TopicView:
+    """One topic.
+
+    Attributes:
+        name, type: see `TopicInfo`.
+        messages: number of messages; None if the file does not state it.
+        rate_hz: from the median interval of the log times; None if they are unknown, or for one message.
+        longest_gap_s, gap_at_s: the longest gap and its start, from the start of the recording; None likewise.
+        steps_back: number of messages stored after one with a later log time; None likewise.
+    """
+
+    name: str
+    type: str
+    messages: int | None
+    rate_hz: float | None
+    longest_gap_s: float | None
+    gap_at_s: float | None
+    steps_back: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class JointRange:
+    """Lowest and highest reading of a head joint, and their unit ("deg" or "mm")."""
+
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class MotionView:
+    """Motion of the robot.
+
+    Attributes:
+        joints: head joint → range.
+        wheels_deg: side → total rotation forward and back over the recording, degrees.
+        driven_m, turned_deg: path length and heading range, by the nominal wheels; None without these.
+        rests: number of rests of base and head with images; None if the times of the images are unknown.
+        share_read: share of the recording that was read for this, 1 for all of it.
+    """
+
+    joints: Mapping[str, JointRange]
+    wheels_deg: Mapping[str, float]
+    driven_m: float | None
+    turned_deg: float | None
+    rests: int | None
+    share_read: float
+
+
+@dataclass(frozen=True, slots=True)
+class Lack:
+    """Something that is missing for a calibration.
+
+    Attributes:
+        about: what it concerns, one of `Inspection.CRITERIA`.
+        what: what is wrong.
+        cure: what to do.
+        exit_code: the exit code of `calibrate` for this, see `errors`.
+    """
+
+    about: str
+    what: str
+    cure: str
+    exit_code: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """Summary of a recording.
+
+    Attributes:
+        CRITERIA: what is checked, in order; see `Lack.about`.
+        name: path as given by the user.
+        containers: file formats.
+        size_bytes: total size.
+        start_ns, end_ns: log times of the first and last message, None where unknown.
+        topics: in order of name.
+        rig: what `calibrate` would use, None if something is missing for it.
+        survey: what is known of it, also where other parts are not; None if the recording cannot be read.
+        board: None if no image can be read.
+        motion: None if joints or wheels cannot be read.
+        covered: number of images of the first camera within the time of the others, joints and wheels, and of all; None
+            if their times are unknown.
+        missing: what prevents a calibration.
+        weak: what limits a calibration.
+        notes: irregularities and losses, whole sentences.
+    """
+
+    CRITERIA: ClassVar[tuple[str, ...]] = (
+        "rig.yaml",
+        "recording",
+        "cameras",
+        "camera infos",
+        "wheels",
+        "head chain",
+        "joints",
+        "priors",
+        "gates",
+        "time",
+        "motion",
+        "board",
+        "square size",
+    )
+
+    name: str
+    containers: tuple[str, ...] = ()
+    size_bytes: int = 0
+    start_ns: int | None = None
+    end_ns: int | None = None
+    topics: tuple[TopicView, ...] = ()
+    rig: Rig | None = None
+    survey: Survey | None = None
+    board: BoardView | None = None
+    motion: MotionView | None = None
+    covered: tuple[int, int] | None = None
+    missing: tuple[Lack, ...] = ()
+    weak: tuple[Lack, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code that `calibrate` would end with; 0 if nothing is missing."""
+        codes = [lack.exit_code for lack in self.missing]
+        if not codes:
+            return 0
+        return codes[0] if self.rig is None else min(codes)
 
 
 def inspection_json(inspection: Inspection) -> str:
@@ -228,49 +354,50 @@ def _good(about: str, inspection: Inspection) -> list[Line]:
     """A criterion without a problem: what was found, or unknown; none if it is about problems only."""
     if about in ("recording", "priors", "gates"):
         return []
-    known = {"rig.yaml": "valid", **_known(inspection.parts), **_measured(inspection)}.get(about)
+    known = {"rig.yaml": "valid", **_known(inspection.survey), **_measured(inspection)}.get(about)
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
     return [Line(about, "unknown", unknown) if known is None else Line(about, "ok", known)]
 
 
-def _known(parts: Parts) -> dict[str, str]:
-    said = {}
-    if parts.images is not None:
-        said["cameras"] = " and ".join(dict.fromkeys(parts.images.values()))
-    if parts.cameras is not None:
+def _known(survey: Survey | None) -> dict[str, str]:
+    said: dict[str, str] = {}
+    if survey is None:
+        return said
+    cameras, wheels = survey.cameras, survey.wheels
+    if survey.images is not None:
+        said["cameras"] = " and ".join(dict.fromkeys(survey.images.values()))
+    if cameras is not None:
         sides = ", ".join(
             f"{name} {camera.width} x {camera.height} {camera.distortion}"
-            for name, camera in zip(parts.cameras.names, parts.cameras.each, strict=True)
+            for name, camera in zip(cameras.names, cameras.each, strict=True)
         )
-        kind = "rectified" if parts.cameras.rectified else "raw"
-        baseline_m = parts.cameras.baseline_m
-        baseline = "" if baseline_m is None else f"; baseline {baseline_m * 1e3:.1f} mm"
+        kind = "rectified" if cameras.rectified else "raw"
+        baseline = "" if cameras.baseline_m is None else f"; baseline {cameras.baseline_m * 1e3:.1f} mm"
         said["camera infos"] = f"{sides}; {kind} images{baseline}"
-    if parts.wheels is not None:
-        said["wheels"] = ", ".join(
-            f"{side} {parts.wheels[side].where} on {parts.wheels[side].topic}" for side in SIDES
-        )
-    if parts.chain is not None:
-        chain = parts.chain
-        said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {parts.chain_from}"
+    if wheels is not None:
+        said["wheels"] = ", ".join(f"{side} {wheels[side].where} on {wheels[side].topic}" for side in SIDES)
+    if survey.head is not None:
+        chain = survey.head.chain
+        said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {survey.head.origin}"
         if not chain.joints:
             said["joints"] = f"camera fixed to {chain.base_frame}"
-        elif parts.joints is not None:
-            said["joints"] = f"{listed(chain.joints)} on {listed(parts.joints)}"
+        elif survey.joints is not None:
+            topics = [*survey.joints, *(source.topic for source in survey.elsewhere.values())]
+            said["joints"] = f"{listed(chain.joints)} on {listed(dict.fromkeys(topics))}"
     return said
 
 
 def _measured(inspection: Inspection) -> dict[str, str]:
     said = {}
     if inspection.covered is not None:
-        first, *others = inspection.parts.images or ("left", "right")
+        first, *others = (inspection.survey and inspection.survey.images) or SIDES
         others_words = "".join(f"{name} images, " for name in others)
         said["time"] = "{} of {} {} images are within the time of {}joints and wheels".format(
             *inspection.covered, first, others_words
         )
     if inspection.motion is not None:
         motion = inspection.motion
-        still = inspection.parts.chain is not None and unseen_height(inspection.parts.chain) is not None
+        still = inspection.rig is not None and unseen_height(inspection.rig.chain) is not None
         shown = "all parameters but the camera's height" if still else "all nine parameters"
         stops = (
             "stops not counted, as only a part of the recording was read"

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import FleetRow
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.fleet import FleetRow
 from mobilecal_cli.report.verdict import LEVELS, VerdictData
 
 

@@ -74,10 +74,14 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
-    stated = {side: _stated(side, getattr(config.wheels, side), description) for side in SIDES}
-    sources: dict[Side, WheelSource] = {side: source for side, source in stated.items() if source is not None}
+    stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.parts}
+    sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
     if len(sources) < len(SIDES):
-        sources = {**_found(config, description), **sources}
+        found = _found(config, description)
+        if found is None:
+            sources = _odometry(config, description, _odometry_topic(description)) | sources
+        else:
+            sources = {side: _source(side, wheel, description) for side, wheel in found.items()} | sources
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
@@ -90,64 +94,62 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
 
 def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
     """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
-    wheels = config.wheels
-    told = (
-        wheel.joint or wheel.joints or wheel.field or wheel.fields for wheel in (wheels.left, wheels.right)
-    )
-    return wheels.odometry is None and not all(told) and not _wheel_joints(description)
+    told = all(wheel.parts for wheel in _of_sides(config).values())
+    return config.wheels.odometry is None and not told and not _wheel_joints(description)
 
 
-def _joined(parts: Sequence[WheelSource]) -> WheelSource:
-    return replace(parts[0], others=tuple(parts[1:]))
+def _of_sides(config: RigConfig) -> dict[Side, WheelConfig]:
+    return {"left": config.wheels.left, "right": config.wheels.right}
 
 
-def _stated(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource | None:
-    """The wheels of a side as configured; None where no joint or field is configured."""
-    fields = wheel.fields or ((wheel.field,) if wheel.field is not None else ())
-    if fields:
-        present = {topic.name for topic in description.topics}
-        topics = wheel.topics or (wheel.topic or "",) * len(fields)
-        signs = wheel.signs or (wheel.sign,) * len(fields)
-        for topic in topics:
-            if topic not in present:
-                raise RecordingError(
-                    f"wheels.{side}: no topic {topic} in this recording",
-                    f"topics present: {listed(topic.name for topic in description.topics)}",
-                )
-        return _joined(
-            [
-                WheelSource(topic, None, field, wheel.ticks_per_revolution, wheel.bits, sign)
-                for topic, field, sign in zip(topics, fields, signs, strict=True)
-            ]
+def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource:
+    """The wheels of a side, as stated or as found by names.
+
+    Raises:
+        RecordingError: a topic or a joint is missing; the hint lists those present.
+    """
+    first, *others = (
+        WheelSource(
+            _topic_of(side, part, description),
+            part.joint,
+            part.field,
+            part.ticks_per_revolution,
+            part.bits,
+            part.sign,
         )
-    joints = wheel.joints or ((wheel.joint,) if wheel.joint is not None else ())
-    return _of_joints(side, joints, wheel, description) if joints else None
+        for part in wheel.parts
+    )
+    return replace(first, others=tuple(others))
 
 
-def _of_joints(
-    side: Side, joints: Sequence[str], wheel: WheelConfig, description: RobotDescription
-) -> WheelSource:
-    parts = []
-    for joint, sign in zip(joints, wheel.signs or (wheel.sign,) * len(joints), strict=True):
-        topics = [topic for topic, names in description.joint_names.items() if joint in names]
-        if wheel.topic:
-            topics = [wheel.topic]
-        if not topics or joint not in description.joint_names.get(topics[0], ()):
+def _topic_of(side: Side, part: WheelConfig, description: RobotDescription) -> str:
+    """Topic of one wheel: as stated, or the first one with its joint."""
+    if part.joint is None:
+        present = [topic.name for topic in description.topics]
+        if part.topic not in present:
             raise RecordingError(
-                f"wheels.{side}: no joint {joint!r} in the joint states"
-                + (f" of {wheel.topic}" if wheel.topic else ""),
-                f"joints present: {listed(joint_state_names(description))}",
+                f"wheels.{side}: no topic {part.topic} in this recording",
+                f"topics present: {listed(present)}",
             )
-        parts.append(WheelSource(topics[0], joint, None, wheel.ticks_per_revolution, wheel.bits, sign))
-    return _joined(parts)
+        return part.topic
+    topics = [topic for topic, names in description.joint_names.items() if part.joint in names]
+    if part.topic:
+        topics = [topic for topic in topics if topic == part.topic]
+    if not topics:
+        raise RecordingError(
+            f"wheels.{side}: no joint {part.joint!r} in the joint states"
+            + (f" of {part.topic}" if part.topic else ""),
+            f"joints present: {listed(joint_state_names(description))}",
+        )
+    return topics[0]
 
 
 def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, ...]]]:
     return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
 
 
-def _found(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
-    """Wheels found by names."""
+def _found(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
+    """The configuration completed by wheels that are found by names; None if there are none."""
     _refuse_other_drives(description)
     sets = _wheel_joints(description)
     if len(sets) > 1:
@@ -158,14 +160,11 @@ def _found(config: RigConfig, description: RobotDescription) -> dict[Side, Wheel
             f"several pairs of joints could be the wheels: {several}",
             "set wheels.left.joint and wheels.right.joint in rig.yaml",
         )
+    wheels = _of_sides(config)
     if sets:
-        return {
-            side: _of_joints(side, sets[0][side], getattr(config.wheels, side), description) for side in SIDES
-        }
+        return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
     counted = counters(description.numbers)
-    if counted:
-        return _of_counters(config, description, counted)
-    return _odometry(config, description, _odometry_topic(description))
+    return _with_counters(wheels, description, counted) if counted else None
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:
@@ -185,10 +184,12 @@ def _refuse_other_drives(description: RobotDescription) -> None:
         )
 
 
-def _of_counters(
-    config: RigConfig, description: RobotDescription, sets: Sequence[dict[Side, tuple[NumberField, ...]]]
-) -> dict[Side, WheelSource]:
-    """Tick counters found by name, with the steps per turn of the configuration or of a known driver."""
+def _with_counters(
+    wheels: Mapping[Side, WheelConfig],
+    description: RobotDescription,
+    sets: Sequence[dict[Side, tuple[NumberField, ...]]],
+) -> dict[Side, WheelConfig]:
+    """The wheels as tick counters found by name, with the steps per turn of the configuration or of a known driver."""
     types = {topic.name: topic.type for topic in description.topics}
     shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
     whole = tick_counters(sets)
@@ -200,9 +201,8 @@ def _of_counters(
             "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml"
             + _or_odometry(description),
         )
-    sources: dict[Side, WheelSource] = {}
-    for side in SIDES:
-        wheel: WheelConfig = getattr(config.wheels, side)
+    completed: dict[Side, WheelConfig] = {}
+    for side, wheel in wheels.items():
         numbers = whole[0][side]
         ticks, bits = KNOWN_COUNTERS.get(types.get(numbers[0].topic, ""), (None, None))
         ticks = wheel.ticks_per_revolution or ticks
@@ -213,20 +213,14 @@ def _of_counters(
                 "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}"
                 + _or_odometry(description),
             )
-        sources[side] = _joined(
-            [
-                WheelSource(
-                    number.topic,
-                    None,
-                    number.path,
-                    ticks,
-                    wheel.bits or counter_width(number) or bits,
-                    wheel.sign,
-                )
-                for number in numbers
-            ]
-        )
-    return sources
+        keys = {
+            "topics": tuple(number.topic for number in numbers),
+            "fields": tuple(number.path for number in numbers),
+            "ticks_per_revolution": ticks,
+            "bits": wheel.bits or next(filter(None, map(counter_width, numbers)), bits),
+        }
+        completed[side] = wheel.model_copy(update=keys)
+    return completed
 
 
 def counter_width(number: NumberField) -> Literal[8, 16, 32, 64] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -20,26 +20,22 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import CameraInfo, FloatArray, WheelGeometry
-from mobilecal_cli.simulate.imperfect import (
-    START_NS,
-    ActualRobot,
-    Noise,
-    camera_in_world,
-    floor_in_base,
-    nanoseconds,
-    rolled_as_read,
-    station_times_s,
-)
+from mobilecal_cli.model import CameraInfo, CameraRig, FloatArray, IntArray, WheelGeometry
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import SimulatedRobot, urdf_text
-from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.route import Route, base_in_world
+from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
 from mobilecal_cli.targets import Container
 
+START_NS = 1_700_000_000_000_000_000
 _COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
 _OWN_SLIP = 0.001  # of one of several wheels of a side, rad per sqrt(rad)
 _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
+
+
+def nanoseconds(times_s: FloatArray) -> IntArray:
+    """Header stamps for times of a recording, int64 ns."""
+    return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,39 +126,69 @@ def _picture(grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """What a recording shows.
+    """What a recording shows: a robot and a board that are as described, on an even floor.
 
     Attributes:
-        scenario, route: what was planned.
-        actual: the robot and the board as they are.
-        noise: additional noise of an imperfect robot.
+        scenario, robot, route: what was planned.
     """
 
     scenario: Scenario
+    robot: SimulatedRobot
     route: Route
-    actual: ActualRobot
-    noise: Noise
+
+    @property
+    def cameras(self) -> CameraRig:
+        """The cameras of the images."""
+        return self.robot.rig_cameras
+
+    def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
+        """A renderer of the board for each camera."""
+        blur_px = self.scenario.blur_px
+        return [BoardRenderer(camera, self.route.board, blur_px, random) for camera in self.cameras.each]
+
+    def camera_poses(self, times_s: FloatArray) -> FloatArray:
+        """T_w_c of the first camera at given times, (n, 4, 4)."""
+        heads = np.array([self.robot.head_pose(joints) for joints in self.route.joints(times_s)])
+        return np.asarray(base_in_world(self.route.drive.poses(times_s)) @ heads @ self.robot.T_h_c)
+
+    def stamps_s(self, times_s: FloatArray) -> FloatArray:
+        """Stamps of images taken at given times, (n,)."""
+        return times_s + self.scenario.camera_late_s
+
+    def state_times_s(self) -> FloatArray:
+        """Times of the joint states; exact recordings sample every change of speed: angles are linear in between."""
+        times_s = np.arange(0, self.route.duration_s, 1 / self.robot.joint_rate_hz)
+        breaks_s = self.route.drive.breaks_s
+        return np.unique(np.concatenate([times_s, breaks_s])) if self.scenario.exact else times_s
+
+    def joints(self, times_s: FloatArray) -> FloatArray:
+        """(n, J) joint readings without noise, rad."""
+        return self.route.joints(times_s)
+
+    def wheels(self, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
+        """(n, 2) readings of the right and left encoder, rad."""
+        angles = self.route.drive.wheel_angles(times_s, self.robot.wheels, self.robot.slip)
+        if self.scenario.exact:
+            return angles
+        change = np.diff(angles, axis=0, prepend=angles[:1])
+        level = self.scenario.wheel_noise_rad_per_sqrt_rad
+        error = random.normal(size=change.shape) * level * np.sqrt(np.abs(change))
+        return self.stepped(angles + np.cumsum(error, axis=0))
+
+    def stepped(self, angles: FloatArray) -> FloatArray:
+        """Wheel rotations as the encoders resolve them, rad."""
+        return np.asarray(np.floor(angles / self.robot.encoder_step_rad) * self.robot.encoder_step_rad)
+
+    def truth(self) -> str:
+        """Text of truth.yaml."""
+        return truth_yaml(self.scenario, self.robot, self.route)
 
 
-def _noisy_wheels(world: World, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
-    """(n, 2) readings of the right and left encoder, rad."""
-    robot = world.actual.stated
-    late_s = world.actual.constants.get("time_wheels", 0.0)
-    angles = world.route.drive.wheel_angles(times_s - late_s, robot.wheels, robot.slip)
-    if world.scenario.exact:
-        return angles
-    noise = replace(world.noise, wheel_rad_per_sqrt_rad=world.scenario.wheel_noise_rad_per_sqrt_rad)
-    leg = np.searchsorted(station_times_s(world.route), times_s)
-    # The first angle twice: every reading has random numbers of its own.
-    rolled = rolled_as_read(np.concatenate([angles[:1], angles]), leg, noise, random)[1:]
-    return np.asarray(np.floor(rolled / robot.encoder_step_rad) * robot.encoder_step_rad)
-
-
-def _each_slips(rolled: FloatArray, robot: SimulatedRobot, random: np.random.Generator) -> FloatArray:
+def _each_slips(rolled: FloatArray, world: World, random: np.random.Generator) -> FloatArray:
     """(n, 4) readings of wheels that roll alike, each with a slip of its own."""
     steps = np.diff(rolled, axis=0, prepend=rolled[:1])
     slip = np.cumsum(_OWN_SLIP * np.sqrt(np.abs(steps)) * random.normal(size=steps.shape), axis=0)
-    return np.asarray(np.floor((rolled + slip) / robot.encoder_step_rad) * robot.encoder_step_rad)
+    return world.stepped(rolled + slip)
 
 
 def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
@@ -176,17 +202,13 @@ def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
 
 
 def _state_messages(world: World) -> Iterator[Published]:
-    scenario, route, robot = world.scenario, world.route, world.actual.stated
+    scenario, robot = world.scenario, world.robot
     random = np.random.default_rng([scenario.seed, 3])
-    # Exact recordings also sample every change of speed, because the angles are linear in between.
-    times_s = np.arange(0, route.duration_s, 1 / robot.joint_rate_hz)
-    if scenario.exact:
-        breaks_s = route.drive.breaks_s + world.actual.constants.get("time_wheels", 0.0)
-        times_s = np.unique(np.concatenate([times_s, breaks_s[breaks_s >= 0]]))
-    joints = world.actual.readings(route, times_s)
+    times_s = world.state_times_s()
+    joints = world.joints(times_s)
     if not scenario.exact:
         joints = joints + robot.joint_noise_rad * random.normal(size=joints.shape)
-    wheels = _noisy_wheels(world, times_s, random)
+    wheels = world.wheels(times_s, random)
     names = list(robot.joint_names)
     counters = robot.wheel_signal == "ticks"
     apart = counters or robot.wheel_signal == "odometry"
@@ -194,7 +216,7 @@ def _state_messages(world: World) -> Iterator[Published]:
     each = len(robot.wheel_joints["left"])
     positions = np.repeat(wheels, each, axis=1)
     if each > 1 and not scenario.exact:
-        positions = _each_slips(positions, robot, np.random.default_rng([scenario.seed, 7]))
+        positions = _each_slips(positions, world, np.random.default_rng([scenario.seed, 7]))
     odometry = driver_odometry(wheels, robot.nominal_wheels)
     for time_ns, head, wheel, rolled, pose in zip(
         nanoseconds(times_s), joints, wheels, positions, odometry, strict=True
@@ -213,31 +235,17 @@ def _state_messages(world: World) -> Iterator[Published]:
                 yield Published(stamp, f"/wheel_ticks/{side}", kind, {"data": count})
 
 
-def _floor_and_jitter(world: World, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Floor below the base, (n, 4, 4), one in each rest, and errors of the stamps, (n,) s, of images at given times."""
-    random = np.random.default_rng([world.scenario.seed, 6])
-    rests_s = world.route.rests_s
-    if len(rests_s):
-        rest = np.searchsorted(rests_s[:, 0], times_s) - 1
-        still = world.route.motion == "base_fixed"
-        return floor_in_base(world.noise, len(rests_s), random, still)[rest], np.zeros(len(times_s))
-    floor = floor_in_base(world.noise, len(times_s), random)
-    return floor, world.noise.stamp_s * random.normal(size=len(times_s))
-
-
 def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterator[Published]:
-    scenario, route, robot = world.scenario, world.route, world.actual.stated
+    scenario, robot, rig = world.scenario, world.robot, world.cameras
     random = np.random.default_rng([scenario.seed, 4])
-    rig, shape = world.actual.rig_cameras, world.actual.shape(route.board)
-    renderers = [BoardRenderer(c, shape, scenario.blur_px, random) for c in rig.each]
-    times_s = np.array(scenario.picture_times_s(route))
-    floor, jitter_s = _floor_and_jitter(world, times_s)
-    stamps = nanoseconds(times_s + scenario.camera_late_s + jitter_s)
+    renderers = world.renderers(random)
+    times_s = np.array(scenario.picture_times_s(world.route))
+    stamps = nanoseconds(world.stamps_s(times_s)).tolist()
     topics = robot.topics(compressed=scenario.pictures != "mono8")
-    for i, T_w_c in enumerate(camera_in_world(world.actual, route, times_s, floor)):
-        stamp = int(stamps[i])
+    for i, T_w_c in enumerate(world.camera_poses(times_s)):
+        stamp = stamps[i]
         for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
-            grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ route.T_w_k)
+            grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ world.route.T_w_k)
             if not scenario.exact:
                 grey = grey + scenario.pixel_noise_grey * random.normal(size=grey.shape)
             kind, fields = _picture(grey, info.frame_id, stamp, scenario)
@@ -246,19 +254,16 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
         drawn(i + 1, len(stamps))
 
 
-def published(
-    scenario: Scenario, robot: SimulatedRobot, route: Route, drawn: Callable[[int, int], None]
-) -> Iterator[Published]:
+def published(world: World, drawn: Callable[[int, int], None]) -> Iterator[Published]:
     """All messages of a recording in order of time, created lazily.
 
     Args:
-        scenario, robot, route: what to record.
+        world: what to record.
         drawn: called with the number of rendered moments and their total.
     """
-    constants, noise = scenario.imperfections(robot)
-    world = World(scenario, route, ActualRobot(robot, constants), noise)
+    description = {"data": urdf_text(world.robot)}
     return heapq.merge(
-        [Published(START_NS, "/robot_description", "std_msgs/msg/String", {"data": urdf_text(robot)})],
+        [Published(START_NS, "/robot_description", "std_msgs/msg/String", description)],
         _state_messages(world),
         _picture_messages(world, drawn),
         key=lambda m: m.time_ns,

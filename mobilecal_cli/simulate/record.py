@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
@@ -11,8 +12,10 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import check_file, check_parent, recognized_file, write_synced
 from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
-from mobilecal_cli.simulate.messages import published, write
-from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
+from mobilecal_cli.simulate.messages import World, published, write
+from mobilecal_cli.simulate.robot import SimulatedRobot
+from mobilecal_cli.simulate.route import Route
+from mobilecal_cli.simulate.scenario import Scenario
 
 _DIRECTORIES = ("rosbag2", "rosbag2-mcap")
 _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
@@ -29,7 +32,13 @@ def truth_path(out: Path) -> Path:
     return out.with_name(f"{out.stem if out.suffix in ('.mcap', '.bag') else out.name}.truth.yaml")
 
 
-def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progress = silent) -> Path:
+def simulate(
+    scenario: Scenario,
+    out: Path,
+    force: bool = False,
+    progress: Progress = silent,
+    world_of: Callable[[Scenario, SimulatedRobot, Route], World] = World,
+) -> Path:
     """Simulate a scenario and write its recording.
 
     Args:
@@ -37,6 +46,7 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
         out: the recording: a file, or a directory for rosbag2.
         force: replace an existing recording.
         progress: called after every rendered stereo pair.
+        world_of: the robot and the board as they are.
 
     Returns:
         Path of the ground truth.
@@ -48,14 +58,12 @@ def simulate(scenario: Scenario, out: Path, force: bool = False, progress: Progr
     truth = truth_path(out)
     recognized = recognized_folder if scenario.container in _DIRECTORIES else recognized_file
     _check(out, truth, recognized, force)
-    robot, route = scenario.plan()
-    messages = published(
-        scenario, robot, route, lambda done, total: progress("rendering images", done, total)
-    )
+    world = world_of(scenario, *scenario.plan())
+    messages = published(world, lambda done, total: progress("rendering images", done, total))
     try:
         with partial_of(truth, recognized_file) as text, partial_of(out, recognized) as recording:
             write(scenario.container, recording, messages)
-            write_synced(text, truth_yaml(scenario, robot, route).encode())
+            write_synced(text, world.truth().encode())
             with uninterrupted():
                 place(recording, out, recognized, force)
                 try:

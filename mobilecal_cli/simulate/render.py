@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.model import Board, Camera, FloatArray, GrayImage, Markers
-from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.robot import pixels, rays
 
 _CELL_PX = 100  # pixels of the print per square (or tag)
@@ -75,8 +74,7 @@ _DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0
 _MARGIN_SQUARES = 1.0
 _PAD_PX = 6
 _SHADE = 0.10  # decrease of the brightness over the image width
-_INVERSE_ROUNDS = 25
-_BEND_ROUNDS = 2  # a bend of a few mm moves the point on a ray by a hundredth of itself
+INVERSE_ROUNDS = 25
 
 
 def _width(position: FloatArray) -> FloatArray:
@@ -98,37 +96,37 @@ def _covered(position: FloatArray, width: FloatArray, low: float, high: float) -
     return np.asarray(above * np.clip((high - position) / width + 0.5, 0, 1))
 
 
+def pixel_grid(camera: Camera) -> FloatArray:
+    """Every pixel of a camera, (height, width, 2) px."""
+    x, y = (np.arange(n, dtype=np.float64) for n in (camera.width, camera.height))
+    return np.stack(np.meshgrid(x, y), -1)
+
+
 @functools.lru_cache(maxsize=4)
 def _pixel_rays(pickled: bytes) -> FloatArray:
     """Ray of each pixel of a camera, which has no hash, (height, width, 2) at z = 1: slower than drawing an image."""
     camera: Camera = pickle.loads(pickled)
-    pixels = np.stack(
-        np.meshgrid(*(np.arange(n, dtype=np.float64) for n in (camera.width, camera.height))), -1
-    )
-    return rays(camera, pixels, _INVERSE_ROUNDS)
+    return rays(camera, pixel_grid(camera), INVERSE_ROUNDS)
 
 
 class BoardRenderer:
     """Renders one board in one camera's images.
 
     Args:
-        camera: pinhole, with plumb_bob distortion or none, or a `Lens`.
-        shape: a board with known square size.
+        camera: pinhole, with plumb_bob distortion or none.
+        board: with known square size.
         blur_px: sigma of the lens blur, px.
         random: for the background.
     """
 
-    def __init__(
-        self, camera: Camera, shape: BoardShape, blur_px: float, random: np.random.Generator
-    ) -> None:
-        board = shape.board
-        self._camera, self._shape, self._blur_px = camera, shape, blur_px
+    def __init__(self, camera: Camera, board: Board, blur_px: float, random: np.random.Generator) -> None:
+        self.camera, self.board, self._blur_px = camera, board, blur_px
         height, width = camera.height, camera.width
         # Rays change direction by 0.0002 px between two pixels, so linear interpolation is exact enough for
         # subpixels.
         fine = (width * _SUB, height * _SUB)
         self._rays = np.asarray(
-            cv2.resize(_pixel_rays(pickle.dumps(camera)), fine, interpolation=cv2.INTER_LINEAR),
+            cv2.resize(self.pixel_rays(), fine, interpolation=cv2.INTER_LINEAR),
             dtype=np.float64,
         )
         self._light = 1 - _SHADE * np.linspace(0, 1, width)[None, :] * np.linspace(1, 0.6, height)[:, None]
@@ -136,9 +134,26 @@ class BoardRenderer:
         self._print = None if board.markers is None else Print(board, board.markers)
         self._last = (np.zeros((0, 0)), np.zeros((0, 0)))
 
+    def pixel_rays(self) -> FloatArray:
+        """Ray of each pixel, (height, width, 2) at z = 1."""
+        return _pixel_rays(pickle.dumps(self.camera))
+
+    def pixels_of(self, T_x_k: FloatArray, at: FloatArray) -> FloatArray:
+        """Pixels (N, 2) of places on the board, (N, 2) squares."""
+        points_k = np.column_stack([at * (self.board.square_m or 1.0), np.zeros(len(at))])
+        return pixels(self.camera, points_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
+
+    def on_board(self, T_x_k: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Where rays (..., 2) meet the board: x and y, squares."""
+        normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
+        depth = (normal @ origin) / (rays @ normal[:2] + normal[2])
+        columns = np.moveaxis(T_x_k[:3, :2] / (self.board.square_m or 1.0), 1, 0)
+        x, y = (depth * (rays @ column[:2] + column[2]) - origin @ column for column in columns)
+        return x, y
+
     def _clutter(self, random: np.random.Generator) -> FloatArray:
         """Background: a wall with blurred boxes and stripes."""
-        height, width = self._camera.height, self._camera.width
+        height, width = self.camera.height, self.camera.width
         wall = np.full((height, width), 120.0)
         for _ in range(14):
             x, y = random.integers(0, width), random.integers(0, height)
@@ -157,20 +172,16 @@ class BoardRenderer:
 
     def _drawn(self, T_x_k: FloatArray) -> FloatArray:
         image = self._background.copy()
-        squares = (self._shape.board.square_m or 1.0) * self._shape.scale
-        low, high = printed_area(self._shape.board)
+        low, high = printed_area(self.board)
         wide = np.linspace(low - _MARGIN_SQUARES, high + _MARGIN_SQUARES, 12)
         outline = np.array([[x, y] for x in wide[:, 0] for y in wide[:, 1]])
-        heights = self._shape.height_m(*outline.T)
-        outline[:, 0] += self._skew * outline[:, 1]
-        outline_k = np.column_stack([outline * squares, heights])
-        at = pixels(self._camera, outline_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
-        limit = [self._camera.width, self._camera.height]
+        at = self.pixels_of(T_x_k, outline)
+        limit = [self.camera.width, self.camera.height]
         x0, y0 = np.clip(np.floor(at.min(axis=0)).astype(int) - _PAD_PX, 0, limit)
         x1, y1 = np.clip(np.ceil(at.max(axis=0)).astype(int) + _PAD_PX, 0, limit)
         if x1 > x0 and y1 > y0:
             part = self._rays[y0 * _SUB : y1 * _SUB, x0 * _SUB : x1 * _SUB]
-            x, y = self._on_board(T_x_k, part, squares)
+            x, y = self.on_board(T_x_k, part)
             wide_x, wide_y = _width(x), _width(y)
             middle, swing = (_DARK + _LIGHT) / 2, (_LIGHT - _DARK) / 2
             if self._print is None:
@@ -188,26 +199,3 @@ class BoardRenderer:
             blurred = cv2.GaussianBlur(fine, (0, 0), self._blur_px * _SUB, borderType=cv2.BORDER_REPLICATE)
             image[y0:y1, x0:x1] = blurred.reshape(y1 - y0, _SUB, x1 - x0, _SUB).mean(axis=(1, 3))
         return np.asarray(image * self._light)
-
-    @property
-    def _skew(self) -> float:
-        """How many squares a column leans along x for each square along y."""
-        scale = self._shape.scale
-        return float(np.tan(self._shape.shear_rad) * scale[1] / scale[0])
-
-    def _on_board(
-        self, T_x_k: FloatArray, part: FloatArray, squares: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Where rays (..., 2) meet the board, in squares: x and y."""
-        normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
-        along = part @ normal[:2] + normal[2]
-        columns = np.moveaxis(T_x_k[:3, :2] / squares, 1, 0)
-        slopes = [part @ column[:2] + column[2] for column in columns]
-        depth = (normal @ origin) / along
-        for bend in range(_BEND_ROUNDS + 1):
-            x, y = (depth * slope - origin @ column for slope, column in zip(slopes, columns, strict=True))
-            x -= self._skew * y
-            if bend == _BEND_ROUNDS or not np.any(self._shape.bends_m):
-                break
-            depth = (normal @ origin + self._shape.height_m(x, y)) / along
-        return x, y

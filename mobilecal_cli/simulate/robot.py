@@ -30,8 +30,6 @@ from mobilecal_cli.model import (
 WIDTH, HEIGHT = 640, 480
 _WHEELBASE_M = 0.262
 BASELINE_M = 0.12
-#: Displaced by 0.4 % of the width: to 1e-8 px, because each round shrinks the error 50 times.
-_DISPLACEMENT_ROUNDS = 5
 
 
 def stereo_infos(
@@ -96,49 +94,16 @@ def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatAr
     return flat
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Lens(Camera):
-    """A camera whose pixels are displaced from those of its model.
-
-    Attributes:
-        center_px: (2,) origin of the displacement.
-        shares: (4,) displacement at the image corner by the radial terms of third and fifth order and by the
-            tangential terms along x and y, in shares of the image width.
-    """
-
-    center_px: FloatArray
-    shares: FloatArray
-
-    def displacement(self, at: FloatArray) -> FloatArray:
-        """Displacement of pixels, (..., 2) px → (..., 2) px."""
-        half_px = np.hypot(self.width, self.height) / 2
-        x, y = np.ascontiguousarray(np.moveaxis((at - self.center_px) / half_px, -1, 0))
-        corner_x, corner_y = np.array([self.width, self.height]) / (2 * half_px)
-        radial_1, radial_2, *tangential = self.shares
-        n_x = np.hypot(3 * corner_x**2 + corner_y**2, 2 * corner_x * corner_y)
-        n_y = np.hypot(2 * corner_x * corner_y, corner_x**2 + 3 * corner_y**2)
-        along_x, along_y = tangential[0] / n_x, tangential[1] / n_y
-        r2 = x**2 + y**2
-        # The tangential terms are r^2 e + 2 (e p) p, with e the axis.
-        common = r2 * (radial_1 + radial_2 * r2) + 2 * (along_x * x + along_y * y)
-        return self.width * np.stack([common * x + along_x * r2, common * y + along_y * r2], axis=-1)
-
-
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:
     """Project points in the camera frame, (..., 3), to (..., 2) px; independent of the solver's code."""
     flat = points[..., :2] / points[..., 2:]
     if np.any(camera.D):
         flat = distort(camera.D, flat)
-    result: FloatArray = flat @ camera.K[:2, :2].T + camera.K[:2, 2]
-    return result + camera.displacement(result) if isinstance(camera, Lens) else result
+    return np.asarray(flat @ camera.K[:2, :2].T + camera.K[:2, 2])
 
 
 def rays(camera: Camera, at: FloatArray, rounds: int = 40) -> FloatArray:
     """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
-    if isinstance(camera, Lens):
-        target = at
-        for _ in range(_DISPLACEMENT_ROUNDS):
-            at = target - camera.displacement(at)
     flat = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
     return undistort(camera.D, flat, rounds) if np.any(camera.D) else flat
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +9,6 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.model import Board, Markers
-from mobilecal_cli.simulate.imperfect import NOT_RENDERED, PRIORS, STATION_NOISE, Noise, draw
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
@@ -45,8 +43,6 @@ class Scenario:
         blur_px: sigma of the lens blur, px.
         wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
-        imperfect: constants of the robot and the board drawn from their priors, and noise of the floor, the stamps in
-            motion and the wheels' scale (none of it if `exact`).
     """
 
     robot: str = "paper"
@@ -64,15 +60,6 @@ class Scenario:
     blur_px: float = 0.6
     wheel_noise_rad_per_sqrt_rad: float = 0.003
     camera_late_s: float = 0.0
-    imperfect: bool = False
-
-    def imperfections(self, robot: SimulatedRobot) -> tuple[Mapping[str, float], Noise]:
-        """What is not as the robot's description says: constants, true minus stated value, and additional noise."""
-        if not self.imperfect:
-            return {}, Noise()
-        kinds = {*PRIORS} - NOT_RENDERED if self.motion == "moving" else None
-        constants = draw(robot, np.random.default_rng([self.seed, 5]), kinds=kinds)
-        return constants, Noise() if self.exact else STATION_NOISE
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
         """The robot and its route.
@@ -148,17 +135,8 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  encoder_step_rad: {decimal(0.0 if scenario.exact else robot.encoder_step_rad)}",
         f"  joint_noise_rad: {decimal(0.0 if scenario.exact else robot.joint_noise_rad)}",
         f"  camera_late_s: {decimal(scenario.camera_late_s)}",
+        f"board_in_world: {decimals(route.T_w_k[:3].ravel())}  # first three rows of T_w_k",
     ]
-    if scenario.imperfect:
-        constants, noise = scenario.imperfections(robot)
-        levels = {name: getattr(noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
-        levels["stamp_s"] = noise.stamp_s if scenario.motion == "moving" else 0.0
-        lines += [f"  {name}: {decimal(level)}" for name, level in levels.items()]
-        lines.append(
-            "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)"
-        )
-        lines += [f"  {name}: {decimal(value)}" for name, value in constants.items()]
-    lines.append(f"board_in_world: {decimals(route.T_w_k[:3].ravel())}  # first three rows of T_w_k")
     if len(route.rests_s):
         times = route.rests_s.mean(axis=1)
         lines.append(f"joints: [{', '.join(robot.joint_names)}]")

@@ -22,11 +22,11 @@ from mobilecal_cli.calibrate.steps import Data, Fit, Report, calibrate, fitted
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE
-from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
+from tests.actual import draw
 from tests.bench.imperfect import AS_PRINTED, FIVE_SIGMA, LEVELS, USUAL, Case
 from tests.bench.simulated import errors
 from tests.bench.study import Study, conditions, head, line, results_of

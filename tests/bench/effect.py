@@ -10,12 +10,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Corners, Extraction
-from mobilecal_cli.simulate.imperfect import BoardShape, station_times_s
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
+from tests.actual import station_times_s
 from tests.bench.corners import sub_pix
 from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
@@ -37,9 +37,7 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     made = []
     T_w_v = base_in_world(route.drive.poses(times_s))
     for k, camera in enumerate((rig.each[0], rig.each[1])):
-        renderer = BoardRenderer(
-            camera, BoardShape(route.board), _BLUR_PX, np.random.default_rng([number, k])
-        )
+        renderer = BoardRenderer(camera, route.board, _BLUR_PX, np.random.default_rng([number, k]))
         for i, joints in enumerate(route.joints(times_s)):
             T_c_k = se3.inverse(T_w_v[i] @ robot.head_pose(joints) @ robot.T_h_c) @ route.T_w_k
             T = T_c_k if k == 0 else se3.inverse(rig.T_c_each[1]) @ T_c_k

@@ -32,7 +32,6 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.signals.wheels import rotations, sides_of
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.imperfect import PRIORS, draw
 from mobilecal_cli.simulate.messages import driver_odometry
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
@@ -48,6 +47,7 @@ from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
+from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
 from tests.bench.study import rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction

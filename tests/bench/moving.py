@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.simulate.imperfect import PRIORS
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
+from tests.actual import PRIORS
 from tests.bench.simulated import DISTURBED, as_described, errors, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 from tests.extractions import ideal_extraction

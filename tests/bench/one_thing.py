@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.simulate.imperfect import PRIORS
 from mobilecal_cli.simulate.route import Motion
+from tests.actual import PRIORS
 from tests.bench.imperfect import (
     LEVELS,
     PERFECT,

@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FACTORS
-from mobilecal_cli.simulate.messages import published, write
+from mobilecal_cli.simulate.messages import World, published, write
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -114,7 +114,7 @@ def test_three_cameras_from_a_recording(tmp_path, off):
     scenario = Scenario(stations=10, seed=6, pictures="png")
     route = plan_route(robot, stations=scenario.stations, board=scenario.board, seed=scenario.seed)
     path = tmp_path / "three.mcap"
-    messages = published(scenario, robot, route, lambda done, total: None)
+    messages = published(World(scenario, robot, route), lambda done, total: None)
     write("mcap", path, messages)
     settings = {**SQUARE}
     for side in ("left", "right"):

@@ -3,7 +3,7 @@
 import os
 import signal
 
-from mobilecal_cli.model import FleetRow
+from mobilecal_cli.report.fleet import FleetRow
 
 
 def die_or_answer(job):

@@ -22,8 +22,8 @@ from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.model import FleetRow, LogSource
-from mobilecal_cli.report.fleet import fleet_csv, fleet_text, standing_out
+from mobilecal_cli.model import LogSource
+from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route

@@ -83,15 +83,3 @@ def test_simulate_refuses_what_is_there(tmp_path):
     assert result.code == 7
     assert (tmp_path / "log.mcap").read_text() == "mine"
     assert result.left == []
-
-
-def test_an_imperfect_robot_has_its_constants_in_the_truth(tmp_path):
-    for options in ((), ("--imperfect",)):
-        made = run(
-            "simulate", "log.mcap", "--robot", "tick", "--stations", "2", *options, "--force", cwd=tmp_path
-        )
-        assert made.code == 0, made.err
-        truth = load(tmp_path / "log.truth.yaml")
-        assert ("constants" in truth) == bool(options)
-    assert truth["constants"]["focal_left"] != 0
-    assert truth["scenario"]["floor_m"] == 0.0005

@@ -21,11 +21,11 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
-from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.targets import Target
+from tests.actual import draw
 from tests.export.test_urdf_patch import robot
 from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.report.example import make_provenance

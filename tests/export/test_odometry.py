@@ -17,9 +17,9 @@ from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
 from mobilecal_cli.model import Noise as LegNoise
-from mobilecal_cli.simulate.imperfect import rolled_as_read
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.targets import Target
+from tests.actual import rolled_as_read
 from tests.extractions import Noise, simulated
 
 SQRT, SHARE, RATE_HZ, DISTANCE_M = 0.003, 0.002, 50.0, 4.0

@@ -29,11 +29,11 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import draw_all
 from mobilecal_cli.report.values import ReportData, build_report
 from mobilecal_cli.report.verdict import Case, judge
-from mobilecal_cli.simulate.imperfect import draw
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.vision import thumbnail_jpeg
+from tests.actual import draw
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.pairs import with_pair
 

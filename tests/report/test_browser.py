@@ -11,9 +11,9 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import FixedLink, FleetRow, JointLink, LogSource, Nominal, Outlier, Rejection
+from mobilecal_cli.model import FixedLink, JointLink, LogSource, Nominal, Outlier, Rejection
 from mobilecal_cli.report.comparison import Change
-from mobilecal_cli.report.fleet import fleet_html
+from mobilecal_cli.report.fleet import FleetRow, fleet_html
 from mobilecal_cli.report.numbers import reference_pose
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route

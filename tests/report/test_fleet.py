@@ -6,8 +6,7 @@ import csv
 import io
 import re
 
-from mobilecal_cli.model import FleetRow
-from mobilecal_cli.report.fleet import fleet_csv, fleet_html, fleet_text
+from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html, fleet_text
 
 
 def test_no_sigma_is_shown_as_zero(extraction):

@@ -13,7 +13,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.model import (
     EstimatedConstant,
-    FleetRow,
     LogSource,
     Parameters,
     WheelGeometry,
@@ -22,7 +21,7 @@ from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
 from mobilecal_cli.report.findings import suggestion_sentences
-from mobilecal_cli.report.fleet import fleet_text
+from mobilecal_cli.report.fleet import FleetRow, fleet_text
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.solvers import evaluate
 from tests.golden import assert_golden

@@ -454,6 +454,23 @@ def test_four_wheels_as_configured():
         resolve_rig(config(wheels=wheels), description(joint_names={"/joint_states": names}))
 
 
+def test_each_of_four_wheels_may_be_on_a_topic_of_its_own():
+    names = {"/joint_states": (*HEAD_ONLY["/joint_states"], "a", "b"), "/rear": ("a", "b", "c", "d")}
+    wheels = {"left": {"joints": ["a", "c"], "topics": ["/rear", "/rear"]}, "right": {"joints": ["b", "d"]}}
+    sources = resolve_rig(config(wheels=wheels), description(joint_names=names))[0].sources.wheels
+    assert [(part.topic, part.joint) for part in sources["left"].every] == [("/rear", "a"), ("/rear", "c")]
+    assert [part.topic for part in sources["right"].every] == ["/joint_states", "/rear"]
+
+
+def test_counters_of_a_side_wrap_alike():
+    log = counted("fl.ticks", "fr.ticks", "rl.ticks", "rr.ticks")
+    numbers = (replace(number, wraps=16 if number.path == "rl.ticks" else None) for number in log.numbers)
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
+    assert [part.bits for part in sources["left"].every] == [16, 16]
+    assert [part.bits for part in sources["right"].every] == [None, None]
+
+
 @pytest.mark.parametrize(
     ("joints", "topic", "said"),
     [

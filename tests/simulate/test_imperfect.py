@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from scipy.stats import kurtosis
 
-from mobilecal_cli.simulate.imperfect import (
+from mobilecal_cli.simulate.messages import START_NS
+from mobilecal_cli.simulate.robot import ROBOTS, tick_robot
+from mobilecal_cli.simulate.route import plan_route
+from tests.actual import (
     PRIORS,
-    START_NS,
     approach_directions,
     constant_kinds,
     crosswise,
     draw,
     station_times_s,
 )
-from mobilecal_cli.simulate.robot import ROBOTS, tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from tests.extractions import (
     Imperfection,
     Noise,

@@ -16,22 +16,22 @@ from mobilecal_cli.files import placing
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
-from mobilecal_cli.simulate import record
-from mobilecal_cli.simulate.imperfect import PRIORS, START_NS, Noise, constant_kinds
+from mobilecal_cli.simulate.messages import START_NS, World
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.targets import Container
+from tests.actual import PRIORS, ImperfectWorld, Noise, constant_kinds
 from tests.extractions import Imperfection, imperfect_extraction
 
 SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
 
 
-def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
+def recorded(folder: Path, scenario: Scenario, name: str = "log", world_of=World) -> Path:
     out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
-    simulate(scenario, out)
+    simulate(scenario, out, world_of=world_of)
     return out
 
 
@@ -204,19 +204,16 @@ def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
         assert 1 < seen[2, 3] < 3
 
 
-IMPERFECT = replace(SMALL, imperfect=True)
-
-
 def truth_of(out: Path):
     return YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
 
 
 def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path):
-    robot, _ = IMPERFECT.plan()
-    truth = truth_of(recorded(tmp_path, IMPERFECT))
+    robot, route = SMALL.plan()
+    truth = truth_of(recorded(tmp_path, SMALL, world_of=ImperfectWorld))
     of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
     assert set(truth["constants"]) == set(constant_kinds(robot)) - of_motion
-    drawn = IMPERFECT.imperfections(robot)[0]
+    drawn = ImperfectWorld(SMALL, robot, route).actual.constants
     assert truth["constants"] == pytest.approx(drawn, rel=1e-12)
     ratios = [drawn[name] / PRIORS[kind] for name, kind in constant_kinds(robot).items() if name in drawn]
     assert 0.7 < np.std(ratios) < 1.3
@@ -230,12 +227,12 @@ def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path)
 
 
 def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, reference):
-    description, signals, _ = contents(recorded(tmp_path, IMPERFECT), IMPERFECT)
+    description, signals, _ = contents(recorded(tmp_path, SMALL, world_of=ImperfectWorld), SMALL)
     assert description.urdfs == reference[0].urdfs
     for (name, value), (_, stated) in zip(flat(description.infos), flat(reference[0].infos), strict=True):
         assert np.array_equal(value, stated), name
-    robot, route = IMPERFECT.plan()
-    constants = IMPERFECT.imperfections(robot)[0]
+    robot, route = SMALL.plan()
+    constants = ImperfectWorld(SMALL, robot, route).actual.constants
     pan = signals.joints[robot.pan]
     true = route.joints((pan.time_ns - START_NS) / 1e9)[:, 2]
     expected = (true - constants["pan_zero"]) / (1 + constants["pan_scale"])
@@ -246,12 +243,12 @@ def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, re
 
 def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     """The corners in the images are where the actual cameras, board and joints put them."""
-    scenario = replace(IMPERFECT, robot="tick", exact=True, pictures="mono8")
+    scenario = replace(SMALL, robot="tick", exact=True, pictures="mono8")
     robot, route = scenario.plan()
-    constants, noise = scenario.imperfections(robot)
-    assert noise == Noise()
-    _, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
-    expected = imperfect_extraction(robot, route, Imperfection(constants))
+    world = ImperfectWorld(scenario, robot, route)
+    assert world.noise == Noise()
+    _, signals, pictures = contents(recorded(tmp_path, scenario, world_of=ImperfectWorld), scenario)
+    expected = imperfect_extraction(robot, route, Imperfection(world.actual.constants))
     stated = imperfect_extraction(robot, route, Imperfection())
     for i, o in enumerate(expected.observations):
         for side, corners in (("left", o.views[0]), ("right", o.views[1])):
@@ -272,9 +269,9 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
 
 
 def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
-    scenario = replace(IMPERFECT, robot="tick", motion="moving", stations=1, pictures="mono8")
+    scenario = replace(SMALL, robot="tick", motion="moving", stations=1, pictures="mono8")
     robot, route = scenario.plan()
-    out = recorded(tmp_path, scenario)
+    out = recorded(tmp_path, scenario, world_of=ImperfectWorld)
     _, signals, _ = contents(out, scenario)
     truth = truth_of(out)
     assert truth["scenario"]["stamp_s"] == 0.0005
@@ -336,7 +333,7 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container,
     def full(*_: object) -> str:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(record, "truth_yaml", full)
+    monkeypatch.setattr(World, "truth", full)
     with pytest.raises(OutputError, match="No space left on device"):
         simulate(scenario, tmp_path / f"log{SUFFIXES[container]}", force=True)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before

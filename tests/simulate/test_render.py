@@ -9,9 +9,9 @@ from scipy.ndimage import map_coordinates, spline_filter
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Board, Camera
-from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import Lens, paper_robot
+from mobilecal_cli.simulate.robot import paper_robot
+from tests.actual import BoardShape, ImperfectRenderer, Lens
 
 BOARD = Board(9, 6, 0.08)
 CORNERS_K = BOARD.grid() * BOARD.square_m
@@ -48,7 +48,7 @@ def projected(camera, T_c_k, points_k=CORNERS_K):
 
 
 def renderer(camera, board=BOARD):
-    return BoardRenderer(camera, BoardShape(board), BLUR_PX, np.random.default_rng(0))
+    return BoardRenderer(camera, board, BLUR_PX, np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")
@@ -150,5 +150,5 @@ def test_a_bent_board_through_a_lens_that_displaces_pixels(lens):
     exact[:, 0] += 640 * (0.003 * (3 * px**2 + py**2) / n_x - 0.002 * 2 * px * py / n_y)
     exact[:, 1] += 640 * (0.003 * 2 * px * py / n_x - 0.002 * (px**2 + 3 * py**2) / n_y)
     assert np.linalg.norm(exact - projected(lens, T_c_k), axis=1).max() > 4
-    picture = BoardRenderer(camera, shape, BLUR_PX, np.random.default_rng(0)).picture(T_c_k)
+    picture = ImperfectRenderer(camera, shape, BLUR_PX, np.random.default_rng(0)).picture(T_c_k)
     assert np.linalg.norm(saddles(picture, exact) - exact, axis=1).max() < TRUE_TO_PX

@@ -12,13 +12,13 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import Case, judge
-from mobilecal_cli.simulate.imperfect import ActualRobot
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import gross_corners
+from tests.actual import ActualRobot
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import (

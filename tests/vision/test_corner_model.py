@@ -8,7 +8,6 @@ import pytest
 
 from mobilecal_cli.camera import project
 from mobilecal_cli.model import Board
-from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.vision import corner_model
@@ -30,7 +29,7 @@ POSES = [  # squares of 15 to 34 px, upright and turned, frontal and tilted
 def scenes():
     """Noise-free images and their true corners, (rows, columns, 2)."""
     camera = paper_robot().rig_cameras.each[0]
-    renderer = BoardRenderer(camera, BoardShape(BOARD), 0.6, np.random.default_rng(0))
+    renderer = BoardRenderer(camera, BOARD, 0.6, np.random.default_rng(0))
     found = []
     for depth, turn in POSES:
         T_c_k = pose(0.03, -0.05, depth, turn, BOARD, 0.08)

@@ -9,7 +9,6 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Markers, Observation, Station
-from mobilecal_cli.simulate.imperfect import BoardShape
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.scenario import PRINTED
@@ -28,7 +27,7 @@ def views(kind, T_c_k, noise=2.0, blur=0.6, seed=3):
     made = []
     for camera, T_c_x in ((RIG.each[0], np.eye(4)), (RIG.each[1], RIG.T_c_each[1])):
         T_x_k = np.linalg.inv(T_c_x) @ T_c_k
-        grey = BoardRenderer(camera, BoardShape(board), blur, random).picture(T_x_k)
+        grey = BoardRenderer(camera, board, blur, random).picture(T_x_k)
         image = np.clip(np.round(grey + noise * random.normal(size=grey.shape)), 0, 255).astype(np.uint8)
         points = board.grid() * board.square_m
         made.append((image, pixels(camera, points @ T_x_k[:3, :3].T + T_x_k[:3, 3])))

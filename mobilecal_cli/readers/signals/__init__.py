@@ -60,11 +60,13 @@ class Quantity:
         series: its readings.
         track: makes a track from one piece of them; the second argument receives notes.
         check: raises or notes what is wrong with them, after the pass.
+        instead: the velocities, which are used if there are no positions.
     """
 
     series: Series
     track: Callable[[Samples, list[str]], Track]
     check: Callable[[list[str]], None] = lambda _: None
+    instead: Quantity | None = None
 
 
 class Subscriptions:
@@ -124,11 +126,9 @@ class Subscriptions:
             group.want(name, velocity=velocity)
         self.clocks.setdefault(topic, Clock(topic))
 
-    def joints_elsewhere(
-        self, sources: Mapping[str, JointField | JointTransform]
-    ) -> dict[str, Callable[[list[str]], Quantity]]:
-        """Collect joints from messages other than JointState; each is available after the pass."""
-        elsewhere: dict[str, Callable[[list[str]], Quantity]] = {}
+    def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> dict[str, Quantity]:
+        """Collect joints from messages other than JointState."""
+        elsewhere: dict[str, Quantity] = {}
         moved: dict[str, dict[str, JointTransform]] = {}
         for name, source in sources.items():
             self.recording.topic(source.topic)
@@ -138,27 +138,33 @@ class Subscriptions:
             series = Series(source.topic, f"joint {name} ({source.topic} {source.field})")
             field = FieldSeries(source.field, "joints.fields", series, source.scale.__mul__)
             self._subscribe(source.topic, field.take)
-            elsewhere[name] = partial(self._checked, Quantity(series, _plain_track, field.check))
+            elsewhere[name] = Quantity(series, _plain_track, field.check)
         for topic, joints in moved.items():
             transforms = Transforms(topic, joints)
             self._subscribe(topic, transforms.take)
             for name, series in transforms.series.items():
                 track, check = partial(transforms.track, name), partial(transforms.check, name)
-                elsewhere[name] = partial(self._checked, Quantity(series, track, check))
+                elsewhere[name] = Quantity(series, track, check)
         return elsewhere
 
-    def wheel(self, side: Side, source: WheelSource) -> Callable[[list[str]], Quantity]:
-        """Collect the readings of one wheel of a side; it is available after the pass."""
-        topic = source.topic
-        if source.joint is not None:
-            self.joints(topic, [source.joint], velocity=True)
-            return partial(self._wheel_of_joints, side, source, source.joint)
+    def wheel(self, side: Side, source: WheelSource) -> Quantity:
+        """Collect the readings of one wheel of a side."""
+        topic, joint = source.topic, source.joint
+        if joint is not None:
+            self.joints(topic, [joint], velocity=True)
+            position, velocity = self._joints[topic].position[joint], self._joints[topic].velocity[joint]
+            return Quantity(
+                position,
+                partial(from_positions, source),
+                partial(self._check_wheel, side, topic, joint),
+                Quantity(velocity, partial(from_velocities, source)),
+            )
         if source.baked_in is not None:
             if topic not in self._odometry:
                 self._odometry[topic] = Odometry(topic, source.baked_in, assumed=source.assumed)
                 self._subscribe(topic, self._odometry[topic].take)
             odometry = self._odometry[topic]
-            return partial(self._checked, Quantity(odometry.series, partial(odometry.track, side)))
+            return Quantity(odometry.series, partial(odometry.track, side))
         assert source.field is not None  # a source has one of the three
         self.recording.topic(topic)
         series = Series(topic, f"{side} wheel ({topic} {source.field})")
@@ -170,7 +176,7 @@ class Subscriptions:
             counter.check()
             field.check(notes)
 
-        return partial(self._checked, Quantity(series, partial(from_positions, source), check))
+        return Quantity(series, partial(from_positions, source), check)
 
     @property
     def topics(self) -> frozenset[str]:
@@ -244,46 +250,45 @@ class Subscriptions:
             best = max(quantities, key=lambda series: series.not_finite)
         return Quantity(best, _plain_track)
 
-    def _wheel_of_joints(self, side: Side, source: WheelSource, name: str, notes: list[str]) -> Quantity:
-        """One wheel of a side from joint states: positions, or velocities if there are none."""
-        group = self._joints[source.topic]
-        if name not in group.present:
-            if not self.clocks[source.topic].messages:
-                raise self._empty(source.topic)
+    def _check_wheel(self, side: Side, topic: str, joint: str, _: list[str]) -> None:
+        """Check that joint states have positions or velocities of a wheel."""
+        group = self._joints[topic]
+        if joint not in group.present:
             raise RecordingError(
-                f"{self.recording.name}: no joint {name} on {source.topic}; "
-                f"joints present: {self._present([source.topic])}",
+                f"{self.recording.name}: no joint {joint} on {topic}; joints present: {self._present([topic])}",
                 f"correct wheels.{side}.joint in rig.yaml",
             )
-        position, velocity = group.position[name], group.velocity[name]
-        if len(velocity) and not len(position):
-            if position.not_finite:
-                notes.append(f"{position.label}: all {position.not_finite} positions are NaN or infinite")
-            notes.append(f"{position.label}: no positions; velocities are integrated")
-            return Quantity(velocity, partial(from_velocities, source))
-        if not len(position) and not position.not_finite:
+        position = group.position[joint]
+        if not (len(position) or position.not_finite or len(group.velocity[joint])):
             raise RecordingError(
                 f"{position.label}: neither positions nor velocities in its messages",
                 "set another source for the wheel in rig.yaml",
             )
-        return Quantity(position, partial(from_positions, source))
 
     def _present(self, topics: Sequence[str]) -> str:
         return listed(dict.fromkeys(name for topic in topics for name in self._joints[topic].present))
 
-    def _checked(self, quantity: Quantity, notes: list[str]) -> Quantity:
-        topic = quantity.series.topic
-        if not self.clocks[topic].messages:
-            raise self._empty(topic)
-        quantity.check(notes)
-        return quantity
+    def checked(self, quantity: Quantity, notes: list[str]) -> Quantity:
+        """What there is of a joint or wheel after the pass.
 
-    def _empty(self, topic: str) -> RecordingError:
-        broken = self._broken.get(topic, 0)
-        fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
-        return RecordingError(
-            f"{self.recording.name}: {topic}: {fact}", "record the topic, or set another one in rig.yaml"
-        )
+        Raises:
+            RecordingError: nothing.
+        """
+        series, other = quantity.series, quantity.instead
+        if not self.clocks[series.topic].messages:
+            broken = self._broken.get(series.topic, 0)
+            fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
+            raise RecordingError(
+                f"{self.recording.name}: {series.topic}: {fact}",
+                "record the topic, or set another one in rig.yaml",
+            )
+        quantity.check(notes)
+        if other is None or len(series) or not len(other.series):
+            return quantity
+        if series.not_finite:
+            notes.append(f"{series.label}: all {series.not_finite} positions are NaN or infinite")
+        notes.append(f"{series.label}: no positions; velocities are integrated")
+        return other
 
 
 def _plain_track(samples: Samples, notes: list[str]) -> Track:
@@ -334,9 +339,11 @@ def read_signals(
     notes: list[str] = []
     for name, series in images.items():
         read.check_images(name, series)
-    turning = {side: [wheel(notes) for wheel in wheels[side]] for side in SIDES}
+    turning = {side: [read.checked(wheel, notes) for wheel in wheels[side]] for side in SIDES}
     moving = {
-        name: elsewhere[name](notes) if name in elsewhere else read.joint_quantity(name, sources.joints)
+        name: read.checked(elsewhere[name], notes)
+        if name in elsewhere
+        else read.joint_quantity(name, sources.joints)
         for name in joints
     }
     read_over_time = (*moving.values(), *(wheel for side in SIDES for wheel in turning[side]))

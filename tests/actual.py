@@ -1,5 +1,7 @@
 """Robots and boards that are not as their description says: constants drawn from priors, and noise of floor and stamps.
 
+`ImperfectWorld` renders them.
+
 A constant is the true minus the stated value; the description, the head-eye transform and the wheels of the
 `SimulatedRobot` remain as they are. The formulas are written out here, independently of the estimator's.
 """
@@ -8,16 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, IntArray
-from mobilecal_cli.simulate.robot import Lens, RobotJoint, SimulatedRobot, Vector, pose
+from mobilecal_cli.simulate import robot as described
+from mobilecal_cli.simulate.messages import World
+from mobilecal_cli.simulate.render import INVERSE_ROUNDS, BoardRenderer, pixel_grid
+from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector, pose
 from mobilecal_cli.simulate.route import Route, base_in_world
 
 DISTORTIONS = ("radial_1", "radial_2", "tangential_x", "tangential_y")
 _MOVED_RAD = 1e-9
+#: Displaced by 0.4 % of the width: to 1e-8 px, because each round shrinks the error 50 times.
+_DISPLACEMENT_ROUNDS = 5
+_BEND_ROUNDS = 2  # a bend of a few mm moves the point on a ray by a hundredth of itself
 _DIRECTION_STEP_S = 0.02
 
 
@@ -36,6 +46,49 @@ def crosswise(axis: Vector | FloatArray) -> dict[str, FloatArray]:
 def joint_key(robot: SimulatedRobot, joint: str) -> str:
     """Name of a joint in the names of its constants."""
     return {robot.pan: "pan", robot.tilt: "tilt"}.get(joint, joint)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Lens(Camera):
+    """A camera whose pixels are displaced from those of its model.
+
+    Attributes:
+        center_px: (2,) origin of the displacement.
+        shares: (4,) displacement at the image corner by the radial terms of third and fifth order and by the
+            tangential terms along x and y, in shares of the image width.
+    """
+
+    center_px: FloatArray
+    shares: FloatArray
+
+    def displacement(self, at: FloatArray) -> FloatArray:
+        """Displacement of pixels, (..., 2) px → (..., 2) px."""
+        half_px = np.hypot(self.width, self.height) / 2
+        x, y = np.ascontiguousarray(np.moveaxis((at - self.center_px) / half_px, -1, 0))
+        corner_x, corner_y = np.array([self.width, self.height]) / (2 * half_px)
+        radial_1, radial_2, *tangential = self.shares
+        n_x = np.hypot(3 * corner_x**2 + corner_y**2, 2 * corner_x * corner_y)
+        n_y = np.hypot(2 * corner_x * corner_y, corner_x**2 + 3 * corner_y**2)
+        along_x, along_y = tangential[0] / n_x, tangential[1] / n_y
+        r2 = x**2 + y**2
+        # The tangential terms are r^2 e + 2 (e p) p, with e the axis.
+        common = r2 * (radial_1 + radial_2 * r2) + 2 * (along_x * x + along_y * y)
+        return self.width * np.stack([common * x + along_x * r2, common * y + along_y * r2], axis=-1)
+
+
+def pixels(camera: Camera, points: FloatArray) -> FloatArray:
+    """`simulate.robot.pixels`, also of a `Lens`."""
+    at = described.pixels(camera, points)
+    return at + camera.displacement(at) if isinstance(camera, Lens) else at
+
+
+def rays(camera: Camera, at: FloatArray) -> FloatArray:
+    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
+    if isinstance(camera, Lens):
+        target = at
+        for _ in range(_DISPLACEMENT_ROUNDS):
+            at = target - camera.displacement(at)
+    return described.rays(camera, at, INVERSE_ROUNDS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,7 +264,6 @@ PRIORS: dict[str, float] = {
 NOT_RENDERED = {"stereo_clock", "readout"}
 #: Kinds that only moving recordings show.
 _OF_MOTION = {"clock", *NOT_RENDERED}
-START_NS = 1_700_000_000_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,11 +357,6 @@ def station_times_s(route: Route, stations: int = 40) -> FloatArray:
     return np.linspace(0.5, route.duration_s - 0.5, stations)
 
 
-def nanoseconds(times_s: FloatArray) -> IntArray:
-    """Header stamps for times of a recording, int64 ns."""
-    return np.asarray(START_NS + np.round(np.asarray(times_s) * 1e9).astype(np.int64), dtype=np.int64)
-
-
 def floor_in_base(noise: Noise, count: int, random: np.random.Generator, still: bool = False) -> FloatArray:
     """Roll, pitch and height of the base on an uneven floor, at each of some stations: (N, 4, 4), base axes."""
     turns, lifts = random.normal(size=(count, 2)), random.normal(size=count)
@@ -351,3 +398,125 @@ def rolled_as_read(
     if noise.wheel_share:
         error += noise.wheel_share * random.normal(size=(int(leg.max()) + 1, 2))[leg] * change
     return np.asarray(angles + np.concatenate([np.zeros((1, 2)), np.cumsum(error, axis=0)]))
+
+
+class ImperfectRenderer(BoardRenderer):
+    """Renders a board as it is, in one camera's images."""
+
+    def __init__(
+        self, camera: Camera, shape: BoardShape, blur_px: float, random: np.random.Generator
+    ) -> None:
+        self._shape = shape
+        super().__init__(camera, shape.board, blur_px, random)
+
+    def pixel_rays(self) -> FloatArray:
+        return rays(self.camera, pixel_grid(self.camera))
+
+    @property
+    def _squares_m(self) -> FloatArray:
+        return (self.board.square_m or 1.0) * self._shape.scale
+
+    @property
+    def _skew(self) -> float:
+        """How many squares a column leans along x for each square along y."""
+        scale = self._shape.scale
+        return float(np.tan(self._shape.shear_rad) * scale[1] / scale[0])
+
+    def pixels_of(self, T_x_k: FloatArray, at: FloatArray) -> FloatArray:
+        heights = self._shape.height_m(*at.T)
+        x, y = at[:, 0] + self._skew * at[:, 1], at[:, 1]
+        points_k = np.column_stack([np.column_stack([x, y]) * self._squares_m, heights])
+        return pixels(self.camera, points_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
+
+    def on_board(self, T_x_k: FloatArray, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
+        normal, origin = T_x_k[:3, 2], T_x_k[:3, 3]
+        along = rays @ normal[:2] + normal[2]
+        columns = np.moveaxis(T_x_k[:3, :2] / self._squares_m, 1, 0)
+        slopes = [rays @ column[:2] + column[2] for column in columns]
+        depth = (normal @ origin) / along
+        for bend in range(_BEND_ROUNDS + 1):
+            x, y = (depth * slope - origin @ column for slope, column in zip(slopes, columns, strict=True))
+            x -= self._skew * y
+            if bend == _BEND_ROUNDS or not np.any(self._shape.bends_m):
+                break
+            depth = (normal @ origin + self._shape.height_m(x, y)) / along
+        return x, y
+
+
+@dataclass(frozen=True, eq=False)
+class ImperfectWorld(World):
+    """A robot and a board with constants drawn from their priors, and noise of the floor, the stamps and the wheels.
+
+    An exact recording has the constants alone.
+    """
+
+    @cached_property
+    def actual(self) -> ActualRobot:
+        """The robot as it is."""
+        kinds = {*PRIORS} - NOT_RENDERED if self.scenario.motion == "moving" else None
+        return ActualRobot(
+            self.robot, draw(self.robot, np.random.default_rng([self.scenario.seed, 5]), kinds=kinds)
+        )
+
+    @property
+    def noise(self) -> Noise:
+        """Additional noise."""
+        return Noise() if self.scenario.exact else STATION_NOISE
+
+    @property
+    def cameras(self) -> CameraRig:
+        return self.actual.rig_cameras
+
+    def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
+        shape, blur_px = self.actual.shape(self.route.board), self.scenario.blur_px
+        return [ImperfectRenderer(camera, shape, blur_px, random) for camera in self.cameras.each]
+
+    def _random(self) -> np.random.Generator:
+        return np.random.default_rng([self.scenario.seed, 6])
+
+    def camera_poses(self, times_s: FloatArray) -> FloatArray:
+        rests_s = self.route.rests_s
+        if not len(rests_s):
+            floor = floor_in_base(self.noise, len(times_s), self._random())
+        else:
+            still = self.route.motion == "base_fixed"
+            floor = floor_in_base(self.noise, len(rests_s), self._random(), still)
+            floor = floor[np.searchsorted(rests_s[:, 0], times_s) - 1]
+        return camera_in_world(self.actual, self.route, times_s, floor)
+
+    def stamps_s(self, times_s: FloatArray) -> FloatArray:
+        stamps_s = times_s + self.scenario.camera_late_s
+        if len(self.route.rests_s):
+            return stamps_s
+        random = self._random()
+        floor_in_base(self.noise, len(times_s), random)  # the stamps' numbers follow those of the floor
+        return stamps_s + self.noise.stamp_s * random.normal(size=len(times_s))
+
+    def state_times_s(self) -> FloatArray:
+        times_s = np.arange(0, self.route.duration_s, 1 / self.robot.joint_rate_hz)
+        breaks_s = self.route.drive.breaks_s + self.actual.constants.get("time_wheels", 0.0)
+        exact = self.scenario.exact
+        return np.unique(np.concatenate([times_s, breaks_s[breaks_s >= 0]])) if exact else times_s
+
+    def joints(self, times_s: FloatArray) -> FloatArray:
+        return self.actual.readings(self.route, times_s)
+
+    def wheels(self, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
+        late_s = self.actual.constants.get("time_wheels", 0.0)
+        angles = self.route.drive.wheel_angles(times_s - late_s, self.robot.wheels, self.robot.slip)
+        if self.scenario.exact:
+            return angles
+        noise = replace(self.noise, wheel_rad_per_sqrt_rad=self.scenario.wheel_noise_rad_per_sqrt_rad)
+        leg = np.searchsorted(station_times_s(self.route), times_s)
+        # The first angle twice: every reading has random numbers of its own.
+        return self.stepped(rolled_as_read(np.concatenate([angles[:1], angles]), leg, noise, random)[1:])
+
+    def truth(self) -> str:
+        levels = {name: getattr(self.noise, name) for name in ("floor_rad", "floor_m", "wheel_share")}
+        levels["stamp_s"] = self.noise.stamp_s if self.scenario.motion == "moving" else 0.0
+        lines = [
+            *(f"  {name}: {decimal(level)}" for name, level in levels.items()),
+            "constants:  # true minus stated value: rad, m, s, or a share (of the image width for images)",
+            *(f"  {name}: {decimal(value)}" for name, value in self.actual.constants.items()),
+        ]
+        return World.truth(self).replace("board_in_world:", "\n".join([*lines, "board_in_world:"]), 1)
