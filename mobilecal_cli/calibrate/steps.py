@@ -272,8 +272,8 @@ class Report:
         params: text of params.yaml.
         robot: what it says.
         change: difference from the last calibration or from the nominal values, if there is either.
-        verdict: PASS, FAIL or NOT ENOUGH, with all criteria and metrics.
-        values: content of report.json.
+        verdict: PASS, FAIL or NOT ENOUGH, with all criteria.
+        values: content of report.json, also every figure that a gate can limit (`metrics`).
 
     Raises:
         ConfigError: an unknown gate, a params.yaml that cannot be read, or a fit of other data.
@@ -303,8 +303,17 @@ class Report:
         level, reasons = self.verdict.level, reasons_of(self.verdict)
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
-        case = Case(solution, extraction, self.provenance, self.verdict, fit.trial, self.change)
+        case = Case(
+            solution,
+            extraction,
+            limits,
+            fit.trial,
+            self.change,
+            provenance=self.provenance,
+            verdict=self.verdict,
+        )
         self.values = build_report(case)
+        self._limits = limits
 
     def __repr__(self) -> str:
         """One line."""
@@ -325,7 +334,7 @@ class Report:
     def html(self) -> str:
         """Text of report.html."""
         fit = self.fit
-        drawn = draw_all(fit.solution, fit.extraction, self.data.snapshots, self.verdict.limits)
+        drawn = draw_all(fit.solution, fit.extraction, self.data.snapshots, self._limits)
         return report_html(self.values, drawn)
 
     def _repr_html_(self) -> str:

@@ -12,7 +12,7 @@ from mobilecal_cli.likelihood.board_corners import UNDERSTATED
 from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.nuisance import FAMILIES, Constant, family
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import Evidence, FloatArray
+from mobilecal_cli.model import Evidence, EvidenceValue, FloatArray
 
 _LEAST_CHANCE = 1e-300
 _SHOWN = 0.997  # posterior variance over the prior's, below which the data show a direction
@@ -67,7 +67,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
         chi2, dof, value, wide = _without_prior(m, own, tight)
         names = [layout.names[k] for k in columns]
         estimates = {
-            name: (float(v * s), float(d * s))
+            name: EvidenceValue(float(v * s), float(d * s) if math.isfinite(d) else None, float(s))
             for name, v, d, s in zip(names, value, wide, prior, strict=True)
         }
         # The nine follow as their covariance with the group says; of kinds that show only together, one may be wrong.
@@ -80,8 +80,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
-        sigma_of = dict(zip(names, prior.tolist(), strict=True))
-        tested.append(Evidence(first.kind, first.part, estimates, sigma_of, chi2, dof, sigmas, max(shifts)))
+        tested.append(Evidence(first.kind, first.part, estimates, chi2, sigmas, max(shifts)))
     return tuple(tested)
 
 

@@ -9,6 +9,7 @@ from mobilecal_cli.model.findings import (
     Diagnosis,
     EstimatedConstant,
     Evidence,
+    EvidenceValue,
     Jump,
     ScaleCheck,
     Suggestion,

@@ -29,25 +29,35 @@ class EstimatedConstant:
 
 
 @dataclass(frozen=True, slots=True)
+class EvidenceValue:
+    """A constant without its prior.
+
+    Attributes:
+        value, std: estimate and standard deviation, None where the data do not show it.
+        prior: standard deviation of the stated value.
+    """
+
+    value: float
+    std: float | None
+    prior: float
+
+
+@dataclass(frozen=True, slots=True)
 class Evidence:
     """How far the data contradict the stated values of one kind of constants of one part.
 
     Attributes:
         kind, part: which constants, see `likelihood.nuisance.Constant`.
-        values: name → (value, standard deviation) without the priors of these constants.
-        priors: name → standard deviation of the stated value.
+        values: name → estimate without the priors of these constants.
         chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
-        dof: how many directions of these constants the data show.
         sigmas: `chi2` as a number of standard deviations of a normal distribution.
         shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
     """
 
     kind: str
     part: str
-    values: Mapping[str, tuple[float, float]]
-    priors: Mapping[str, float]
+    values: Mapping[str, EvidenceValue]
     chi2: float
-    dof: int
     sigmas: float
     shift_sigmas: float
 

@@ -39,6 +39,7 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
+    Figure,
     advice,
     limiting_sentence,
     missing_motion,
@@ -77,7 +78,10 @@ def mistake(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("stations", at_least=True))
+@criterion(
+    Metric("stations", at_least=True, of=lambda made: float(len(made.extraction.observations))),
+    section="stations",
+)
 def stations(made: Calibration) -> Iterator[Check]:
     """Number of stations."""
     have, least = len(made.extraction.observations), MIN_STATIONS
@@ -101,7 +105,7 @@ def stations(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("camera", at_least=True), gated=False)
+@criterion(Metric("camera", at_least=True), gated=False, section="stations")
 def blind_camera(made: Calibration) -> Iterator[Check]:
     """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
 
@@ -137,12 +141,17 @@ def blind_camera(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(Metric("legs", at_least=True))
+def _number_of_legs(made: Calibration) -> float:
+    """Pairs of consecutive stations of a recording."""
+    observations = made.extraction.observations
+    return float(len(observations) - len({o.log for o in observations}))
+
+
+@criterion(Metric("legs", at_least=True, of=_number_of_legs), section="stations")
 def legs(made: Calibration) -> Iterator[Check]:
     """Legs between stations, of several recordings."""
-    observations = made.extraction.observations
-    logs, least = len({o.log for o in observations}), MIN_STATIONS - 1
-    have = len(observations) - logs
+    logs, least = len({o.log for o in made.extraction.observations}), MIN_STATIONS - 1
+    have = _number_of_legs(made)
     if logs > 1:
         yield Check(
             "legs", have, least, enough(have, least),
@@ -164,7 +173,7 @@ _JUMPS = {
 }
 
 
-@criterion(Metric("jump", "sigma"), gated=False)
+@criterion(Metric("jump", "sigma"), gated=False, section="stations")
 def jump(made: Calibration) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
 
@@ -189,7 +198,7 @@ def jump(made: Calibration) -> Iterator[Check]:
         else:
             when = f"between recording {change.log} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
-            harmless = all(use.within for use in uses(made.solution, made.limits))
+            harmless = all(use.within for use in uses(made.solution, made.gates))
         yield Check(
             "jump", change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "warning" if harmless else "fail",
@@ -201,7 +210,12 @@ def jump(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(Metric("observable", at_least=True))
+def _number_observable(made: Calibration) -> float | None:
+    uncertainty = made.solution.uncertainty
+    return None if uncertainty is None else float(np.sum(uncertainty.observable | uncertainty.fixed))
+
+
+@criterion(Metric("observable", at_least=True, of=_number_observable), section="stations")
 def observable(made: Calibration) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
 
@@ -233,7 +247,7 @@ def observable(made: Calibration) -> Iterator[Check]:
         cure = "Calibrate each recording alone, and check that all are of one robot on which nothing was changed."
     else:
         because, cure = _motion_to_add(made, missing)
-    within = all(use.within for use in uses(made.solution, made.limits))
+    within = all(use.within for use in uses(made.solution, made.gates))
     names = plain_names(missing, made.extraction)
     yield Check(
         "observable", 9 - len(missing), 9, "warning" if within else "not_enough",
@@ -259,28 +273,29 @@ def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     return " and ".join(lacking.values()), f"Record again and {'; '.join(cures)}."
 
 
-_EXTENTS = {
-    key: Metric(f"motion.{key}", "m" if key.endswith("_m") else "degrees", at_least=True) for key in MOTION
-}
+def _extent(key: str) -> Metric:
+    return Metric(
+        f"motion.{key}", MOTION[key].unit, at_least=True, of=lambda made: made.solution.motion.get(key)
+    )
 
 
-@criterion(*_EXTENTS.values())
+@criterion(*map(_extent, MOTION), section="stations")
 def motion(made: Calibration) -> Iterator[Check]:
     """Motion of head and base, for methods without standard deviations."""
-    for key, (least, _, name, _, cure) in MOTION.items() if made.solution.uncertainty is None else ():
-        metric, value = _EXTENTS[key], made.solution.motion.get(key)
+    for key, extent in MOTION.items() if made.solution.uncertainty is None else ():
+        value, least = made.solution.motion.get(key), extent.least
         if value is not None:
             yield Check(
-                metric.name, value, least, enough(value, least),
-                name,
-                f"{value:.1f} {metric.unit}",
-                f"at least {least:g} {metric.unit}",
-                f"The {name} in the recording is {value:.1f} {metric.unit} only (limit {least:g}).",
-                f"Record again and {cure}.",
+                f"motion.{key}", value, least, enough(value, least),
+                extent.name,
+                f"{value:.1f} {extent.unit}",
+                f"at least {least:g} {extent.unit}",
+                f"The {extent.name} in the recording is {value:.1f} {extent.unit} only (limit {least:g}).",
+                f"Record again and {extent.cure}.",
             )  # fmt: skip
 
 
-@criterion(Metric("camera_info"), gated=False)
+@criterion(Metric("camera_info"), gated=False, section="description")
 def camera_info(made: Calibration) -> Iterator[Check]:
     """One calibration of each camera for the whole recording; the estimate uses the first."""
     changes = [note for note in made.extraction.notes if CAMERA_INFO_CHANGES in note]
@@ -299,7 +314,7 @@ def camera_info(made: Calibration) -> Iterator[Check]:
 _CONTRADICTION_SIGMAS = 4.0
 
 
-@criterion(Metric("contradiction", "sigma"), gated=False)
+@criterion(Metric("contradiction", "sigma"), gated=False, section="description")
 def contradiction(made: Calibration) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail."""
     solution, shift_limit = made.solution, 2.0
@@ -321,7 +336,7 @@ def contradiction(made: Calibration) -> Iterator[Check]:
         )
 
 
-@criterion(Metric("description", "sigma"))
+@criterion(Metric("description", "sigma"), section="description")
 def description(made: Calibration) -> Iterator[Check]:
     """The largest evidence against stated values, where none is a contradiction."""
     solution = made.solution
@@ -499,7 +514,7 @@ def _factors(made: Calibration, assumed: AssumedOdometry) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(Metric("stereo_error", "px"))
+@criterion(Metric("stereo_error", "px"), section="description")
 def stereo_error(made: Calibration) -> Iterator[Check]:
     """Corners against the flat board: with the cameras as estimated, or as stated where there is no estimate.
 
@@ -522,7 +537,7 @@ def stereo_error(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("square_size", "%"))
+@criterion(Metric("square_size", "%"), section="description")
 def square_size(made: Calibration) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
     stated, bad = made.extraction.board.square_m, 3.0
@@ -542,45 +557,72 @@ def square_size(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
+def _noise_levels(made: Calibration) -> dict[str, float]:
+    """Noise levels in the units of their metrics, 0 where there is nothing to measure; empty without an estimate."""
+    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
+    if uncertainty is None:
+        return {}
+    noise, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
+    slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
+    return {
+        "noise.height": 1e3 * noise.floor_m,
+        "noise.joint": 0.0 if slides else math.degrees(noise.joint_rad),
+        "noise.sliding_joint": 1e3 * chain.joint_units[0] * noise.joint_rad if slides else 0.0,
+        "noise.wheel": noise.wheel_rad_per_sqrt_rad,
+        "noise.wheel_share": 100 * noise.wheel_share,
+        "noise.floor": math.degrees(noise.floor_rad),
+        "noise.stamp": 1e3 * noise.stamp_s if moving else 0.0,
+    }
+
+
+def _noise(name: str, unit: str) -> Metric:
+    return Metric(name, unit, of=lambda made: _noise_levels(made).get(name))
+
+
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
-#: Metric of a noise level → the largest usual level, the limit, its name, and what to check.
-_NOISE = {
-    "noise.joint": (0.2, 0.4, *_PLAY),
-    "noise.sliding_joint": (0.35, 0.7, *_PLAY),
-    "noise.wheel": (0.015, 0.03, "wheels", "the wheels for slip"),
-    "noise.wheel_share": (
-        1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
-    ),
-    "noise.floor": (
-        0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
-    ),
-    "noise.height": (
+#: Noise level → the largest usual level, the limit, its name, and what to check.
+_FLOOR_HEIGHT = {
+    _noise("noise.height", "mm"): (
         4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move",
     ),
-    "noise.stamp": (2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image"),
+}  # fmt: skip
+_NOISE = {
+    _noise("noise.joint", "degrees"): (0.2, 0.4, *_PLAY),
+    _noise("noise.sliding_joint", "mm"): (0.35, 0.7, *_PLAY),
+    _noise("noise.wheel", "rad per sqrt(rad)"): (0.015, 0.03, "wheels", "the wheels for slip"),
+    _noise("noise.wheel_share", "%"): (
+        1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
+    ),
+    _noise("noise.floor", "degrees"): (
+        0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
+    ),
+    _noise("noise.stamp", "ms"): (
+        2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
+    ),
 }  # fmt: skip
 
 
-def _noise(metric: Metric, level: float) -> Iterator[Check]:
-    """A noise level, if it is not zero; the estimate allows for it, so its limits are wide."""
-    usual, bad, name, cause = _NOISE[metric.name]
-    if level:
-        measured = f"{level:.2g} {metric.unit}"
-        yield Check(
-            metric.name, level, bad, graded(level, bad),
-            f"noise of the {name}",
-            measured,
-            f"under {bad:g} {metric.unit}",
-            f"The noise of the {name} is {measured} (below {usual:g} {metric.unit} is usual).",
-            f"Check {cause}. Then record again.",
-        )  # fmt: skip
+def _noise_checks(
+    made: Calibration, levels: Mapping[Metric, tuple[float, float, str, str]]
+) -> Iterator[Check]:
+    """Noise levels that are not zero; the estimate allows for them, so the limits are wide."""
+    for metric, (usual, bad, name, cause) in levels.items():
+        if level := metric.of(made):
+            measured = f"{level:.2g} {metric.unit}"
+            yield Check(
+                metric.name, level, bad, graded(level, bad),
+                f"noise of the {name}",
+                measured,
+                f"under {bad:g} {metric.unit}",
+                f"The noise of the {name} is {measured} (below {usual:g} {metric.unit} is usual).",
+                f"Check {cause}. Then record again.",
+            )  # fmt: skip
 
 
-@criterion(height := Metric("noise.height", "mm"))
+@criterion(*_FLOOR_HEIGHT, section="limits")
 def height_noise(made: Calibration) -> Iterator[Check]:
     """Noise of the floor's height."""
-    uncertainty = made.solution.uncertainty
-    yield from _noise(height, 0.0 if uncertainty is None else 1e3 * uncertainty.noise.floor_m)
+    yield from _noise_checks(made, _FLOOR_HEIGHT)
 
 
 def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
@@ -588,7 +630,7 @@ def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
     return "warning" if outcome == "fail" and made.solution.uncertainty is not None else outcome
 
 
-@criterion(Metric("leg_outlier.point", "mm"), Metric("leg_outlier.reprojection", "px"))
+@criterion(Metric("leg_outlier.point", "mm"), Metric("leg_outlier.reprojection", "px"), section="stations")
 def leg_outlier(made: Calibration) -> Iterator[Check]:
     """The leg with the largest error against the median leg, of five legs or more.
 
@@ -632,7 +674,7 @@ _ERROR_CURES = {
 }
 
 
-@criterion(Metric("point_error", "%"), Metric("reprojection_error", "px"))
+@criterion(Metric("point_error", "%"), Metric("reprojection_error", "px"), section="stations")
 def errors(made: Calibration) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
@@ -706,7 +748,7 @@ def methods(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("outliers", "%"))
+@criterion(Metric("outliers", "%"), section="stations")
 def outliers(made: Calibration) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
     if made.solution.uncertainty is None:
@@ -725,7 +767,7 @@ def outliers(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("outliers_as_noise"), gated=False)
+@criterion(Metric("outliers_as_noise"), gated=False, section="stations")
 def outliers_as_noise(made: Calibration) -> Iterator[Check]:
     """Kinds of measurements with so many outliers that they are noise."""
     kinds = made.solution.noisy
@@ -742,34 +784,24 @@ def outliers_as_noise(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(
-    joint := Metric("noise.joint", "degrees"),
-    sliding_joint := Metric("noise.sliding_joint", "mm"),
-    wheel := Metric("noise.wheel", "rad per sqrt(rad)"),
-    wheel_share := Metric("noise.wheel_share", "%"),
-    floor := Metric("noise.floor", "degrees"),
-    stamp := Metric("noise.stamp", "ms"),
-)
+@criterion(*_NOISE, section="limits")
 def noise(made: Calibration) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves."""
-    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
-    if uncertainty is None:
-        return
-    levels, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
-    if chain.joints and len(chain.prismatic) == len(chain.joints):
-        yield from _noise(sliding_joint, 1e3 * chain.joint_units[0] * levels.joint_rad)
-    else:
-        yield from _noise(joint, math.degrees(levels.joint_rad))
-    yield from _noise(wheel, levels.wheel_rad_per_sqrt_rad)
-    yield from _noise(wheel_share, 100 * levels.wheel_share)
-    yield from _noise(floor, math.degrees(levels.floor_rad))
-    yield from _noise(stamp, 1e3 * levels.stamp_s if moving else 0.0)
+    yield from _noise_checks(made, _NOISE)
 
 
-@criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES))
+def _expected(figure: Figure) -> Metric:
+    def of(made: Calibration) -> float | None:
+        uncertainty = made.solution.uncertainty
+        return None if uncertainty is None else figure.of(uncertainty.at_work)
+
+    return Metric(figure.name, figure.unit, of=of)
+
+
+@criterion(*map(_expected, FIGURES), section="limits")
 def expected_errors(made: Calibration) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
-    for use in sorted(uses(made.solution, made.limits), key=lambda use: -use.share):
+    for use in sorted(uses(made.solution, made.gates), key=lambda use: -use.share):
         figure, shares = use.figure, use.shares
         value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
         yield Check(
@@ -786,7 +818,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(Metric("rejected", "%"))
+@criterion(Metric("rejected", "%"), section="stations")
 def rejected(made: Calibration) -> Iterator[Check]:
     """Share of rejected stations."""
     look, detected, used = 50.0, stations_looked_at(made.extraction), len(made.extraction.observations)
@@ -802,7 +834,7 @@ def rejected(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("change", "%", at_least=True))
+@criterion(Metric("change", "%", at_least=True), section="limits")
 def change(made: Calibration) -> Iterator[Check]:
     """Whether the robot is unchanged since the last calibration.
 

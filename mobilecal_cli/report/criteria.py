@@ -6,11 +6,29 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from mobilecal_cli.model import Extraction, Solution
+from mobilecal_cli.model import Evaluation, Extraction, Solution
 from mobilecal_cli.report.comparison import Change
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
 _SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What the criteria judge.
+
+    Attributes:
+        solution, extraction: the solution and its data.
+        gates: the user's limits by the name of the metric; those on an expected error in use replace the default limit.
+        trial: the evaluation on held-out stations, if any.
+        change: from the last calibration or from the nominal values, if there is either.
+    """
+
+    solution: Solution
+    extraction: Extraction
+    gates: Mapping[str, float] = field(default_factory=dict)
+    trial: Evaluation | None = None
+    change: Change | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +36,14 @@ class Metric:
     """A figure that a gate can limit, by a lower limit if `at_least`.
 
     The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
-    for counts and ratios. If the name ends in a unit, the value has this unit.
+    for counts and ratios. If the name ends in a unit, the value has this unit. `of` is its value where no criterion
+    gives one, None if unknown.
     """
 
     name: str
     unit: str = ""
     at_least: bool = False
+    of: Callable[[Calibration], float | None] = field(default=lambda _: None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,16 +131,8 @@ def enough(value: float, least: float) -> Outcome:
     return "pass" if value >= least else "not_enough"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
-    """What the criteria judge; `limits` of gates replace the default limits of the expected errors in use."""
-
-    solution: Solution
-    extraction: Extraction
-    limits: Mapping[str, float] = field(default_factory=dict)
-    change: Change | None = None
-
-
+#: Section of the page with all criteria.
+_CHECKS = "checks"
 _Judge = Callable[[Calibration], Iterator[Check]]
 
 
@@ -129,12 +141,13 @@ class Criterion:
     """A criterion, or several of one kind: a function from a calibration to checks, none where it does not apply.
 
     The name of a metric without a dot also stands for ids with further parts. Gates can limit the metrics of gated
-    criteria: not those that arise only where something is wrong.
+    criteria: not those that arise only where something is wrong. The section of the page shows what is judged.
     """
 
     metrics: tuple[Metric, ...]
     gated: bool
     judge: _Judge
+    section: str = _CHECKS
 
     def checks(self, made: Calibration) -> Iterator[Check]:
         """The checks, with their units."""
@@ -148,11 +161,18 @@ class Criterion:
 CRITERIA: list[Criterion] = []
 
 
-def criterion(*metrics: Metric, gated: bool = True) -> Callable[[_Judge], _Judge]:
+def criterion(*metrics: Metric, gated: bool = True, section: str = _CHECKS) -> Callable[[_Judge], _Judge]:
     """Add a function to the criteria of a calibration; see `Criterion`."""
 
     def registered(judge: _Judge) -> _Judge:
-        CRITERIA.append(Criterion(metrics, gated, judge))
+        CRITERIA.append(Criterion(metrics, gated, judge, section))
         return judge
 
     return registered
+
+
+def section_of(check: Check) -> str:
+    """The section of the page that shows what a criterion judges; that of all criteria for a gate."""
+    names = {check.id, check.id.partition(".")[0]}
+    sections = (each.section for each in CRITERIA if names & {metric.name for metric in each.metrics})
+    return next(sections, _CHECKS)

@@ -29,7 +29,7 @@ from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
 from mobilecal_cli.report.use import small_extents
-from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms, verdict_data
+from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (
@@ -307,7 +307,7 @@ def evaluation_json(result: Evaluated) -> str:
             "used_for_calibration": result.used,
             "notes": [*result.notes, *result.extraction.notes],
             **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},
-            "verdict": verdict_data(result.verdict),
+            "verdict": result.verdict,
             "gates": result.checks,
         }
     )

@@ -52,16 +52,16 @@ def contradiction_sentences(
     words = SOURCES[evidence.kind]
     stated, cure = _MEASURED_SQUARE if measured else (words.stated, words.cure)
     kind = nuisance.kind(evidence.kind)
-    priors = " and ".join(sorted({std_text(prior * kind.shown) for prior in evidence.priors.values()}))
+    priors = " and ".join(sorted({std_text(each.prior * kind.shown) for each in evidence.values.values()}))
+    known = {name: (each.value, each.std) for name, each in evidence.values.items() if each.std is not None}
     sigmas = {
-        name: abs(value) / math.hypot(std, evidence.priors[name])
-        for name, (value, std) in evidence.values.items()
-        if math.isfinite(std)
+        name: abs(value) / math.hypot(std, evidence.values[name].prior)
+        for name, (value, std) in known.items()
     }
     worst_first = sorted(sigmas, key=lambda name: -sigmas[name])
     differences = []
     for name in worst_first[:1] + [name for name in worst_first[1:] if sigmas[name] > _NAMED_SIGMAS]:
-        value, std = (number * kind.shown for number in evidence.values[name])
+        value, std = (number * kind.shown for number in known[name])
         difference = f"{value_text(value, std, 3, '+')} ± {std_text(std)} {kind.shown_unit}"
         differences.append(f"{meanings.get(name, name)} differs by {difference}")
     together = f"{' and '.join(meanings.get(name, name) for name in evidence.values)} together differ"

@@ -21,19 +21,20 @@ Number: TypeAlias = float | None
 ByName: TypeAlias = Mapping[str, float]
 
 
-def _as(kind: Any) -> GetPydanticSchema:  # noqa: ANN401
+def json_as(kind: Any) -> GetPydanticSchema:  # noqa: ANN401
+    """For a type that is another one in the schema of JSON, such as an array."""
     return GetPydanticSchema(lambda _, handler: handler.generate_schema(kind))
 
 
 #: Arrays, with what they are in JSON.
-Two = Annotated[FloatArray, _as(tuple[float, float])]
-Three = Annotated[FloatArray, _as(tuple[float, float, float])]
-Four = Annotated[FloatArray, _as(tuple[float, float, float, float])]
-Row = Annotated[FloatArray, _as(tuple[float, ...])]
-NumberRow = Annotated[FloatArray, _as(tuple[Number, ...])]
-Matrix = Annotated[FloatArray, _as(tuple[tuple[float, ...], ...])]
-NumberMatrix = Annotated[FloatArray, _as(tuple[tuple[Number, ...], ...])]
-BoolMatrix = Annotated[BoolArray, _as(tuple[tuple[bool, ...], ...])]
+Two = Annotated[FloatArray, json_as(tuple[float, float])]
+Three = Annotated[FloatArray, json_as(tuple[float, float, float])]
+Four = Annotated[FloatArray, json_as(tuple[float, float, float, float])]
+Row = Annotated[FloatArray, json_as(tuple[float, ...])]
+NumberRow = Annotated[FloatArray, json_as(tuple[Number, ...])]
+Matrix = Annotated[FloatArray, json_as(tuple[tuple[float, ...], ...])]
+NumberMatrix = Annotated[FloatArray, json_as(tuple[tuple[Number, ...], ...])]
+BoolMatrix = Annotated[BoolArray, json_as(tuple[tuple[bool, ...], ...])]
 
 _T = TypeVar("_T")
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.fleet import FleetRow
-from mobilecal_cli.report.verdict import LEVELS, VerdictData
+from mobilecal_cli.report.verdict import LEVELS, Verdict
 
 
 class _Case(NamedTuple):
@@ -26,7 +26,7 @@ class _Case(NamedTuple):
     seconds: float = 0.0
 
 
-def junit_xml(name: str, verdict: VerdictData, seconds: float = 0.0) -> bytes:
+def junit_xml(name: str, verdict: Verdict, seconds: float = 0.0) -> bytes:
     """A test suite, for example of a recording: each check is a case, failed also where there is too little data.
 
     The time is that of the whole suite: one solution is judged by all checks.

@@ -290,9 +290,9 @@ def square_size_mm(extraction: Extraction) -> float | None:
 def stated_priors(solution: Solution) -> dict[str, float]:
     """Constants that the data contradict → their stated priors, before these were widened."""
     return {
-        name: prior
+        name: each.prior
         for evidence in reversed(solution.contradictions)
-        for name, prior in evidence.priors.items()
+        for name, each in evidence.values.items()
     }
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.criteria import section_of
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import percent_text
 from mobilecal_cli.report.plots import Drawings
@@ -39,24 +40,13 @@ CONTENTS = {
 }
 _MOST_STOPS = 3
 _LEAST_PROBABILITY = 1e-6  # worth a digit
-#: Section → the kinds of criteria that it shows; "checks" for others.
-_SECTIONS = {
-    "stations": {"stations", "camera", "legs", "observable", "motion", "rejected", "leg_outlier", "jump",
-                 "point_error", "reprojection_error", "outliers", "outliers_as_noise"},
-    "description": {"contradiction", "description", "stereo_error", "square_size", "camera_info"},
-    "limits": {"predicted", "noise", "change"},
-}  # fmt: skip
 
 
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
     failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
     decisive = next((check for check in failed if check.why == report.verdict.reason), None)
-    if decisive is None:
-        return ""
-    return next(
-        (name for name, kinds in _SECTIONS.items() if decisive.id.partition(".")[0] in kinds), "checks"
-    )
+    return "" if decisive is None else section_of(decisive)
 
 
 def report_html(report: ReportData, drawings: Drawings) -> str:

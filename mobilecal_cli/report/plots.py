@@ -39,7 +39,7 @@ _MOST_PATHS = 4  # recordings with their own plots
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
+class Plot:
     """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
@@ -96,14 +96,14 @@ class Drawings(NamedTuple):
     """What the page shows beside values.
 
     Attributes:
-        figures: plots in the order of their definition.
+        plots: in the order of their definition.
         views: images of legs, the worst first.
         thumbnails: stations with a small image, in order of time.
         path: small picture of the path, for the first screen.
         limits: what limits the result, for the first screen; None if unknown.
     """
 
-    figures: tuple[Figure, ...]
+    plots: tuple[Plot, ...]
     views: list[LegView]
     thumbnails: list[Thumbnail]
     path: str
@@ -119,7 +119,7 @@ class Bar:
     legend: tuple[tuple[str, str], ...]
 
 
-_PLOTS: list[Callable[[Solution, Extraction], Figure]] = []
+_PLOTS: list[Callable[[Solution, Extraction], Plot]] = []
 
 
 def plot(
@@ -131,13 +131,13 @@ def plot(
     alone or with a caption: what this plot shows, from its numbers.
 
     Args:
-        section, half: see `Figure`.
+        section, half: see `Plot`.
         each: draw it for each recording, or for each camera.
         corners: it is about corners, and is left out where poses were measured in their place.
     """
 
     def registered(draw: _Draw) -> _Draw:
-        def figure(solution: Solution, extraction: Extraction) -> Figure:
+        def drawn_each(solution: Solution, extraction: Extraction) -> Plot:
             logs = sorted({o.log for o in extraction.observations})
             subjects: dict[str | None, Sequence[int]] = {
                 "log": logs[:_MOST_PATHS],
@@ -151,9 +151,9 @@ def plot(
                 element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
                 said = {earlier for _, _, earlier in parts}
                 parts += [(title, element, "" if caption in said else caption)] if element else []
-            return Figure(section, tuple(parts), half)
+            return Plot(section, tuple(parts), half)
 
-        _PLOTS.append(figure)
+        _PLOTS.append(drawn_each)
         return draw
 
     return registered
@@ -166,10 +166,10 @@ def draw_all(
     limits: Mapping[str, float] | None = None,
 ) -> Drawings:
     """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
-    drawn = [figure(solution, extraction) for figure in _PLOTS] if extraction.observations else []
+    drawn = [each(solution, extraction) for each in _PLOTS] if extraction.observations else []
     worst = worst_error(solution, limits or {})
     return Drawings(
-        tuple(figure for figure in drawn if figure.parts),
+        tuple(each for each in drawn if each.parts),
         leg_views(solution, extraction, snapshots),
         thumbnails(solution, extraction, snapshots),
         path_picture(solution, extraction),

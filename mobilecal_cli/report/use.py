@@ -12,16 +12,37 @@ from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import std_text
 
-#: Extent of the motion → limit, with less a parameter depends on a difference about as small as the noise; whether it
-#: is of the head; name; what is wrong with a small one; cure.
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """An extent of the motion. With a small one, a parameter depends on a difference about as small as the noise.
+
+    Attributes:
+        least: limit.
+        unit: "degrees" or "m".
+        of_head: whether it is of the head, and not of the base.
+        name: label.
+        too_small: what is wrong with a small one, "{}" for its value.
+        cure: as a command.
+    """
+
+    least: float
+    unit: str
+    of_head: bool
+    name: str
+    too_small: str
+    cure: str
+
+
+#: Keys of `Solution.motion`.
 MOTION = {
-    "pan_range_deg": (10.0, True, "pan range of the head", "the head panned by {} only",
+    "pan_range_deg": Extent(10.0, "degrees", True, "pan range of the head", "the head panned by {} only",
                             "pan the head further left and right"),
-    "tilt_range_deg": (5.0, True, "tilt range of the head", "the head tilted by {} only",
+    "tilt_range_deg": Extent(5.0, "degrees", True, "tilt range of the head", "the head tilted by {} only",
                              "tilt the head further up and down"),
-    "turned_deg": (20.0, False, "rotation of the base", "the base turned by {} only",
+    "turned_deg": Extent(20.0, "degrees", False, "rotation of the base", "the base turned by {} only",
                          "turn the base between stops"),
-    "driven_m": (0.2, False, "path length of the base", "the base drove {} only",
+    "driven_m": Extent(0.2, "m", False, "path length of the base", "the base drove {} only",
                        "drive the base further between stops"),
 }  # fmt: skip
 
@@ -118,17 +139,16 @@ def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
 def small_extents(motion: Mapping[str, float], head: bool, base: bool) -> Iterator[str]:
     """What to do about small motion of the head, or of the base, as sentences."""
     for key in _small(motion, head, base):
-        now = f"{motion[key]:.1f} m" if key.endswith("_m") else f"{motion[key]:.0f} degrees"
-        yield f"{MOTION[key][-1].capitalize()} (now {now})."
+        extent, digits = MOTION[key], 1 if MOTION[key].unit == "m" else 0
+        yield f"{extent.cure.capitalize()} (now {motion[key]:.{digits}f} {extent.unit})."
 
 
 def _small(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
     """Keys of the extents of the head, or of the base, that are below their limits."""
-    rows = MOTION.items()
     return [
         key
-        for key, (least, of_head, *_) in rows
-        if (head if of_head else base) and motion.get(key, least) < least
+        for key, extent in MOTION.items()
+        if (head if extent.of_head else base) and motion.get(key, extent.least) < extent.least
     ]
 
 
@@ -139,10 +159,11 @@ def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
     if of_base and not {"turned_deg", "driven_m"} & set(keys):
         # Turning shows the radii over the separation, driving the radii: it is little beside the other.
         keys.append("turned_deg" if of_base == {NINE[8]} else "driven_m")
-    values = {
-        key: f"{motion[key]:.2f} m" if key.endswith("_m") else f"{motion[key]:.1f} degrees" for key in keys
+    digits = {"m": 2, "degrees": 1}
+    return {
+        key: extent.too_small.format(f"{motion[key]:.{digits[extent.unit]}f} {extent.unit}")
+        for key, extent in ((key, MOTION[key]) for key in keys)
     }
-    return {key: MOTION[key][3].format(value) for key, value in values.items()}
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.

@@ -21,10 +21,10 @@ from mobilecal_cli.model import (
     CameraRig,
     Evidence,
     Extraction,
-    LogSource,
     NoiseLevels,
     Outlier,
     Parameters,
+    Provenance,
     Rejection,
     Rig,
     Solution,
@@ -75,7 +75,7 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
 from mobilecal_cli.report.use import LEAST_GAIN, cures_of, recommendation, worst_error
-from mobilecal_cli.report.verdict import Case, VerdictData, verdict_data
+from mobilecal_cli.report.verdict import Case, Verdict, figures_of
 
 
 @json_value
@@ -241,28 +241,7 @@ class BudgetData:
 
 
 @json_value
-class EvidenceValue:
-    """A constant without its prior."""
-
-    value: float
-    std: Number
-    prior: float
-
-
-@json_value
-class EvidenceData:
-    """How far the data contradict the stated values of one kind and part."""
-
-    kind: str
-    part: str
-    chi2: float
-    sigmas: float
-    shift_sigmas: float
-    values: Mapping[str, EvidenceValue]
-
-
-@json_value
-class ContradictionData(EvidenceData):
+class ContradictionData(Evidence):
     """Evidence beyond its limit."""
 
     text: str
@@ -384,14 +363,10 @@ class RejectionsData:
 
 
 @json_value
-class ProvenanceData:
+class ProvenanceData(Provenance):
     """Version, time, recordings and settings."""
 
     tool: Literal["mobilecal"]
-    version: str
-    created: str
-    method: str
-    logs: tuple[LogSource, ...]
     config: Mapping[str, Any]
 
 
@@ -400,7 +375,7 @@ class ReportData:
     """All numbers, sentences and tables of a report."""
 
     schema_version: Literal[6]
-    verdict: VerdictData
+    verdict: Verdict
     numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
     parameters: ResultData
@@ -413,7 +388,7 @@ class ReportData:
     outliers_text: tuple[str, ...]
     constants: Mapping[str, ConstantData]
     error_budget: BudgetData | None
-    evidence: tuple[EvidenceData, ...]
+    evidence: tuple[Evidence, ...]
     contradictions: tuple[ContradictionData, ...]
     scale: ScaleData | None
     logs: LogsData | None
@@ -472,9 +447,9 @@ def build_report(case: Case) -> ReportData:
     legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
     return ReportData(
         schema_version=6,
-        verdict=verdict_data(case.verdict),
+        verdict=case.verdict,
         numbers=numbers_of(solution, extraction.rig),
-        metrics=case.verdict.metrics,
+        metrics=figures_of(case, case.verdict.checks),
         parameters=ResultData(
             **_nine(solution.parameters, cameras, alone),
             rotation_vector_std_deg=vector_std_deg,
@@ -519,9 +494,7 @@ def build_report(case: Case) -> ReportData:
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
         constants=_constants(solution),
         error_budget=_budget(case),
-        evidence=tuple(
-            like(EvidenceData, evidence, values=_values(evidence)) for evidence in solution.evidence
-        ),
+        evidence=solution.evidence,
         contradictions=tuple(
             _contradiction(evidence, solution, extraction) for evidence in solution.contradictions
         ),
@@ -658,7 +631,7 @@ def _budget(case: Case) -> BudgetData | None:
     solution = case.solution
     if solution.uncertainty is None:
         return None
-    limiting, cure = recommendation(solution, case.extraction, case.verdict.limits)
+    limiting, cure = recommendation(solution, case.extraction, case.gates)
     budget = solution.uncertainty.budget
     nine, at_work = (
         {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
@@ -667,16 +640,9 @@ def _budget(case: Case) -> BudgetData | None:
     return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=limiting, advice=cure)
 
 
-def _values(evidence: Evidence) -> dict[str, EvidenceValue]:
-    return {
-        name: EvidenceValue(value=value, std=std, prior=evidence.priors[name])
-        for name, (value, std) in evidence.values.items()
-    }
-
-
 def _contradiction(evidence: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
     text, cure = contradiction_sentences(evidence, solution, extraction)
-    return like(ContradictionData, evidence, values=_values(evidence), text=text, cure=cure)
+    return like(ContradictionData, evidence, text=text, cure=cure)
 
 
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:

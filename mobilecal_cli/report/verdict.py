@@ -9,21 +9,21 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FACTORS, Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
+from mobilecal_cli.model import FACTORS, NINE, Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
+from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
 from mobilecal_cli.report.use import (
     FIGURES,
-    MOTION,
     Error,
     Figure,
     advice,
@@ -38,43 +38,25 @@ LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
 #: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
 _GATE = "gate."  # how the ids of the user's limits begin
+_ODOMETRY = "std.odometry."
 
 
 @dataclass(frozen=True, slots=True)
-class VerdictData:
-    """Whether the calibration can be used."""
+class Verdict:
+    """Whether the calibration can be used, with every criterion."""
 
     level: Level
     reason: str
     next_step: str
-    checks: tuple[Check, ...]
+    checks: Annotated[Checks, json_as(tuple[Check, ...])]
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict(VerdictData):
-    """Whether a calibration can be used, with every criterion, and with every figure that gates can limit.
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Case(Calibration):
+    """A calibration with its verdict and provenance: what a report is made from."""
 
-    `limits` are the user's on the expected errors in use, by the name of the gate.
-    """
-
-    checks: Checks = field(default_factory=Checks)
-    metrics: Figures = field(default_factory=dict)
-    limits: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Case:
-    """A solution with all that belongs to it, also the evaluation on held-out stations, and the change, if any.
-
-    The change is that from the last calibration, or from the nominal values.
-    """
-
-    solution: Solution
-    extraction: Extraction
     provenance: Provenance
     verdict: Verdict
-    trial: Evaluation | None = None
-    change: Change | None = None
 
 
 def judge(
@@ -84,18 +66,14 @@ def judge(
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> Verdict:
-    """The verdict on a solution, see `Case`. The first criterion that is not met decides.
-
-    Gates are the user's limits by the name of the metric; those on an expected error replace the default limit.
-    """
-    limits = {name: limit for name, limit in (gates or {}).items() if name in _USE_GATES}
-    made = Calibration(solution, extraction, limits, change)
+    """The verdict on a solution, see `Calibration`. The first criterion that is not met decides."""
+    made = Calibration(solution, extraction, gates or {}, trial, change)
     of_criteria = [check for criterion in CRITERIA for check in criterion.checks(made)]
-    metrics = figures_of(solution, extraction, trial, of_criteria)
-    checks = Checks((*of_criteria, *gate_checks(gates or {}, metrics, lambda *gate: _gate_cure(made, *gate))))
+    figures = figures_of(made, of_criteria)
+    checks = Checks((*of_criteria, *gate_checks(made.gates, figures, lambda *gate: _gate_cure(made, *gate))))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
-        return replace(decided_by(decisive, checks, metrics), limits=limits)
+        return decided_by(decisive, checks)
     if solution.uncertainty is None:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
         reason = (
@@ -103,28 +81,23 @@ def judge(
         )
         next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
     else:
-        reason = use_sentence(solution.uncertainty.at_work, limits)
+        reason = use_sentence(solution.uncertainty.at_work, made.gates)
         next_step = "Use params.yaml on the robot."
     look = next((check for check in checks if check.outcome == "warning"), None)
     if look is not None:
         next_step += f" Check first: {look.why} {look.next_step}"
-    return Verdict("PASS", reason, next_step, checks, metrics, limits)
+    return Verdict("PASS", reason, next_step, checks)
 
 
-def decided_by(check: Check, checks: Checks, metrics: Figures | None = None) -> Verdict:
+def decided_by(check: Check, checks: Checks) -> Verdict:
     """The verdict where one check decides."""
     level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
-    return Verdict(level, check.why, check.next_step, checks, metrics or {})
+    return Verdict(level, check.why, check.next_step, checks)
 
 
 def reasons_of(verdict: Verdict) -> tuple[str, ...]:
     """One sentence or two for each criterion that is not met; none for PASS."""
     return tuple(check.why for check in verdict.checks if check.outcome in LEVELS)
-
-
-def verdict_data(verdict: Verdict) -> VerdictData:
-    """A verdict without the metrics."""
-    return VerdictData(verdict.level, verdict.reason, verdict.next_step, verdict.checks)
 
 
 def rms(values: FloatArray) -> float:
@@ -140,43 +113,62 @@ def drift_figures(drift: Drift) -> dict[str, float | None]:
     }
 
 
-#: Figures of an evaluation, and figures of a calibration that no criterion judges.
+#: Figures of an evaluation.
 _EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
-    Metric("stations", at_least=True): lambda found: float(found.stations),
-    Metric("legs", at_least=True): lambda found: float(len(found.legs)),
-    Metric("reprojection_rms_px", "px"): lambda found: rms(found.reprojection_px),
-    Metric("rotation_rms_deg", "deg"): lambda found: math.degrees(rms(found.rotation_rad)),
-    Metric("translation_rms_mm", "mm"): lambda found: rms(found.translation_m) * 1e3,
-    Metric("drift_mm_per_m", "mm/m"): lambda found: drift_figures(found.after)["mm_per_m"],
-    Metric("drift_deg_per_turn", "deg"): lambda found: drift_figures(found.after)["deg_per_turn"],
-}
-_SOLVED: Mapping[Metric, Callable[[Solution, Extraction], float]] = {
-    Metric("stations", at_least=True): lambda _, extraction: float(len(extraction.observations)),
-    Metric("legs", at_least=True): lambda _, extraction: float(
-        len(extraction.observations) - len({o.log for o in extraction.observations})
-    ),
-    Metric("reprojection_rms_px", "px"): lambda solution, _: solution.reprojection_rms_px,
-    Metric("point_rms_mm", "mm"): lambda solution, _: solution.point_rms_m * 1e3,
-    Metric("left_out"): lambda solution, _: float(sum(o.kind != "corners" for o in solution.outliers)),
+    Metric("stations", at_least=True): lambda evaluation: float(evaluation.stations),
+    Metric("legs", at_least=True): lambda evaluation: float(len(evaluation.legs)),
+    Metric("reprojection_rms_px", "px"): lambda evaluation: rms(evaluation.reprojection_px),
+    Metric("rotation_rms_deg", "deg"): lambda evaluation: math.degrees(rms(evaluation.rotation_rad)),
+    Metric("translation_rms_mm", "mm"): lambda evaluation: rms(evaluation.translation_m) * 1e3,
+    Metric("drift_mm_per_m", "mm/m"): lambda evaluation: drift_figures(evaluation.after)["mm_per_m"],
+    Metric("drift_deg_per_turn", "deg"): lambda evaluation: drift_figures(evaluation.after)["deg_per_turn"],
 }
 _USE_GATES = frozenset(figure.name for figure in FIGURES)
 
 
+def _std(k: int) -> Metric:
+    """Standard deviation of one of the nine parameters; of a robot with odometry alone, its factors have one."""
+
+    def of(made: Calibration) -> float | None:
+        factors = odometry_factors(made.extraction.rig, made.solution)
+        return None if factors and k >= len(NINE[:6]) else (reference_std(made.solution) or [None] * 9)[k]
+
+    return Metric(PARAMETERS[k].gate, PARAMETERS[k].unit, of=of)
+
+
+def _factor_std(name: str) -> Metric:
+    """Standard deviation of a factor of odometry."""
+    return Metric(
+        f"{_ODOMETRY}{name}",
+        "1",
+        of=lambda made: odometry_factors(made.extraction.rig, made.solution).get(name, (0.0, None))[1],
+    )
+
+
+def _held_out(metric: Metric, value: Callable[[Evaluation], float | None]) -> Metric:
+    """A figure of the evaluation on held-out stations."""
+    return replace(
+        metric,
+        name=f"hold_out.{metric.name}",
+        of=lambda made: None if made.trial is None else value(made.trial),
+    )
+
+
+#: Figures of a calibration that no criterion judges.
+_FURTHER = (
+    Metric("reprojection_rms_px", "px", of=lambda made: made.solution.reprojection_rms_px),
+    Metric("point_rms_mm", "mm", of=lambda made: made.solution.point_rms_m * 1e3),
+    Metric("left_out", of=lambda made: float(sum(o.kind != "corners" for o in made.solution.outliers))),
+    *(_std(k) for k in range(len(PARAMETERS))),
+    *(_factor_std(name) for name in FACTORS),
+    *(_held_out(metric, value) for metric, value in _EVALUATED.items()),
+)
+
+
 def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
     """Name → figure, of those that a gate of `calibrate` (or of `evaluate`) can limit."""
-    if evaluating:
-        return {metric.name: metric for metric in _EVALUATED}
-    judged = {
-        metric.name: metric for criterion in CRITERIA if criterion.gated for metric in criterion.metrics
-    }
-    first = (
-        *_SOLVED,
-        *(Metric(parameter.gate, parameter.unit) for parameter in PARAMETERS),
-        *(Metric(f"std.odometry.{name}", "1") for name in FACTORS),
-        *(judged[figure.name] for figure in FIGURES),
-        *(replace(metric, name=f"hold_out.{metric.name}") for metric in _EVALUATED),
-    )
-    return {metric.name: metric for metric in (*first, *(judged[name] for name in sorted(judged)))}
+    judged = (metric for criterion in CRITERIA if criterion.gated for metric in criterion.metrics)
+    return {metric.name: metric for metric in (_EVALUATED if evaluating else (*_FURTHER, *judged))}
 
 
 def gates_of(
@@ -229,29 +221,17 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
     return ConfigError(f"{where}: unknown figure", hint)
 
 
-def figures_of(
-    solution: Solution,
-    extraction: Extraction,
-    hold_out: Evaluation | None = None,
-    checks: Iterable[Check] = (),
-) -> dict[str, float | None]:
-    """Value of every figure of a calibration that a gate can limit, None if unknown; of criteria also their values."""
-    uncertainty = solution.uncertainty
-    factors = odometry_factors(extraction.rig, solution)
-    names = (name for name in gate_metrics() if factors or not name.startswith("std.odometry."))
-    figures: dict[str, float | None] = dict.fromkeys(names)
-    figures |= {metric.name: of(solution, extraction) for metric, of in _SOLVED.items()}
-    figures |= {f"motion.{key}": solution.motion.get(key) for key in MOTION}
-    if uncertainty is not None:
-        noise = [name for name in figures if name.startswith("noise.")]
-        figures |= dict.fromkeys(noise, 0.0)  # levels of zero have no criterion
-        figures["observable"] = float(np.sum(uncertainty.observable | uncertainty.fixed))
-        named = PARAMETERS[:6] if factors else PARAMETERS
-        figures |= {p.gate: std for p, std in zip(named, reference_std(solution), strict=False)}
-        figures |= {f"std.odometry.{name}": std for name, (_, std) in factors.items()}
-        figures |= {figure.name: figure.of(uncertainty.at_work) for figure in FIGURES}
-    if hold_out is not None:
-        figures |= {f"hold_out.{name}": value for name, value in evaluated_figures(hold_out).items()}
+def figures_of(made: Calibration, checks: Iterable[Check]) -> dict[str, float | None]:
+    """Value of every figure of a calibration that a gate can limit, None if unknown: that of its criterion, if any.
+
+    The factors of odometry are left out for a robot with wheels.
+    """
+    alone = made.extraction.rig.sources.assumed_odometry is not None
+    figures = {
+        name: metric.of(made)
+        for name, metric in gate_metrics().items()
+        if alone or not name.startswith(_ODOMETRY)
+    }
     return figures | {check.id: check.value for check in checks if check.id in figures}
 
 

@@ -51,9 +51,7 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
         mine = [e for e in strongest.values() if e.kind == whole.kind]
         worst = max(mine, key=lambda e: e.sigmas)
         if worst.sigmas < whole.sigmas:
-            strongest[worst.kind, worst.part] = replace(
-                worst, chi2=whole.chi2, dof=whole.dof, sigmas=whole.sigmas
-            )
+            strongest[worst.kind, worst.part] = replace(worst, chi2=whole.chi2, sigmas=whole.sigmas)
     priors = fit.lin.priors
     by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
     ranked = sorted(strongest.values(), key=lambda e: (by_user.isdisjoint(e.values), -e.sigmas))

@@ -98,7 +98,9 @@ def made(
     """The report on a solution; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
     verdict = judge(solution, extraction, gates, trial, change)
-    return build_report(Case(solution, extraction, origin, verdict, trial, change))
+    return build_report(
+        Case(solution, extraction, gates or {}, trial, change, provenance=origin, verdict=verdict)
+    )
 
 
 def rows_of(report: ReportData, section: str, title: str = "") -> dict[str, tuple[str, ...]]:

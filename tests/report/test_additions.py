@@ -52,7 +52,7 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     monkeypatch.setattr(criteria, "CRITERIA", [*criteria.CRITERIA])
     monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
 
-    @criteria.criterion(criteria.Metric("color", "shades"))
+    @criteria.criterion(criteria.Metric("color", "shades"), section="limits")
     def color(made):
         shades = len(made.extraction.observations) / 4
         yield criteria.Check(
@@ -66,6 +66,8 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     assert (check.value, check.unit, check.measured_text) == (3.0, "shades", "3 shades")
     assert report.metrics["color"] == 3.0
     assert verdict.gates_of(["color=4"], {}) == {"color": 4.0}
-    assert "The robot is too gray." in page_of(*case)
+    page = page_of(*case)
+    assert "The robot is too gray." in page
+    assert '<details class="part" id="limits" open>' in page
     assert 'name="color of the robot"' in junit_xml("log", report.verdict).decode()
     assert '"measured_text": "3 shades"' in json_text(report)

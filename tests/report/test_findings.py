@@ -27,8 +27,8 @@ def test_a_turned_camera_is_named_with_its_cure():
     assert what.startswith("Right camera: rotation about the left camera's x differs by +0.")
     assert what.endswith("deg from camera_info (prior 0.050 deg).")
     assert cure == "Recalibrate the stereo pair, or use the exported camera_info."
-    value, std = found.values["stereo_r_x"]
-    assert abs(value - np.radians(0.5)) < 4 * std
+    free = found.values["stereo_r_x"]
+    assert abs(free.value - np.radians(0.5)) < 4 * free.std
     assert what in " ".join(summary_text(made(solution, extraction), verbose=True).split())
     (table,) = (table for table in made(solution, extraction).tables if table.title == "Estimated constants")
     name, _, _, _, _, _, tag = table.rows[0]
@@ -66,7 +66,7 @@ def test_no_stated_size_is_named_where_none_is_stated():
 def test_constants_that_the_recording_shows_only_together_are_named():
     solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
     (found,) = solution.contradictions
-    together = replace(found, values={name: (value, np.inf) for name, (value, _) in found.values.items()})
+    together = replace(found, values={name: replace(each, std=None) for name, each in found.values.items()})
     what, _ = contradiction_sentences(together, solution, extraction)
     assert what.startswith("Right camera: rotation about the left camera's x and rotation about")
     assert what.endswith(" together differ from camera_info (prior 0.050 deg).")

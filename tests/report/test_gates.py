@@ -26,7 +26,6 @@ from mobilecal_cli.report.verdict import (
     gate_metrics,
     gates_of,
     judge,
-    verdict_data,
 )
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -120,7 +119,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
     robot = ROBOTS["paper"]()
     extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
     solution = solve(extraction)
-    figures = figures_of(solution, extraction, EVALUATION)
+    figures = figures_of(Calibration(solution, extraction, trial=EVALUATION), ())
     assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])
     assert figures["std.head_eye.r_x_rad"] == pytest.approx(solution.uncertainty.std[0])
     assert figures["hold_out.drift_mm_per_m"] == pytest.approx(4.0)
@@ -130,7 +129,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
         if name.startswith(("std.", "predicted.", "noise.", "motion."))
         and not name.startswith("std.odometry.")
     )
-    unknown = figures_of(solve(extraction, "lm"), extraction)
+    unknown = figures_of(Calibration(solve(extraction, "lm"), extraction), ())
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
 
@@ -154,7 +153,7 @@ def test_junit():
         ),
         Check("gate.legs", 3, 4, "not_enough", "gate legs", "3", "at least 4", "too few", "more"),
     ]
-    verdict = verdict_data(Verdict("FAIL", "", "", Checks(checks)))
+    verdict = Verdict("FAIL", "", "", Checks(checks))
     suite = ET.fromstring(junit_xml("log\x07.mcap", verdict)).find("testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
     cases = suite.findall("testcase")

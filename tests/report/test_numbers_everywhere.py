@@ -77,7 +77,7 @@ def test_no_other_number_stands_for_a_parameter(report):
 def test_expected_errors_are_those_of_the_checks(report):
     shown = {check.id: check for check in report.verdict.checks if check.id.startswith("predicted.")}
     for name, check in shown.items():
-        assert report.verdict.metrics[name] == check.value
+        assert report.values.metrics[name] == check.value
         assert check.measured_text.split()[0] in report.html
 
 

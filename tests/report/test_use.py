@@ -9,6 +9,7 @@ import pytest
 
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
+from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -20,7 +21,7 @@ from mobilecal_cli.report.use import (
     shares_of,
     uses,
 )
-from mobilecal_cli.report.verdict import gates_of, judge
+from mobilecal_cli.report.verdict import figures_of, gates_of, judge
 from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
 
 
@@ -58,7 +59,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     assert verdict.level == level
     check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
-    assert check.value == verdict.metrics["predicted.camera_mm"]
+    assert figures_of(Calibration(solution, extraction), ())[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
 
 
