@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -39,12 +39,14 @@ from mobilecal_cli.model import (
     Track,
     WheelGeometry,
     WheelTrack,
+    sampled,
 )
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.refine import refine_lm
 from mobilecal_cli.solvers.transfer import base_motion, residuals_m, rms_m
 
+_SIDES = ("right", "left")
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02
 _FITS_CHANGED = FITS / 2  # the parts before and after a change
@@ -56,8 +58,7 @@ _SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal 
 _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
 _ROUNDS = 12  # of the linear method
-_MOST_LEGS = 40  # that are scored, spread over the recording
-_FREE_STATIONS = 40  # at which a free part is estimated
+_MOST_LEGS = 40  # that are scored, spread over the recording; stations at which a free part is estimated
 _FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
 _STILL, _MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
@@ -65,12 +66,16 @@ _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from 
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
 _SAME_UNIT_M = 0.05
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+_OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = (
     0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
 )
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
 _AROUND_NS = 100_000_000
+_SPREAD = (
+    0.01  # of the board's corners over the distance, beyond which a station counts less, while a part is free
+)
 _MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # of a nominal head-eye transform, while a part is free
 
 
@@ -103,20 +108,16 @@ class Readings:
         by_station = ("T_c_k", "joints", "time_ns", "log")
         return replace(self, **{name: getattr(self, name)[stations] for name in by_station})
 
-    def of_log(self, log: int) -> Readings:
-        """The stations of one recording."""
-        own = self.of(self.log == log)
-        return replace(
-            own,
-            log=np.zeros_like(own.log),
-            wheels=self.wheels[log : log + 1],
-            joint_tracks=self.joint_tracks[log : log + 1],
-        )
-
     def at_s(self, station: int) -> str:
         """Time of a station from the beginning of its recording."""
         begin = self.wheels[int(self.log[station])].time_ns[0]
         return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
+
+    @property
+    def nominal_head_eye(self) -> FloatArray | None:
+        """Nominal pose of the first camera on the head, (4, 4)."""
+        nominal = self.rig.nominal.T_h_reference
+        return None if nominal is None else nominal @ se3.inverse(self.rig.cameras.T_c_reference)
 
     @cached_property
     def pairs(self) -> MotionPairs:
@@ -174,13 +175,19 @@ def readings_of(extraction: Extraction) -> Readings:
     )
 
 
+Transform = Callable[[Readings], Readings]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """A mistake, what to do about it, and what gives the readings without it."""
 
     cause: str
     cure: str
-    transform: Callable[[Readings], Readings]
+    transform: Transform
+
+
+Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
 
 
 # -- the scorer -----------------------------------------------------------------------------------
@@ -201,7 +208,7 @@ class _Scorer:
 
     def __init__(self, as_is: Readings) -> None:
         self._as_is, nominal = as_is, as_is.rig.nominal
-        X = _nominal_head_eye(as_is)
+        X = as_is.nominal_head_eye
         self._prior, self._R_h_c = InitialPrior(X, nominal.wheels), None if X is None else X[:3, :3]
         self._starts = [] if nominal.wheels is None else [ratios_of(nominal.wheels)]
         if as_is.distinguishes:
@@ -264,25 +271,52 @@ def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tu
 # -- stage 1: signs, sides and units, and readings that stop -----------------------------------------
 
 
+def _joints_times(factor: float, columns: Sequence[int] | slice = slice(None)) -> Transform:
+    def transform(readings: Readings) -> Readings:
+        joints = readings.joints.copy()
+        joints[:, columns] *= factor
+        return replace(readings, joints=joints)
+
+    return transform
+
+
+def _wheels_with(
+    change: Callable[[Track], Track], sides: Sequence[str] = _SIDES, swapped: bool = False
+) -> Transform:
+    """Change the readings of the wheels on some sides, after their exchange."""
+
+    def changed(right: Track, left: Track) -> WheelTrack:
+        return WheelTrack(
+            change(right) if "right" in sides else right, change(left) if "left" in sides else left
+        )
+
+    def transform(readings: Readings) -> Readings:
+        ends = [(track.right, track.left) for track in readings.wheels]
+        tracks = tuple(changed(left, right) if swapped else changed(right, left) for right, left in ends)
+        return replace(readings, wheels=tracks)
+
+    return transform
+
+
+def _times(factor: float) -> Callable[[Track], Track]:
+    return lambda track: replace(track, value=factor * track.value)
+
+
 def _joints(readings: Readings) -> Iterator[Hypothesis]:
     """Signs, order and units of the head joints' readings."""
     chain = readings.rig.chain
     joints = chain.joints
-
-    def scaled(factor: FloatArray | float) -> Callable[[Readings], Readings]:
-        return lambda r: replace(r, joints=r.joints * factor)
-
     for column, name in enumerate(joints):
         yield Hypothesis(
             f"the sign of joint {name} is reversed",
             f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
-            scaled(np.where(np.arange(len(joints)) == column, -1.0, 1.0)),
+            _joints_times(-1.0, [column]),
         )
     if len(joints) > 1:
         yield Hypothesis(
             "the signs of all head joints are reversed",
             "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
-            scaled(-1.0),
+            _joints_times(-1.0),
         )
     if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
         order = np.arange(len(joints))
@@ -295,32 +329,9 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
         )
     for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
         cure = "set the unit in joints.fields in rig.yaml, or correct the recording"
-        yield Hypothesis(f"the joint readings are in {unit}", cure, scaled(factor))
+        yield Hypothesis(f"the joint readings are in {unit}", cure, _joints_times(factor))
         for column, name in enumerate(joints if len(joints) > 1 else ()):
-            only = np.where(np.arange(len(joints)) == column, factor, 1.0)
-            yield Hypothesis(f"the readings of {name} are in {unit}", cure, scaled(only))
-
-
-def _with_wheels(
-    change: Callable[[Track], Track], sides: Sequence[str], log: int | None = None, swapped: bool = False
-) -> Callable[[Readings], Readings]:
-    """Change the readings of some wheels, after their exchange, of one recording or of all."""
-
-    def transform(readings: Readings) -> Readings:
-        wheels = list(readings.wheels)
-        for number, track in enumerate(wheels):
-            if log in (None, number):
-                right, left = (track.left, track.right) if swapped else (track.right, track.left)
-                wheels[number] = WheelTrack(
-                    change(right) if "right" in sides else right, change(left) if "left" in sides else left
-                )
-        return replace(readings, wheels=tuple(wheels))
-
-    return transform
-
-
-def _times(factor: float) -> Callable[[Track], Track]:
-    return lambda track: replace(track, value=factor * track.value)
+            yield Hypothesis(f"the readings of {name} are in {unit}", cure, _joints_times(factor, [column]))
 
 
 def _of_sides(rig: Rig, swapped: bool, sides: Sequence[str]) -> tuple[str, str]:
@@ -345,58 +356,77 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Signs, sides and units of the wheels' readings."""
     odometry = readings.rig.sources.assumed_odometry is not None
     for swapped in (False, True):
-        for sides in ((), ("right", "left")) if odometry else ((), ("right",), ("left",), ("right", "left")):
+        for sides in ((), _SIDES) if odometry else ((), ("right",), ("left",), _SIDES):
             if swapped or sides:
-                transform = _with_wheels(_times(-1.0), sides, swapped=swapped)
-                yield Hypothesis(*_of_sides(readings.rig, swapped, sides), transform)
-    if odometry:
-        return
-    yield Hypothesis(
-        "the wheel readings are in degrees",
-        "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
-        _with_wheels(_times(math.pi / 180), ("right", "left")),
-    )
+                yield Hypothesis(
+                    *_of_sides(readings.rig, swapped, sides), _wheels_with(_times(-1.0), sides, swapped)
+                )
+    if not odometry:
+        yield Hypothesis(
+            "the wheel readings are in degrees",
+            "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
+            _wheels_with(_times(math.pi / 180)),
+        )
 
 
 def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
-    cure = "check the cable and the driver, and record again, or leave this stretch out"
     for log, track in enumerate(readings.wheels):
         mine = np.flatnonzero(readings.log == log)
         if len(mine) < _FEWEST_IN_PART:
             continue
-        turned = np.stack([side.at(readings.time_ns[mine]) for side in (track.right, track.left)], axis=1)
-        joints = readings.joints[mine]
-        parts = [
+        joints, turned = readings.joints[mine], sampled((track.right, track.left), readings.time_ns[mine])
+        of_joints = [
             (f"the reading of joint {name} does not change", joints[:, [j]], np.delete(joints, j, axis=1))
             for j, name in enumerate(readings.rig.chain.joints)
         ]
-        parts += [
-            (f"the reading of the {name} wheel does not change", turned[:, [j]], turned[:, [1 - j]])
-            for j, name in enumerate(("right", "left"))
-        ]
-        wheels = ("the readings of both wheels do not change", turned, turned[:, :0])
-        for cause, values, others in (*parts, wheels):
-            of_joint = cause.startswith("the reading of joint")
+        of_wheels = [
+            (f"the reading of the {side} wheel does not change", turned[:, [j]], turned[:, [1 - j]])
+            for j, side in enumerate(_SIDES)
+        ] + [("the readings of both wheels do not change", turned, turned[:, :0])]
+        for number, (cause, values, others) in enumerate(of_joints + of_wheels):
             for first, last in _still(values, others):
-                if first and last < len(mine) - 1 and not of_joint:
+                if first and last < len(mine) - 1 and number >= len(of_joints):
                     continue  # the leg across would be wrong
                 kept = np.delete(np.arange(len(readings.log)), mine[first + 1 if first else 0 : last + 1])
-                between = f"between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s"
-                yield Hypothesis(f"{cause} {between}", cure, lambda r, kept=kept: r.of(kept))  # type: ignore[misc]
+                yield Hypothesis(
+                    f"{cause} between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s",
+                    "check the cable and the driver, and record again, or leave this stretch out",
+                    partial(Readings.of, stations=kept),
+                )
 
 
 def _still(values: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
     """First and last row of stretches in which readings (n, k) stay the same while the others (n, m) change, if any."""
-    same = np.all(np.abs(np.diff(values, axis=0)) < _STILL, axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(int)))
-    for first, last in edges.reshape(-1, 2).tolist():
+    for first, last in _runs(np.all(np.abs(np.diff(values, axis=0)) < _STILL, axis=1)):
         moved = np.ptp(others[first : last + 1], axis=0)
         if _FEWEST_IN_PART <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > _MOVED):
             yield first, last
 
 
+def _runs(true: BoolArray) -> list[tuple[int, int]]:
+    """First index of each run of true values, and the index after its last."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], true, [False]]).astype(int)))
+    return [(first, end) for first, end in edges.reshape(-1, 2).tolist()]
+
+
 # -- stage 2: readings of another time ------------------------------------------
+
+
+def _wheels_earlier(delay_ns: int, sides: Sequence[str]) -> Transform:
+    return _wheels_with(lambda track: replace(track, time_ns=track.time_ns - delay_ns), sides)
+
+
+def _joints_earlier(delay_ns: int) -> Transform:
+    def transform(readings: Readings) -> Readings:
+        joints = readings.joints.copy()
+        for log, tracks in enumerate(readings.joint_tracks):
+            mine = readings.log == log
+            at_ns = readings.time_ns[mine]
+            joints[mine] += sampled(tracks, at_ns + delay_ns) - sampled(tracks, at_ns)
+        return replace(readings, joints=joints)
+
+    return transform
 
 
 def _delays(readings: Readings) -> Iterator[Hypothesis]:
@@ -408,27 +438,29 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
     shortest_s = min((float(np.ptp(track.time_ns)) * 1e-9 for track in readings.wheels), default=0.0)
     most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
     shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
-    parts: list[tuple[str, tuple[str, ...]]] = [
-        ("readings of both wheels are", ("right", "left")),
+    wheels = (
+        ("readings of both wheels are", _SIDES),
         ("readings of the right wheel are", ("right",)),
         ("readings of the left wheel are", ("left",)),
+    )
+    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[[int], Transform]]] = [
+        (
+            cause,
+            [tuple(getattr(track, side) for side in sides) for track in readings.wheels],
+            partial(_wheels_earlier, sides=sides),
+        )
+        for cause, sides in wheels
     ]
-    for cause, sides in (*parts, *[("joint readings are", ())] * bool(readings.joint_tracks)):
-        tracks = [tuple(getattr(track, side) for side in sides) for track in readings.wheels]
-        if not sides:
-            tracks = [*readings.joint_tracks]
+    for cause, tracks, earlier in (*parts, ("joint readings are", readings.joint_tracks, _joints_earlier)):
         moving = np.array([_moving_share(readings, tracks, shift_s) for shift_s in shifts_s])
-        if moving[len(moving) // 2] < _MOSTLY_STILL:
+        if moving[most] < _MOSTLY_STILL:
             continue  # still as stamped
-        edges = np.diff(np.concatenate([[False], moving < _MOSTLY_STILL, [False]]).astype(int))
-        runs = np.stack([np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1], axis=1)
-        stops_s = shifts_s[runs].mean(axis=1)
-        for delay_s in stops_s[np.argsort(np.abs(stops_s))][:_DELAYS].tolist():
-            delay_ns = round(delay_s * 1e9)
+        stops_s = [(shifts_s[i] + shifts_s[j - 1]) / 2 for i, j in _runs(moving < _MOSTLY_STILL)]
+        for delay_s in sorted(stops_s, key=abs)[:_DELAYS]:
             yield Hypothesis(
                 f"the {cause} about {abs(delay_s):.1f} s {'late' if delay_s > 0 else 'early'}",
                 "correct the clock that stamps them, and record again",
-                _with_wheels(_earlier(delay_ns), sides) if sides else _with_joints_earlier(delay_ns),
+                earlier(round(delay_s * 1e9)),
             )
 
 
@@ -438,44 +470,27 @@ def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift
     for log, own in enumerate(tracks):
         mine = readings.log == log
         at_ns = readings.time_ns[mine] + round(shift_s * 1e9)
-        for track in own:
-            moving[mine] |= np.abs(track.at(at_ns + _AROUND_NS) - track.at(at_ns - _AROUND_NS)) > _STILL
+        moved = np.abs(sampled(own, at_ns + _AROUND_NS) - sampled(own, at_ns - _AROUND_NS))
+        moving[mine] = np.any(moved > _STILL, axis=1)
     return float(moving.mean())
-
-
-def _earlier(delay_ns: int) -> Callable[[Track], Track]:
-    return lambda track: replace(track, time_ns=track.time_ns - delay_ns)
-
-
-def _with_joints_earlier(delay_ns: int) -> Callable[[Readings], Readings]:
-    def transform(readings: Readings) -> Readings:
-        joints = readings.joints.copy()
-        for log, tracks in enumerate(readings.joint_tracks):
-            mine = readings.log == log
-            at_ns = readings.time_ns[mine]
-            for j, track in enumerate(tracks):
-                joints[mine, j] += track.at(at_ns + delay_ns) - track.at(at_ns)
-        return replace(readings, joints=joints)
-
-    return transform
 
 
 def _neighbors(_: Readings) -> Iterator[Hypothesis]:
     """Images or joint readings that belong to the station before or after."""
-    cure = "check the clock that stamps them, and that the driver sends each one at once, and record again"
 
-    def moved(name: str, by: int) -> Callable[[Readings], Readings]:
-        def transform(readings: Readings) -> Readings:
-            count = len(readings.log)
-            own = np.arange(max(-by, 0), count - max(by, 0))
-            own = own[readings.log[own] == readings.log[own + by]]
-            return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
-
-        return transform
+    def moved(readings: Readings, name: str, by: int) -> Readings:
+        count = len(readings.log)
+        own = np.arange(max(-by, 0), count - max(by, 0))
+        own = own[readings.log[own] == readings.log[own + by]]
+        return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
 
     for by, which in ((1, "previous"), (-1, "next")):
-        yield Hypothesis(f"the images are those of the {which} station", cure, moved("T_c_k", by))
-        yield Hypothesis(f"the joint readings are those of the {which} station", cure, moved("joints", by))
+        for what, name in (("images", "T_c_k"), ("joint readings", "joints")):
+            yield Hypothesis(
+                f"the {what} are those of the {which} station",
+                "check the clock that stamps them, and that the driver sends each one at once, and record again",
+                partial(moved, name=name, by=by),
+            )
 
 
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
@@ -492,14 +507,14 @@ def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
             "check that the state of this joint is recorded while it moves"
             if still
             else "check the topic, the clock, the sign and the unit of this joint, and its gear",
-            lambda r, column=column: _joint_as_seen(r, column),  # type: ignore[misc]
+            partial(_joint_as_seen, column=column),
         )
 
 
 def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Readings of the wheels that have nothing to do with the drive."""
-    sides = [(name, [getattr(track, name) for track in readings.wheels]) for name in ("right", "left")]
-    still = [name for name, tracks in sides if all(np.ptp(track.value) < _STILL for track in tracks)]
+    sides = [(side, [getattr(track, side) for track in readings.wheels]) for side in _SIDES]
+    still = [side for side, tracks in sides if all(np.ptp(track.value) < _STILL for track in tracks)]
     rising = all(np.all(np.diff(track.value) >= -_STILL) for _, tracks in sides for track in tracks)
     shown = "the images and the head joints show" if readings.rig.chain.joints else "the images show"
     cause, cure = (
@@ -525,68 +540,74 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     yield Hypothesis(cause, cure, _wheels_as_seen)
 
 
-def _nominal_head_eye(readings: Readings) -> FloatArray | None:
-    nominal = readings.rig.nominal.T_h_reference
-    return None if nominal is None else nominal @ se3.inverse(readings.rig.cameras.T_c_reference)
-
-
-def _spread(readings: Readings, X: FloatArray, T_w_v: FloatArray, joints: FloatArray) -> FloatArray:
-    """Distance of each station's board from their mean, (N, 4, 3), m."""
-    T_w_k = T_w_v @ head_pose(readings.rig.chain, joints) @ X @ readings.T_c_k
-    corners_w = se3.act(T_w_k, np.broadcast_to(readings.corners_k, (len(T_w_k), 4, 3)))
-    return np.asarray(corners_w - np.median(corners_w, axis=0))
-
-
-def _with_step(X: FloatArray, step: FloatArray) -> FloatArray:
-    return np.asarray(X @ se3.exp(step * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3)))
-
-
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
-    """The readings of one joint by the images, with nominal wheels and a head-eye transform near its nominal one."""
-    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
-    readings = readings.of(slice(_FREE_STATIONS))
-    if X is None or wheels is None:
+    """The readings of one joint by the images, with nominal wheels; none if this joint is at rest."""
+    readings = readings.of(slice(_MOST_LEGS))
+    wheels, joints = readings.rig.nominal.wheels, readings.joints.copy()
+    if wheels is None:
         return readings.of(slice(0))
-    T_w_v, scale = [np.eye(4)], 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
+    T_w_v = [np.eye(4)]
     for T_vi_vj in base_motion(integrate(readings.pairs.steps, wheels)):
         T_w_v.append(T_w_v[-1] @ T_vi_vj)
-    base, joints = np.stack(T_w_v), readings.joints.copy()
+    base = np.stack(T_w_v)
 
-    def residuals(x: FloatArray) -> FloatArray:
-        joints[:, column] = x[6:]
-        return np.concatenate(
-            [(_spread(readings, _with_step(X, x[:6]), base, joints) / scale).ravel(), x[:6]]
-        )
+    def place(free: FloatArray) -> tuple[FloatArray, FloatArray]:
+        joints[:, column] = free
+        return base, joints
 
-    start = np.concatenate([np.zeros(6), np.full(len(joints), np.median(joints[:, column]))])
-    optimum = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
-    joints[:, column] = optimum.x[6:]
-    return replace(readings, joints=joints) if np.ptp(optimum.x[6:]) > _MOVED else readings.of(slice(0))
+    free = _as_seen(readings, place, np.full(len(joints), np.median(joints[:, column])))
+    if np.ptp(free) <= _MOVED:
+        return readings.of(slice(0))
+    return replace(readings, joints=place(free)[1])
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
-    """The readings of nominal wheels by the images and the joints: a turn, a straight line and a turn on each leg."""
-    X, wheels = _nominal_head_eye(readings), readings.rig.nominal.wheels
-    readings = readings.of(slice(_FREE_STATIONS))
+    """The readings of nominal wheels by the images and the joints; none without nominal values."""
+    readings = readings.of(slice(_MOST_LEGS))
+    X, wheels = readings.nominal_head_eye, readings.rig.nominal.wheels
     if X is None or wheels is None:
         return readings.of(slice(0))
-    count, scale = len(readings.log), 0.01 * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
 
-    def base(x: FloatArray) -> FloatArray:
-        planar = np.concatenate([np.zeros((1, 3)), x[6:].reshape(-1, 3)])
-        shift = np.concatenate([planar[:, :2], np.zeros((count, 1))], axis=1)
-        return se3.transform(se3.rotation_z(planar[:, 2]), shift)
-
-    def residuals(x: FloatArray) -> FloatArray:
-        spread = _spread(readings, _with_step(X, x[:6]), base(x), readings.joints)
-        return np.concatenate([(spread / scale).ravel(), x[:6]])
+    def place(free: FloatArray) -> tuple[FloatArray, FloatArray]:
+        x, y, heading = np.concatenate([np.zeros((1, 3)), free.reshape(-1, 3)]).T
+        return se3.transform(se3.rotation_z(heading), np.stack([x, y, 0 * x], axis=1)), readings.joints
 
     T_v_k = head_pose(readings.rig.chain, readings.joints) @ X @ readings.T_c_k
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
     heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
-    start = np.concatenate([np.zeros(6), np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()])
-    optimum = least_squares(residuals, start, loss="soft_l1", max_nfev=30)
-    T_w_v = base(optimum.x)
+    T_w_v, _ = place(_as_seen(readings, place, np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()))
+    return replace(readings, wheels=(_rolled(T_w_v, wheels, readings.time_ns),))
+
+
+def _as_seen(
+    readings: Readings, place: Callable[[FloatArray], tuple[FloatArray, FloatArray]], start: FloatArray
+) -> FloatArray:
+    """The free part of the readings with which the board stays where it is, the head-eye transform near nominal.
+
+    Args:
+        readings: of one recording.
+        place: free part (F,) → T_w_v (N, 4, 4) and joints (N, J).
+        start: (F,) free part to start from.
+    """
+    X = readings.nominal_head_eye
+    if X is None:
+        return start
+    scale_m = _SPREAD * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
+    corners_k = np.broadcast_to(readings.corners_k, (len(readings.T_c_k), 4, 3))
+
+    def residuals(x: FloatArray) -> FloatArray:
+        T_w_v, joints = place(x[6:])
+        mount = X @ se3.exp(x[:6] * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3))
+        corners_w = se3.act(T_w_v @ head_pose(readings.rig.chain, joints) @ mount @ readings.T_c_k, corners_k)
+        spread = (corners_w - np.median(corners_w, axis=0)) / scale_m
+        return np.concatenate([spread.ravel(), x[:6]])
+
+    optimum = least_squares(residuals, np.concatenate([np.zeros(6), start]), loss="soft_l1", max_nfev=30)
+    return np.asarray(optimum.x[6:])
+
+
+def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> WheelTrack:
+    """Rotation of the wheels between base poses (N, 4, 4): a turn, a straight line and a turn on each leg."""
     T_vi_vj = se3.inverse(T_w_v[:-1]) @ T_w_v[1:]
     first = np.arctan2(T_vi_vj[:, 1, 3], T_vi_vj[:, 0, 3])
     backward = np.abs(first) > math.pi / 2  # rather drives backwards than turns around
@@ -599,137 +620,154 @@ def _wheels_as_seen(readings: Readings) -> Readings:
         np.concatenate([[0.0], np.cumsum((drive + side * turn * wheels.separation_m / 2) / radius_m)])
         for side, radius_m in ((1, wheels.radius_right_m), (-1, wheels.radius_left_m))
     ]
-    begin, end = readings.time_ns[:-1], readings.time_ns[1:]
-    stamps = np.append(
-        np.stack([begin, begin + (end - begin) // 3, end - (end - begin) // 3], axis=1), end[-1]
-    )
-    return replace(readings, wheels=(WheelTrack.at_same_times(stamps, *rolled),))
+    begin, third = time_ns[:-1], np.diff(time_ns) // 3
+    stamps = np.append(np.stack([begin, begin + third, time_ns[1:] - third], axis=1), time_ns[-1])
+    return WheelTrack.at_same_times(stamps, *rolled)
 
 
-Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
 #: The table, in stages of growing freedom: mistakes in a whole recording, and readings that say nothing.
-_WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
-_FREE: Stages = ((_free_joints,), (_free_wheels,))
+_WHOLE = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
+_FREE = ((_free_joints,), (_free_wheels,))
 
 
 # -- the search -----------------------------------------------------------------------------------
 
 
-def misfit(extraction: Extraction) -> float | None:
-    """Misfit of most legs over the distance to the board; None if they fit, or the motion does not show it."""
-    readings = readings_of(extraction)
-    fit = _Scorer(readings)(readings, possible=False)
-    return None if fit is None or fit.misfit < FITS else fit.misfit
-
-
-def explain(extraction: Extraction, in_parts: bool = True) -> Diagnosis | None:
-    """The mistake that explains a recording which does not fit; None if it fits, or none of the known ones does.
+class Search:
+    """The search for the one mistake because of which a recording does not fit; each step is made once, when needed.
 
     Args:
-        extraction: a recording with at least three legs.
-        in_parts: also look at each of several recordings, for a change in time, and for readings that say nothing.
+        extraction: a recording of a target with at least three legs.
     """
-    readings = readings_of(extraction)
-    return _same_view(readings) or _explained(readings, in_parts)
 
+    def __init__(self, extraction: Extraction) -> None:
+        self._extraction = extraction
 
-def _explained(readings: Readings, in_parts: bool = True) -> Diagnosis | None:
-    score = _Scorer(readings)
-    as_is = score(readings)
-    if as_is is not None and as_is.misfit < FITS:
-        return _other_wheels(as_is.wheels, readings.rig.nominal.wheels)
-    base = as_is.misfit if as_is is not None and readings.distinguishes else math.inf
-    diagnosis = _named(readings, _WHOLE, score, base)
-    if diagnosis is None and in_parts:
-        diagnosis = _of_one_log(readings) or _changed(readings, score, base)
-        if diagnosis is None and len(readings.wheels) == 1 and readings.consistent:
-            diagnosis = _named(readings, _FREE, score, base, _FITS_FREE)
-    return diagnosis
+    @cached_property
+    def _readings(self) -> Readings:
+        return readings_of(self._extraction)
 
+    @cached_property
+    def _score(self) -> _Scorer:
+        return _Scorer(self._readings)
 
-def _named(
-    readings: Readings, stages: Stages, score: _Scorer, base: float, fits: float = FITS
-) -> Diagnosis | None:
-    """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
-    limit = min(_BETTER * base, fits)
-    for stage in stages:
-        scored = [(score(row.transform(readings)), row) for family in stage for row in family(readings)]
-        fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
-        if not fitting:
-            continue
-        least = min(fit.misfit for fit, _ in fitting)
-        equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
-        nearest = min(fit.turned_rad for fit, _ in equal)
-        named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
-        return Diagnosis(
-            " or ".join(row.cause for row in named),
-            ", or ".join(dict.fromkeys(row.cure for row in named)),
-            base if math.isfinite(base) else None,
-            least,
-        )
-    return None
+    @cached_property
+    def _as_is(self) -> _Score | None:
+        return self._score(self._readings)
 
+    @property
+    def _fits(self) -> bool:
+        return self._as_is is not None and self._as_is.misfit < FITS
 
-def _of_one_log(readings: Readings) -> Diagnosis | None:
-    """The mistake of one of several recordings."""
-    logs = len(readings.wheels)
-    for log in range(logs if logs > 1 else 0):
-        own = readings.of_log(log)
-        if len(own.log) > FEWEST_LEGS:
-            diagnosis = _explained(own)
-            if diagnosis is not None:
-                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
-    return None
+    @property
+    def _base(self) -> float | None:
+        """Misfit of the readings as they stand; None if nothing fits them, or if their motion does not show it."""
+        return None if self._as_is is None or not self._readings.distinguishes else self._as_is.misfit
 
+    @cached_property
+    def misfit(self) -> float | None:
+        """Misfit of most legs over the distance to the board; None if they fit, or the motion does not show it."""
+        score = self._score(self._readings, possible=False)
+        return None if score is None or score.misfit < FITS else score.misfit
 
-def _changed(readings: Readings, score: _Scorer, base: float) -> Diagnosis | None:
-    """A change between two stations: the first stations fit on their own, and the others too, or without a mistake."""
-    count, limit = len(readings.log), min(_BETTER * base, _FITS_CHANGED)
-    if len(readings.wheels) > 1 or count < 2 * _FEWEST_IN_PART:
+    @cached_property
+    def of_whole(self) -> Diagnosis | None:
+        """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
+        at_rest = _same_view(self._readings)
+        if at_rest is None and self._as_is is not None and self._fits:
+            return _other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
+        return at_rest or self._named(self._readings, _WHOLE)
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis | None:
+        """The mistake in all readings, or else in some: of one recording, from a station on, or of one sensor."""
+        if self.of_whole is not None or self._fits:
+            return self.of_whole
+        if len(self._readings.wheels) > 1:
+            return self._of_one_log()
+        free = _FREE if self._readings.consistent else ()
+        return self._from_a_station_on() or self._named(self._readings, free, _FITS_FREE)
+
+    def _limit(self, fits: float) -> float:
+        return fits if self._base is None else min(_BETTER * self._base, fits)
+
+    def _named(self, readings: Readings, stages: Stages, fits: float = FITS) -> Diagnosis | None:
+        """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
+        limit = self._limit(fits)
+        for stage in stages:
+            scored = [
+                (self._score(row.transform(readings)), row) for family in stage for row in family(readings)
+            ]
+            fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
+            if not fitting:
+                continue
+            least = min(fit.misfit for fit, _ in fitting)
+            equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
+            nearest = min(fit.turned_rad for fit, _ in equal)
+            named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
+            cures = dict.fromkeys(row.cure for row in named)
+            return Diagnosis(" or ".join(row.cause for row in named), ", or ".join(cures), self._base, least)
         return None
 
-    def fits(part: slice) -> _Score | None:
-        fit = score(readings.of(part))
-        return fit if fit is not None and fit.of_all < limit else None
+    def _of_one_log(self) -> Diagnosis | None:
+        """The mistake of one of several recordings."""
+        logs = len(self._extraction.wheels)
+        for log in range(logs):
+            alone = self._extraction.of_log(log)
+            diagnosis = Search(alone).diagnosis if len(alone.observations) > FEWEST_LEGS else None
+            if diagnosis is not None:
+                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
+        return None
 
-    low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
-    while low < high:  # the most first stations that fit
-        middle = (low + high + 1) // 2
-        low, high = (middle, high) if fits(slice(middle)) else (low, middle - 1)
-    for cut in range(
-        low, max(low - 3, _FEWEST_IN_PART - 1), -1
-    ):  # a part may fit with an outlier of the other one
-        before = fits(slice(cut))
-        if before is None:
-            continue
-        after, rest = fits(slice(cut, None)), readings.of(slice(cut, None))
-        if after is not None:
-            factors = (
-                before.wheels.vector[:2] / after.wheels.vector[:2]
-            )  # larger readings look like smaller wheels
+    def _from_a_station_on(self) -> Diagnosis | None:
+        """A change: the first stations fit on their own, and the others too, or without a mistake."""
+        readings, limit = self._readings, self._limit(_FITS_CHANGED)
+        count = len(readings.log)
+        if count < 2 * _FEWEST_IN_PART:
+            return None
+
+        def fit_of(part: slice) -> _Score | None:
+            fit = self._score(readings.of(part))
+            return fit if fit is not None and fit.of_all < limit else None
+
+        low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
+        while low < high:  # the most first stations that fit
+            middle = (low + high + 1) // 2
+            low, high = (middle, high) if fit_of(slice(middle)) else (low, middle - 1)
+        # A part may fit with an outlier of the other one.
+        for cut in range(low, max(low - _OUTLIERS_IN_PART, _FEWEST_IN_PART) - 1, -1):
+            before = fit_of(slice(cut))
+            if before is None:
+                continue
+            after = fit_of(slice(cut, None))
+            if after is not None:
+                return self._change(cut, before, after)
+            diagnosis = self._named(readings.of(slice(cut, None)), _WHOLE[:1])
+            if diagnosis is not None:
+                return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
+        return None
+
+    def _change(self, cut: int, before: _Score, after: _Score) -> Diagnosis:
+        """What changes where all stations before the cut fit, and all after it."""
+        readings, misfit = self._readings, max(before.misfit, after.misfit)
+        log = (np.arange(len(readings.log)) >= cut).astype(np.int64)
+        apart = self._score(replace(readings, log=log, wheels=readings.wheels * 2))
+        if apart is not None and apart.misfit < _EQUAL * misfit:
+            what = "the readings of the wheels jump, or the board or the robot is moved by hand,"
+        else:  # larger readings look like smaller wheels
+            factors = before.wheels.vector[:2] / after.wheels.vector[:2]
             what = " and ".join(
                 f"the {side} wheel's readings become {factor:.2g} times as large"
-                for side, factor in zip(("right", "left"), factors.tolist(), strict=True)
+                for side, factor in zip(_SIDES, factors.tolist(), strict=True)
                 if abs(factor - 1) > _CHANGED_SCALE
             )
-            apart = replace(
-                readings, log=(np.arange(count) >= cut).astype(np.int64), wheels=readings.wheels * 2
-            )
-            same = score(apart)
-            if same is not None and same.misfit < _EQUAL * max(before.misfit, after.misfit):
-                what = "the readings of the wheels jump, or the board or the robot is moved by hand,"
-            return Diagnosis(
-                f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
-                f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
-                "check the wheels, the head, the cameras and the board at this time, and record again without the "
-                "change",
-                base if math.isfinite(base) else None,
-                max(before.misfit, after.misfit),
-            )
-        diagnosis = _named(rest, _WHOLE[:1], score, base)
-        if diagnosis is not None:
-            return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
-    return None
+        return Diagnosis(
+            f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
+            f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
+            "check the wheels, the head, the cameras and the board at this time, and record again without the change",
+            self._base,
+            misfit,
+        )
 
 
 # -- what needs no fit ------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ from mobilecal_cli.solvers.findings import (
     widening,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit, turned_around
+from mobilecal_cli.solvers.hypotheses import FITS, Search, turned_around
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
@@ -124,19 +124,20 @@ def solve(
             f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )
+    search = Search(extraction)
     try:
         if method == "ml":
             inference = Inference.of(extraction, constraints, on_step, data)
             constraints.check_shown(inference.data.layout.names)
-            solution = _by_likelihood(extraction, inference, start_ratios)
+            solution = _by_likelihood(extraction, inference, start_ratios, search)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
     except _ExplainedError:
         raise
     except (SolveError, np.linalg.LinAlgError) as error:
-        raise _explained(error, extraction) from error
+        raise _explained(error, extraction, search) from error
     diagnosis = (
-        explain(extraction)
+        search.diagnosis
         if _fits_badly(solution, extraction)
         else turned_around(extraction.rig, solution.parameters.T_h_c)
     )
@@ -175,15 +176,15 @@ def _different_cameras(
     )
 
 
-def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
+def _explained(
+    error: SolveError | np.linalg.LinAlgError, extraction: Extraction, search: Search
+) -> SolveError:
     """The error with the mistake in the description that explains it, or with how badly the recording fits."""
     if not extraction.motions:  # mistakes are searched for with a target
-        diagnosis = explain(extraction)
-        if diagnosis is not None:
-            return _refusal(diagnosis)
-        share = misfit(extraction)
-        if share is not None:
-            return _unexplained(share, extraction)
+        if search.diagnosis is not None:
+            return _refusal(search.diagnosis)
+        if search.misfit is not None:
+            return _unexplained(search.misfit, extraction)
     if isinstance(error, SolveError):
         return error
     return SolveError(
@@ -205,18 +206,16 @@ def _unexplained(share: float, extraction: Extraction) -> SolveError:
     )
 
 
-def _refuse_gross(extraction: Extraction) -> None:
+def _refuse_gross(extraction: Extraction, search: Search) -> None:
     """Refuse a recording that does not fit at all, without an estimate.
 
     Raises:
         SolveError: a mistake explains the whole recording, or none explains any part of it.
     """
-    diagnosis = explain(extraction, in_parts=False)
-    if diagnosis is not None:
-        raise _refusal(diagnosis)
-    share = misfit(extraction)
-    if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
-        raise _unexplained(share, extraction)
+    if search.of_whole is not None:
+        raise _refusal(search.of_whole)
+    if search.misfit is not None and search.misfit > _HOPELESS_SHARE and search.diagnosis is None:
+        raise _unexplained(search.misfit, extraction)
 
 
 def _refusal(diagnosis: Diagnosis) -> SolveError:
@@ -292,12 +291,14 @@ def _solution(
     )
 
 
-def _by_likelihood(extraction: Extraction, inference: Inference, start_ratios: FloatArray | None) -> Solution:
+def _by_likelihood(
+    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
+) -> Solution:
     pairs = inference.data.pairs
     if inference.full_motion:
         linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
         if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
-            _refuse_gross(extraction)
+            _refuse_gross(extraction, search)
         _require_positive(linear.parameters.wheels)
     else:  # no sign check: an unobservable scale may have any sign
         start = inference.initial()
