@@ -1,8 +1,7 @@
-"""Why a recording does not fit its robot: hypotheses on single mistakes, and one scorer.
+"""The table of single mistakes: what each is, what to do about it, and what gives the readings without it.
 
-A hypothesis turns the readings into those without the mistake. The scorer solves them by the linear method and a few
-steps of eq. 19 on the board's poses, without the worst legs. A cause is named only if the corrected readings fit as
-recordings fit. Those of a later stage have more freedom, and are tried only if none of the stages before fits.
+A family yields the mistakes of one kind that a recording may have. Families are tried in stages: those of a later stage
+have more freedom.
 """
 
 from __future__ import annotations
@@ -10,169 +9,36 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from mobilecal_cli import se3
-from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import (
-    FEWEST_LEGS,
-    MotionSeen,
-    cut_at,
-    encoder_steps_rad,
-    head_pose,
-    integrate,
-    join,
-    motion_seen,
-)
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.kinematics import head_pose, integrate
 from mobilecal_cli.model import (
     BoolArray,
-    Diagnosis,
-    Extraction,
     FloatArray,
     IntArray,
-    Parameters,
     Rig,
     Track,
     WheelGeometry,
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.refine import refine_lm
-from mobilecal_cli.solvers.transfer import base_motion, residuals_m, rms_m
+from mobilecal_cli.solvers.readings import Readings
+from mobilecal_cli.solvers.transfer import base_motion
 
-_SIDES = ("right", "left")
-#: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
-FITS = 0.02
-_FITS_CHANGED = FITS / 2  # the parts before and after a change
-_FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
-_CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
-_BETTER = 0.4  # and at most this share of the misfit without the correction
-_EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
-_SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
-_USED = 0.8  # share of the legs that must fit; the others may be outliers
-_PROMISING = 10 * FITS  # linear solutions beyond this are not refined
-_ROUNDS = 12  # of the linear method
-_MOST_LEGS = 40  # that are scored, spread over the recording; stations at which a free part is estimated
-_FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
-_STILL, _MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
-_TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
-_AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
-_OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
-_SAME_UNIT_M = 0.05
-_SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
-_OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
-_CHANGED_SCALE = (
-    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
-)
+SIDES = ("right", "left")
+STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
+_FEWEST = 5  # stations of a stretch in which a reading stays the same, and of a recording with one
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
-_AROUND_NS = 100_000_000
-_SPREAD = (
-    0.01  # of the board's corners over the distance, beyond which a station counts less, while a part is free
-)
-_MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # of a nominal head-eye transform, while a part is free
-
-
-@dataclass(frozen=True, eq=False)
-class Readings:
-    """What cameras, joints and wheels of N stations say.
-
-    Attributes:
-        rig: the robot.
-        T_c_k: (N, 4, 4) board in the first camera.
-        corners_k: (4, 3) outer corners of the board, m.
-        joints: (N, J) readings, rad or m.
-        time_ns, log: (N,) stamps, and index of the recording.
-        wheels, joint_tracks: see `Extraction`.
-        consistent: the images fit camera_info and the board.
-    """
-
-    rig: Rig
-    T_c_k: FloatArray
-    corners_k: FloatArray
-    joints: FloatArray
-    time_ns: IntArray
-    log: IntArray
-    wheels: tuple[WheelTrack, ...]
-    joint_tracks: tuple[tuple[Track, ...], ...]
-    consistent: bool
-
-    def of(self, stations: IntArray | BoolArray | slice) -> Readings:
-        """Some stations alone."""
-        by_station = ("T_c_k", "joints", "time_ns", "log")
-        return replace(self, **{name: getattr(self, name)[stations] for name in by_station})
-
-    def at_s(self, station: int) -> str:
-        """Time of a station from the beginning of its recording."""
-        begin = self.wheels[int(self.log[station])].time_ns[0]
-        return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
-
-    @property
-    def nominal_head_eye(self) -> FloatArray | None:
-        """Nominal pose of the first camera on the head, (4, 4)."""
-        nominal = self.rig.nominal.T_h_reference
-        return None if nominal is None else nominal @ se3.inverse(self.rig.cameras.T_c_reference)
-
-    @cached_property
-    def pairs(self) -> MotionPairs:
-        """The legs, with the outer corners of the board."""
-        steps, legs = [], []
-        for number, track in enumerate(self.wheels):
-            mine = np.flatnonzero(self.log == number)
-            if len(mine) > 1:
-                times = self.time_ns[mine]
-                steps.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
-                legs.append(np.stack([mine[:-1], mine[1:]], axis=1))
-        between = np.concatenate(legs)
-        log = self.log[between[:, 0]]
-        points_c = se3.act(self.T_c_k, np.broadcast_to(self.corners_k, (len(self.T_c_k), 4, 3)))
-        chain, T_v_h = np.searchsorted(log, log), head_pose(self.rig.chain, self.joints)
-        return MotionPairs(T_v_h, self.T_c_k, points_c, between, chain, join(steps))
-
-    @cached_property
-    def motion(self) -> MotionSeen:
-        """What joints and wheels move."""
-        pairs = self.pairs
-        return motion_seen(pairs.T_v_h, pairs.steps.totals_rad, encoder_steps_rad(self.wheels))
-
-    @property
-    def distinguishes(self) -> bool:
-        """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
-        return self.motion.tilts and self._roams
-
-    @property
-    def planar(self) -> bool:
-        """Whether the motion can tell mistakes of the wheels apart, of a camera that no joint moves."""
-        return not self.rig.chain.joints and self._roams
-
-    @property
-    def _roams(self) -> bool:
-        return self.motion.drives and self.motion.turned_rad > _TURNED_RAD
-
-
-def readings_of(extraction: Extraction) -> Readings:
-    """The readings of an extraction with at least one leg."""
-    observations, board = extraction.observations, extraction.board
-    square_m = board.square_m or float(np.median([o.square_m for o in observations]))
-    grid = board.grid().reshape(-1, 3) * square_m
-    ends = [0, board.columns - 1, len(grid) - board.columns, len(grid) - 1]
-    return Readings(
-        extraction.rig,
-        np.stack([o.T_c_k for o in observations]),
-        grid[ends],
-        np.stack([o.joints for o in observations]),
-        np.array([o.time_ns for o in observations], dtype=np.int64),
-        np.array([o.log for o in observations], dtype=np.int64),
-        extraction.wheels,
-        extraction.joint_tracks,
-        float(np.median([o.reprojection_px for o in observations])) < _CONSISTENT_PX,
-    )
+_AROUND_NS = 100_000_000  # before and after a station: at a stop, nothing moves by then
+_FREE_STATIONS = 40  # at which a free part is estimated: each has an unknown of its own, or three
+_FREE_STEPS = 30  # of this estimate
+_SPREAD = 0.01  # of the board's corners over the distance: stations beyond count less in this estimate
+_MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # prior of the nominal head-eye transform in this estimate
 
 
 Transform = Callable[[Readings], Readings]
@@ -190,84 +56,6 @@ class Hypothesis:
 Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
 
 
-# -- the scorer -----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class _Score:
-    """A fit: rms of most legs and of all over the distance to the board, and the camera's turn from nominal."""
-
-    misfit: float
-    of_all: float
-    turned_rad: float
-    wheels: WheelGeometry
-
-
-class _Scorer:
-    """Scores readings by the linear method, from the nominal wheels and those of the readings as they stand."""
-
-    def __init__(self, as_is: Readings) -> None:
-        self._as_is, nominal = as_is, as_is.rig.nominal
-        X = as_is.nominal_head_eye
-        self._prior, self._R_h_c = InitialPrior(X, nominal.wheels), None if X is None else X[:3, :3]
-        self._starts = [] if nominal.wheels is None else [ratios_of(nominal.wheels)]
-        if as_is.distinguishes:
-            try:
-                linear = linear_estimate(_thinned(as_is.pairs), nominal.wheels).parameters
-                self._starts.append(np.abs(ratios_of(linear.wheels)) * [1.0, -1.0])
-            except (SolveError, np.linalg.LinAlgError):
-                pass
-
-    def __call__(self, readings: Readings, possible: bool = True) -> _Score | None:
-        """The best fit with positive wheels, or with any; None without one.
-
-        Motion that does not show all parameters fits many mistakes: there, only the readings as they stand are scored.
-        """
-        legs = len(readings.log) - len(np.unique(readings.log))
-        full = legs >= _FEWEST_IN_PART - 1 and readings.distinguishes
-        shown = full or (legs >= _FEWEST_IN_PART - 1 and readings.planar)
-        if legs < FEWEST_LEGS or not (shown or readings is self._as_is):
-            return None
-        pairs = _thinned(readings.pairs)
-        distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
-        solutions: list[tuple[float, Parameters]] = []
-        for ratios in self._starts if full else [np.zeros(2)]:
-            try:
-                parameters = (
-                    Rounds(pairs).after(ratios, _ROUNDS)
-                    if full
-                    else initial_with_prior(pairs, self._prior, readings.motion)
-                )
-                misfit, kept = _misfit(pairs, parameters, distance_m)
-                if misfit < _PROMISING:
-                    parameters = refine_lm(pairs.select(kept), parameters).parameters
-                    misfit, _ = _misfit(pairs, parameters, distance_m)
-            except (SolveError, np.linalg.LinAlgError):
-                continue
-            if not (shown and possible) or np.all(parameters.wheels.vector > 0):
-                solutions.append((misfit, parameters))
-        if not solutions:
-            return None
-        misfit, best = min(solutions, key=lambda item: item[0])
-        turn = np.eye(3) if self._R_h_c is None else self._R_h_c.T @ best.T_h_c[:3, :3]
-        of_all = rms_m(residuals_m(pairs, best)) / distance_m
-        return _Score(misfit, of_all, float(np.linalg.norm(se3.log_so3(turn))), best.wheels)
-
-
-def _thinned(pairs: MotionPairs) -> MotionPairs:
-    legs = len(pairs.legs)
-    if legs <= _MOST_LEGS:
-        return pairs
-    return pairs.select(np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64))
-
-
-def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tuple[float, IntArray]:
-    """Rms of the corners' transfer error over the distance, on the legs that fit best, and these legs."""
-    squared = np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=1)
-    kept = np.sort(np.argsort(squared)[: math.ceil(_USED * len(squared))])
-    return math.sqrt(float(squared[kept].mean())) / distance_m, kept
-
-
 # -- stage 1: signs, sides and units, and readings that stop -----------------------------------------
 
 
@@ -281,7 +69,7 @@ def _joints_times(factor: float, columns: Sequence[int] | slice = slice(None)) -
 
 
 def _wheels_with(
-    change: Callable[[Track], Track], sides: Sequence[str] = _SIDES, swapped: bool = False
+    change: Callable[[Track], Track], sides: Sequence[str] = SIDES, swapped: bool = False
 ) -> Transform:
     """Change the readings of the wheels on some sides, after their exchange."""
 
@@ -334,7 +122,7 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
             yield Hypothesis(f"the readings of {name} are in {unit}", cure, _joints_times(factor, [column]))
 
 
-def _of_sides(rig: Rig, swapped: bool, sides: Sequence[str]) -> tuple[str, str]:
+def of_sides(rig: Rig, swapped: bool, sides: Sequence[str]) -> tuple[str, str]:
     """Cause and cure where the wheels are exchanged, and some then count backwards, or what that is for odometry."""
     if rig.sources.assumed_odometry is not None:
         backward = bool(sides)
@@ -356,10 +144,10 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Signs, sides and units of the wheels' readings."""
     odometry = readings.rig.sources.assumed_odometry is not None
     for swapped in (False, True):
-        for sides in ((), _SIDES) if odometry else ((), ("right",), ("left",), _SIDES):
+        for sides in ((), SIDES) if odometry else ((), ("right",), ("left",), SIDES):
             if swapped or sides:
                 yield Hypothesis(
-                    *_of_sides(readings.rig, swapped, sides), _wheels_with(_times(-1.0), sides, swapped)
+                    *of_sides(readings.rig, swapped, sides), _wheels_with(_times(-1.0), sides, swapped)
                 )
     if not odometry:
         yield Hypothesis(
@@ -373,7 +161,7 @@ def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
     for log, track in enumerate(readings.wheels):
         mine = np.flatnonzero(readings.log == log)
-        if len(mine) < _FEWEST_IN_PART:
+        if len(mine) < _FEWEST:
             continue
         joints, turned = readings.joints[mine], sampled((track.right, track.left), readings.time_ns[mine])
         of_joints = [
@@ -382,7 +170,7 @@ def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
         ]
         of_wheels = [
             (f"the reading of the {side} wheel does not change", turned[:, [j]], turned[:, [1 - j]])
-            for j, side in enumerate(_SIDES)
+            for j, side in enumerate(SIDES)
         ] + [("the readings of both wheels do not change", turned, turned[:, :0])]
         for number, (cause, values, others) in enumerate(of_joints + of_wheels):
             for first, last in _still(values, others):
@@ -398,9 +186,9 @@ def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
 
 def _still(values: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
     """First and last row of stretches in which readings (n, k) stay the same while the others (n, m) change, if any."""
-    for first, last in _runs(np.all(np.abs(np.diff(values, axis=0)) < _STILL, axis=1)):
+    for first, last in _runs(np.all(np.abs(np.diff(values, axis=0)) < STILL, axis=1)):
         moved = np.ptp(others[first : last + 1], axis=0)
-        if _FEWEST_IN_PART <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > _MOVED):
+        if _FEWEST <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > MOVED):
             yield first, last
 
 
@@ -439,7 +227,7 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
     most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
     shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
     wheels = (
-        ("readings of both wheels are", _SIDES),
+        ("readings of both wheels are", SIDES),
         ("readings of the right wheel are", ("right",)),
         ("readings of the left wheel are", ("left",)),
     )
@@ -471,7 +259,7 @@ def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift
         mine = readings.log == log
         at_ns = readings.time_ns[mine] + round(shift_s * 1e9)
         moved = np.abs(sampled(own, at_ns + _AROUND_NS) - sampled(own, at_ns - _AROUND_NS))
-        moving[mine] = np.any(moved > _STILL, axis=1)
+        moving[mine] = np.any(moved > STILL, axis=1)
     return float(moving.mean())
 
 
@@ -499,7 +287,7 @@ def _neighbors(_: Readings) -> Iterator[Hypothesis]:
 def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
     """Readings of one joint that have nothing to do with it."""
     for column, name in enumerate(readings.rig.chain.joints):
-        still = bool(np.ptp(readings.joints[:, column]) < _STILL)
+        still = bool(np.ptp(readings.joints[:, column]) < STILL)
         yield Hypothesis(
             f"the reading of {name} never changes, and the images do not fit a joint at rest"
             if still
@@ -513,9 +301,9 @@ def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
 
 def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     """Readings of the wheels that have nothing to do with the drive."""
-    sides = [(side, [getattr(track, side) for track in readings.wheels]) for side in _SIDES]
-    still = [side for side, tracks in sides if all(np.ptp(track.value) < _STILL for track in tracks)]
-    rising = all(np.all(np.diff(track.value) >= -_STILL) for _, tracks in sides for track in tracks)
+    sides = [(side, [getattr(track, side) for track in readings.wheels]) for side in SIDES]
+    still = [side for side, tracks in sides if all(np.ptp(track.value) < STILL for track in tracks)]
+    rising = all(np.all(np.diff(track.value) >= -STILL) for _, tracks in sides for track in tracks)
     shown = "the images and the head joints show" if readings.rig.chain.joints else "the images show"
     cause, cure = (
         f"the readings of the wheels do not fit the drive that {shown}",
@@ -542,7 +330,7 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels; none if this joint is at rest."""
-    readings = readings.of(slice(_MOST_LEGS))
+    readings = readings.of(slice(_FREE_STATIONS))
     wheels, joints = readings.rig.nominal.wheels, readings.joints.copy()
     if wheels is None:
         return readings.of(slice(0))
@@ -556,14 +344,14 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
         return base, joints
 
     free = _as_seen(readings, place, np.full(len(joints), np.median(joints[:, column])))
-    if np.ptp(free) <= _MOVED:
+    if np.ptp(free) <= MOVED:
         return readings.of(slice(0))
     return replace(readings, joints=place(free)[1])
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints; none without nominal values."""
-    readings = readings.of(slice(_MOST_LEGS))
+    readings = readings.of(slice(_FREE_STATIONS))
     X, wheels = readings.nominal_head_eye, readings.rig.nominal.wheels
     if X is None or wheels is None:
         return readings.of(slice(0))
@@ -602,7 +390,9 @@ def _as_seen(
         spread = (corners_w - np.median(corners_w, axis=0)) / scale_m
         return np.concatenate([spread.ravel(), x[:6]])
 
-    optimum = least_squares(residuals, np.concatenate([np.zeros(6), start]), loss="soft_l1", max_nfev=30)
+    optimum = least_squares(
+        residuals, np.concatenate([np.zeros(6), start]), loss="soft_l1", max_nfev=_FREE_STEPS
+    )
     return np.asarray(optimum.x[6:])
 
 
@@ -626,216 +416,5 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 
 
 #: The table, in stages of growing freedom: mistakes in a whole recording, and readings that say nothing.
-_WHOLE = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
-_FREE = ((_free_joints,), (_free_wheels,))
-
-
-# -- the search -----------------------------------------------------------------------------------
-
-
-class Search:
-    """The search for the one mistake because of which a recording does not fit; each step is made once, when needed.
-
-    Args:
-        extraction: a recording of a target with at least three legs.
-    """
-
-    def __init__(self, extraction: Extraction) -> None:
-        self._extraction = extraction
-
-    @cached_property
-    def _readings(self) -> Readings:
-        return readings_of(self._extraction)
-
-    @cached_property
-    def _score(self) -> _Scorer:
-        return _Scorer(self._readings)
-
-    @cached_property
-    def _as_is(self) -> _Score | None:
-        return self._score(self._readings)
-
-    @property
-    def _fits(self) -> bool:
-        return self._as_is is not None and self._as_is.misfit < FITS
-
-    @property
-    def _base(self) -> float | None:
-        """Misfit of the readings as they stand; None if nothing fits them, or if their motion does not show it."""
-        return None if self._as_is is None or not self._readings.distinguishes else self._as_is.misfit
-
-    @cached_property
-    def misfit(self) -> float | None:
-        """Misfit of most legs over the distance to the board; None if they fit, or the motion does not show it."""
-        score = self._score(self._readings, possible=False)
-        return None if score is None or score.misfit < FITS else score.misfit
-
-    @cached_property
-    def of_whole(self) -> Diagnosis | None:
-        """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
-        at_rest = _same_view(self._readings)
-        if at_rest is None and self._as_is is not None and self._fits:
-            return _other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
-        return at_rest or self._named(self._readings, _WHOLE)
-
-    @cached_property
-    def diagnosis(self) -> Diagnosis | None:
-        """The mistake in all readings, or else in some: of one recording, from a station on, or of one sensor."""
-        if self.of_whole is not None or self._fits:
-            return self.of_whole
-        if len(self._readings.wheels) > 1:
-            return self._of_one_log()
-        free = _FREE if self._readings.consistent else ()
-        return self._from_a_station_on() or self._named(self._readings, free, _FITS_FREE)
-
-    def _limit(self, fits: float) -> float:
-        return fits if self._base is None else min(_BETTER * self._base, fits)
-
-    def _named(self, readings: Readings, stages: Stages, fits: float = FITS) -> Diagnosis | None:
-        """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
-        limit = self._limit(fits)
-        for stage in stages:
-            scored = [
-                (self._score(row.transform(readings)), row) for family in stage for row in family(readings)
-            ]
-            fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
-            if not fitting:
-                continue
-            least = min(fit.misfit for fit, _ in fitting)
-            equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
-            nearest = min(fit.turned_rad for fit, _ in equal)
-            named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
-            cures = dict.fromkeys(row.cure for row in named)
-            return Diagnosis(" or ".join(row.cause for row in named), ", or ".join(cures), self._base, least)
-        return None
-
-    def _of_one_log(self) -> Diagnosis | None:
-        """The mistake of one of several recordings."""
-        logs = len(self._extraction.wheels)
-        for log in range(logs):
-            alone = self._extraction.of_log(log)
-            diagnosis = Search(alone).diagnosis if len(alone.observations) > FEWEST_LEGS else None
-            if diagnosis is not None:
-                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
-        return None
-
-    def _from_a_station_on(self) -> Diagnosis | None:
-        """A change: the first stations fit on their own, and the others too, or without a mistake."""
-        readings, limit = self._readings, self._limit(_FITS_CHANGED)
-        count = len(readings.log)
-        if count < 2 * _FEWEST_IN_PART:
-            return None
-
-        def fit_of(part: slice) -> _Score | None:
-            fit = self._score(readings.of(part))
-            return fit if fit is not None and fit.of_all < limit else None
-
-        low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
-        while low < high:  # the most first stations that fit
-            middle = (low + high + 1) // 2
-            low, high = (middle, high) if fit_of(slice(middle)) else (low, middle - 1)
-        # A part may fit with an outlier of the other one.
-        for cut in range(low, max(low - _OUTLIERS_IN_PART, _FEWEST_IN_PART) - 1, -1):
-            before = fit_of(slice(cut))
-            if before is None:
-                continue
-            after = fit_of(slice(cut, None))
-            if after is not None:
-                return self._change(cut, before, after)
-            diagnosis = self._named(readings.of(slice(cut, None)), _WHOLE[:1])
-            if diagnosis is not None:
-                return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
-        return None
-
-    def _change(self, cut: int, before: _Score, after: _Score) -> Diagnosis:
-        """What changes where all stations before the cut fit, and all after it."""
-        readings, misfit = self._readings, max(before.misfit, after.misfit)
-        log = (np.arange(len(readings.log)) >= cut).astype(np.int64)
-        apart = self._score(replace(readings, log=log, wheels=readings.wheels * 2))
-        if apart is not None and apart.misfit < _EQUAL * misfit:
-            what = "the readings of the wheels jump, or the board or the robot is moved by hand,"
-        else:  # larger readings look like smaller wheels
-            factors = before.wheels.vector[:2] / after.wheels.vector[:2]
-            what = " and ".join(
-                f"the {side} wheel's readings become {factor:.2g} times as large"
-                for side, factor in zip(_SIDES, factors.tolist(), strict=True)
-                if abs(factor - 1) > _CHANGED_SCALE
-            )
-        return Diagnosis(
-            f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
-            f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
-            "check the wheels, the head, the cameras and the board at this time, and record again without the change",
-            self._base,
-            misfit,
-        )
-
-
-# -- what needs no fit ------------------------------------------------------------------------------
-
-
-def _same_view(readings: Readings) -> Diagnosis | None:
-    """All stations show the board at the same place while joints or wheels move."""
-    away = se3.inverse(readings.T_c_k[0]) @ readings.T_c_k
-    distance_m = float(np.linalg.norm(readings.T_c_k[0, :3, 3]))
-    still = np.linalg.norm(se3.log_so3(away[:, :3, :3]), axis=-1).max() < _SAME_VIEW
-    still &= np.linalg.norm(away[:, :3, 3], axis=-1).max() < _SAME_VIEW * distance_m
-    moves = [
-        np.ptp(readings.joints, axis=0),
-        np.abs(readings.pairs.steps.totals_rad).max(axis=0, initial=0.0),
-    ]
-    if not still or np.concatenate(moves).max() <= _MOVED:
-        return None
-    return Diagnosis(
-        "all stations show the board at the same place, but the base or the head moves",
-        "check that the images are not frozen, and that the board does not move with the robot",
-        None,
-        None,
-    )
-
-
-def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
-    """A camera on the base that is upside down or looks back against its nominal pose: wheels that are exchanged.
-
-    A planar drive with exchanged or reversed wheels fits as well as the right one, with the base turned by 180 degrees.
-    """
-    nominal = rig.nominal.T_h_reference
-    if rig.chain.joints or nominal is None:
-        return None
-    turn = T_h_c[:3, :3] @ (nominal @ se3.inverse(rig.cameras.T_c_reference))[:3, :3].T
-    if float(np.linalg.norm(se3.log_so3(turn))) < _AROUND_RAD:
-        return None
-    upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
-    # Upside down, the base turns the other way; turned about the vertical, it drives backwards and turns as before.
-    cause, cure = _of_sides(rig, upside_down != backward, ("right", "left") if backward else ())
-    return Diagnosis(
-        f"{cause}, or the nominal pose of the camera is that of another frame",
-        f"{cure}, or correct nominal.head_eye",
-        None,
-        None,
-    )
-
-
-def _other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagnosis | None:
-    """Wheel radii with which the recording fits but which are several times the nominal ones: another unit."""
-    if nominal is None:
-        return None
-    radii_m = wheels.vector[:2]
-    ratios = radii_m / nominal.vector[:2]
-    factor = float(np.mean(np.abs(ratios)))
-    right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
-    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
-        if ratios[0] * ratios[1] > 0:
-            return None
-        return Diagnosis(
-            f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
-            "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
-            None,
-            None,
-        )
-    meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
-    return Diagnosis(
-        f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
-        "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
-        None,
-        None,
-    )
+WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
+FREE: Stages = ((_free_joints,), (_free_wheels,))

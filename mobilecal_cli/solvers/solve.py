@@ -45,13 +45,13 @@ from mobilecal_cli.solvers.findings import (
     widening,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.hypotheses import FITS, Search, turned_around
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
+from mobilecal_cli.solvers.search import FITS, Search, turned_around
 from mobilecal_cli.solvers.transfer import point_rms_m
 
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.

@@ -12,7 +12,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import Search
+from mobilecal_cli.solvers.search import Search
 from tests.extractions import Noise, ideal_extraction
 from tests.hostile.meaning import (
     PAN,
