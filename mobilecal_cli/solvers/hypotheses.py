@@ -15,11 +15,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import head_pose, integrate
+from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
     IntArray,
+    Parameters,
     Rig,
     Track,
     WheelGeometry,
@@ -27,7 +28,7 @@ from mobilecal_cli.model import (
     sampled,
 )
 from mobilecal_cli.solvers.readings import Readings
-from mobilecal_cli.solvers.transfer import base_motion
+from mobilecal_cli.solvers.residuals import dead_reckoned
 
 SIDES = ("right", "left")
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
@@ -329,21 +330,18 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 
 
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
-    """The readings of one joint by the images, with nominal wheels; none if this joint is at rest."""
+    """The readings of one joint by the images, with nominal wheels; none if it is at rest or nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    wheels, joints = readings.rig.nominal.wheels, readings.joints.copy()
-    if wheels is None:
+    X, wheels, joints = readings.nominal_head_eye, readings.rig.nominal.wheels, readings.joints.copy()
+    if X is None or wheels is None:
         return readings.of(slice(0))
-    T_w_v = [np.eye(4)]
-    for T_vi_vj in base_motion(integrate(readings.pairs.steps, wheels)):
-        T_w_v.append(T_w_v[-1] @ T_vi_vj)
-    base = np.stack(T_w_v)
+    T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
 
     def place(free: FloatArray) -> tuple[FloatArray, FloatArray]:
         joints[:, column] = free
-        return base, joints
+        return T_w_v, joints
 
-    free = _as_seen(readings, place, np.full(len(joints), np.median(joints[:, column])))
+    free = _as_seen(readings, X, place, np.full(len(joints), np.median(joints[:, column])))
     if np.ptp(free) <= MOVED:
         return readings.of(slice(0))
     return replace(readings, joints=place(free)[1])
@@ -363,23 +361,24 @@ def _wheels_as_seen(readings: Readings) -> Readings:
     T_v_k = head_pose(readings.rig.chain, readings.joints) @ X @ readings.T_c_k
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
     heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
-    T_w_v, _ = place(_as_seen(readings, place, np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()))
+    T_w_v, _ = place(_as_seen(readings, X, place, np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()))
     return replace(readings, wheels=(_rolled(T_w_v, wheels, readings.time_ns),))
 
 
 def _as_seen(
-    readings: Readings, place: Callable[[FloatArray], tuple[FloatArray, FloatArray]], start: FloatArray
+    readings: Readings,
+    X: FloatArray,
+    place: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    start: FloatArray,
 ) -> FloatArray:
     """The free part of the readings with which the board stays where it is, the head-eye transform near nominal.
 
     Args:
         readings: of one recording.
+        X: nominal pose of the first camera on the head, T_h_c.
         place: free part (F,) → T_w_v (N, 4, 4) and joints (N, J).
         start: (F,) free part to start from.
     """
-    X = readings.nominal_head_eye
-    if X is None:
-        return start
     scale_m = _SPREAD * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
     corners_k = np.broadcast_to(readings.corners_k, (len(readings.T_c_k), 4, 3))
 

@@ -18,11 +18,11 @@ from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Parameters, Rig, WheelGeometry
 from mobilecal_cli.solvers.hypotheses import FREE, MOVED, SIDES, WHOLE, Stages, of_sides
-from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.readings import Readings, readings_of
 from mobilecal_cli.solvers.refine import refine_lm
-from mobilecal_cli.solvers.transfer import residuals_m, rms_m
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02
@@ -33,7 +33,6 @@ _EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
 _SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
 _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
-_ROUNDS = 12  # of the linear method: enough for the digits that a comparison needs
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
 _FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
@@ -153,7 +152,7 @@ class Search:
         for ratios in self._starts if full else [np.zeros(2)]:
             try:
                 parameters = (
-                    Rounds(pairs).after(ratios, _ROUNDS)
+                    Rounds(pairs).after(ratios, ROUNDS)
                     if full
                     else initial_with_prior(pairs, prior, readings.motion)
                 )
@@ -167,7 +166,7 @@ class Search:
             scores.append(
                 _Score(
                     misfit,
-                    rms_m(residuals_m(pairs, parameters)) / distance_m,
+                    point_rms_m(pairs, parameters) / distance_m,
                     float(np.linalg.norm(se3.log_so3(turn))),
                     parameters.wheels,
                     not shown or bool(np.all(parameters.wheels.vector > 0)),
@@ -266,9 +265,9 @@ def _thinned(pairs: MotionPairs) -> MotionPairs:
 
 def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tuple[float, IntArray]:
     """Rms of the corners' transfer error over the distance, on the legs that fit best, and these legs."""
-    squared = np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=1)
-    kept = np.sort(np.argsort(squared)[: math.ceil(_USED * len(squared))])
-    return math.sqrt(float(squared[kept].mean())) / distance_m, kept
+    each_m = leg_rms_m(pairs, parameters)
+    kept = np.sort(np.argsort(each_m)[: math.ceil(_USED * len(each_m))])
+    return math.sqrt(float(np.mean(each_m[kept] ** 2))) / distance_m, kept
 
 
 # -- what needs no fit ------------------------------------------------------------------------------
