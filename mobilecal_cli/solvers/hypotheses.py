@@ -27,12 +27,11 @@ from mobilecal_cli.model import (
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.solvers.readings import Readings
+from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings
 from mobilecal_cli.solvers.residuals import dead_reckoned
 
 SIDES = ("right", "left")
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
-_FEWEST = 5  # stations of a stretch in which a reading stays the same, and of a recording with one
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
 _AROUND_NS = 100_000_000  # before and after a station: at a stop, nothing moves by then
@@ -42,16 +41,13 @@ _SPREAD = 0.01  # of the board's corners over the distance: stations beyond coun
 _MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # prior of the nominal head-eye transform in this estimate
 
 
-Transform = Callable[[Readings], Readings]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
     """A mistake, what to do about it, and what gives the readings without it."""
 
     cause: str
     cure: str
-    transform: Transform
+    transform: Callable[[Readings], Readings]
 
 
 Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
@@ -60,35 +56,26 @@ Stages = tuple[tuple[Callable[[Readings], Iterator[Hypothesis]], ...], ...]
 # -- stage 1: signs, sides and units, and readings that stop -----------------------------------------
 
 
-def _joints_times(factor: float, columns: Sequence[int] | slice = slice(None)) -> Transform:
-    def transform(readings: Readings) -> Readings:
-        joints = readings.joints.copy()
-        joints[:, columns] *= factor
-        return replace(readings, joints=joints)
-
-    return transform
-
-
-def _wheels_with(
-    change: Callable[[Track], Track], sides: Sequence[str] = SIDES, swapped: bool = False
-) -> Transform:
-    """Change the readings of the wheels on some sides, after their exchange."""
-
-    def changed(right: Track, left: Track) -> WheelTrack:
-        return WheelTrack(
-            change(right) if "right" in sides else right, change(left) if "left" in sides else left
-        )
-
-    def transform(readings: Readings) -> Readings:
-        ends = [(track.right, track.left) for track in readings.wheels]
-        tracks = tuple(changed(left, right) if swapped else changed(right, left) for right, left in ends)
-        return replace(readings, wheels=tracks)
-
-    return transform
+def _joints_times(
+    readings: Readings, factor: float, columns: Sequence[int] | slice = slice(None)
+) -> Readings:
+    joints = readings.joints.copy()
+    joints[:, columns] *= factor
+    return replace(readings, joints=joints)
 
 
-def _times(factor: float) -> Callable[[Track], Track]:
-    return lambda track: replace(track, value=factor * track.value)
+def _wheels_times(
+    readings: Readings, factor: float, sides: Sequence[str] = SIDES, swapped: bool = False
+) -> Readings:
+    """Multiply the readings of the wheels on some sides, after their exchange."""
+    if swapped:
+        readings = replace(readings, wheels=tuple(WheelTrack(t.left, t.right) for t in readings.wheels))
+    return _with_wheels(readings, sides, lambda track: replace(track, value=factor * track.value))
+
+
+def _with_wheels(readings: Readings, sides: Sequence[str], change: Callable[[Track], Track]) -> Readings:
+    tracks = [replace(t, **{side: change(getattr(t, side)) for side in sides}) for t in readings.wheels]
+    return replace(readings, wheels=tuple(tracks))
 
 
 def _joints(readings: Readings) -> Iterator[Hypothesis]:
@@ -99,13 +86,13 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
         yield Hypothesis(
             f"the sign of joint {name} is reversed",
             f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
-            _joints_times(-1.0, [column]),
+            partial(_joints_times, factor=-1.0, columns=[column]),
         )
     if len(joints) > 1:
         yield Hypothesis(
             "the signs of all head joints are reversed",
             "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
-            _joints_times(-1.0),
+            partial(_joints_times, factor=-1.0),
         )
     if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
         order = np.arange(len(joints))
@@ -118,9 +105,10 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
         )
     for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):
         cure = "set the unit in joints.fields in rig.yaml, or correct the recording"
-        yield Hypothesis(f"the joint readings are in {unit}", cure, _joints_times(factor))
+        yield Hypothesis(f"the joint readings are in {unit}", cure, partial(_joints_times, factor=factor))
         for column, name in enumerate(joints if len(joints) > 1 else ()):
-            yield Hypothesis(f"the readings of {name} are in {unit}", cure, _joints_times(factor, [column]))
+            only = partial(_joints_times, factor=factor, columns=[column])
+            yield Hypothesis(f"the readings of {name} are in {unit}", cure, only)
 
 
 def of_sides(rig: Rig, swapped: bool, sides: Sequence[str]) -> tuple[str, str]:
@@ -147,14 +135,13 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
     for swapped in (False, True):
         for sides in ((), SIDES) if odometry else ((), ("right",), ("left",), SIDES):
             if swapped or sides:
-                yield Hypothesis(
-                    *of_sides(readings.rig, swapped, sides), _wheels_with(_times(-1.0), sides, swapped)
-                )
+                transform = partial(_wheels_times, factor=-1.0, sides=sides, swapped=swapped)
+                yield Hypothesis(*of_sides(readings.rig, swapped, sides), transform)
     if not odometry:
         yield Hypothesis(
             "the wheel readings are in degrees",
             "convert them to rad, or state ticks_per_revolution: 360 in rig.yaml",
-            _wheels_with(_times(math.pi / 180)),
+            partial(_wheels_times, factor=math.pi / 180),
         )
 
 
@@ -162,7 +149,7 @@ def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
     for log, track in enumerate(readings.wheels):
         mine = np.flatnonzero(readings.log == log)
-        if len(mine) < _FEWEST:
+        if len(mine) < FEWEST_STATIONS:
             continue
         joints, turned = readings.joints[mine], sampled((track.right, track.left), readings.time_ns[mine])
         of_joints = [
@@ -189,7 +176,7 @@ def _still(values: FloatArray, others: FloatArray) -> Iterator[tuple[int, int]]:
     """First and last row of stretches in which readings (n, k) stay the same while the others (n, m) change, if any."""
     for first, last in _runs(np.all(np.abs(np.diff(values, axis=0)) < STILL, axis=1)):
         moved = np.ptp(others[first : last + 1], axis=0)
-        if _FEWEST <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > MOVED):
+        if FEWEST_STATIONS <= last - first + 2 <= len(values) and (not len(moved) or moved.max() > MOVED):
             yield first, last
 
 
@@ -202,20 +189,17 @@ def _runs(true: BoolArray) -> list[tuple[int, int]]:
 # -- stage 2: readings of another time ------------------------------------------
 
 
-def _wheels_earlier(delay_ns: int, sides: Sequence[str]) -> Transform:
-    return _wheels_with(lambda track: replace(track, time_ns=track.time_ns - delay_ns), sides)
+def _wheels_earlier(readings: Readings, delay_ns: int, sides: Sequence[str]) -> Readings:
+    return _with_wheels(readings, sides, lambda track: replace(track, time_ns=track.time_ns - delay_ns))
 
 
-def _joints_earlier(delay_ns: int) -> Transform:
-    def transform(readings: Readings) -> Readings:
-        joints = readings.joints.copy()
-        for log, tracks in enumerate(readings.joint_tracks):
-            mine = readings.log == log
-            at_ns = readings.time_ns[mine]
-            joints[mine] += sampled(tracks, at_ns + delay_ns) - sampled(tracks, at_ns)
-        return replace(readings, joints=joints)
-
-    return transform
+def _joints_earlier(readings: Readings, delay_ns: int) -> Readings:
+    joints = readings.joints.copy()
+    for log, tracks in enumerate(readings.joint_tracks):
+        mine = readings.log == log
+        at_ns = readings.time_ns[mine]
+        joints[mine] += sampled(tracks, at_ns + delay_ns) - sampled(tracks, at_ns)
+    return replace(readings, joints=joints)
 
 
 def _delays(readings: Readings) -> Iterator[Hypothesis]:
@@ -232,7 +216,7 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
         ("readings of the right wheel are", ("right",)),
         ("readings of the left wheel are", ("left",)),
     )
-    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[[int], Transform]]] = [
+    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[..., Readings]]] = [
         (
             cause,
             [tuple(getattr(track, side) for side in sides) for track in readings.wheels],
@@ -249,7 +233,7 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
             yield Hypothesis(
                 f"the {cause} about {abs(delay_s):.1f} s {'late' if delay_s > 0 else 'early'}",
                 "correct the clock that stamps them, and record again",
-                earlier(round(delay_s * 1e9)),
+                partial(earlier, delay_ns=round(delay_s * 1e9)),
             )
 
 
@@ -264,21 +248,21 @@ def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift
     return float(moving.mean())
 
 
+def _moved(readings: Readings, name: str, by: int) -> Readings:
+    count = len(readings.log)
+    own = np.arange(max(-by, 0), count - max(by, 0))
+    own = own[readings.log[own] == readings.log[own + by]]
+    return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
+
+
 def _neighbors(_: Readings) -> Iterator[Hypothesis]:
     """Images or joint readings that belong to the station before or after."""
-
-    def moved(readings: Readings, name: str, by: int) -> Readings:
-        count = len(readings.log)
-        own = np.arange(max(-by, 0), count - max(by, 0))
-        own = own[readings.log[own] == readings.log[own + by]]
-        return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
-
     for by, which in ((1, "previous"), (-1, "next")):
         for what, name in (("images", "T_c_k"), ("joint readings", "joints")):
             yield Hypothesis(
                 f"the {what} are those of the {which} station",
                 "check the clock that stamps them, and that the driver sends each one at once, and record again",
-                partial(moved, name=name, by=by),
+                partial(_moved, name=name, by=by),
             )
 
 
@@ -306,15 +290,6 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
     still = [side for side, tracks in sides if all(np.ptp(track.value) < STILL for track in tracks)]
     rising = all(np.all(np.diff(track.value) >= -STILL) for _, tracks in sides for track in tracks)
     shown = "the images and the head joints show" if readings.rig.chain.joints else "the images show"
-    cause, cure = (
-        f"the readings of the wheels do not fit the drive that {shown}",
-        "check the topics, the clocks and the counters of both wheels: overflow, resets, gears",
-    )
-    if readings.rig.sources.assumed_odometry is not None:
-        cause, cure = (
-            f"the odometry does not fit the drive that {shown}",
-            "check that it is of this drive, its clock, and that it is not reset or fused with other sensors",
-        )
     if len(still) == 2:
         cause = "the readings of both wheels never change, and the images do not fit a base at rest"
         cure = "check that the wheel encoders are recorded while the base moves"
@@ -326,6 +301,14 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
             "the readings of both wheels never decrease, but the images show that the base drives to and fro"
         )
         cure = "read the encoders with their direction (quadrature), and record again"
+    elif readings.rig.sources.assumed_odometry is not None:
+        cause = f"the odometry does not fit the drive that {shown}"
+        cure = (
+            "check that it is of this drive, its clock, and that it is not reset or fused with other sensors"
+        )
+    else:
+        cause = f"the readings of the wheels do not fit the drive that {shown}"
+        cure = "check the topics, the clocks and the counters of both wheels: overflow, resets, gears"
     yield Hypothesis(cause, cure, _wheels_as_seen)
 
 

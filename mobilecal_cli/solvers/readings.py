@@ -12,6 +12,7 @@ from mobilecal_cli.kinematics import MotionSeen, cut_at, encoder_steps_rad, head
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
 
+FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
 _CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
 
@@ -51,6 +52,11 @@ class Readings:
         return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
 
     @property
+    def legs(self) -> int:
+        """Number of legs."""
+        return len(self.log) - len(np.unique(self.log))
+
+    @property
     def nominal_head_eye(self) -> FloatArray | None:
         """Nominal pose of the first camera on the head, (4, 4)."""
         nominal = self.rig.nominal.T_h_reference
@@ -81,16 +87,17 @@ class Readings:
     @property
     def distinguishes(self) -> bool:
         """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
-        return self.motion.tilts and self._roams
+        return self._roams and self.motion.tilts
 
     @property
     def planar(self) -> bool:
         """Whether the motion can tell mistakes of the wheels apart, of a camera that no joint moves."""
-        return not self.rig.chain.joints and self._roams
+        return self._roams and not self.rig.chain.joints
 
     @property
     def _roams(self) -> bool:
-        return self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+        enough = self.legs >= FEWEST_STATIONS - 1
+        return enough and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
 
 
 def readings_of(extraction: Extraction) -> Readings:

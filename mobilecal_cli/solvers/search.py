@@ -20,7 +20,7 @@ from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Par
 from mobilecal_cli.solvers.hypotheses import FREE, MOVED, SIDES, WHOLE, Stages, of_sides
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.readings import Readings, readings_of
+from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
 from mobilecal_cli.solvers.refine import refine_lm
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
 
@@ -34,7 +34,6 @@ _SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal 
 _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
-_FEWEST_IN_PART = 5  # stations before or after a change, or in a recording
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = (
     0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
@@ -140,10 +139,9 @@ class Search:
 
     def _scores(self, readings: Readings) -> list[_Score]:
         """A fit of some readings from each start, the best first."""
-        legs = len(readings.log) - len(np.unique(readings.log))
-        full = legs >= _FEWEST_IN_PART - 1 and readings.distinguishes
-        shown = full or (legs >= _FEWEST_IN_PART - 1 and readings.planar)
-        if legs < FEWEST_LEGS or not (shown or readings is self._readings):
+        full = readings.distinguishes
+        shown = full or readings.planar
+        if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
             return []
         pairs, X = _thinned(readings.pairs), readings.nominal_head_eye
         prior = InitialPrior(X, readings.rig.nominal.wheels)
@@ -209,19 +207,19 @@ class Search:
         """A change: the first stations fit on their own, and the others too, or without a mistake."""
         readings, limit = self._readings, self._limit(_FITS_CHANGED)
         count = len(readings.log)
-        if count < 2 * _FEWEST_IN_PART:
+        if count < 2 * FEWEST_STATIONS:
             return None
 
         def fit_of(part: slice) -> _Score | None:
             fit = self._score(readings.of(part))
             return fit if fit is not None and fit.of_all < limit else None
 
-        low, high = _FEWEST_IN_PART, count - _FEWEST_IN_PART
+        low, high = FEWEST_STATIONS, count - FEWEST_STATIONS
         while low < high:  # the most first stations that fit
             middle = (low + high + 1) // 2
             low, high = (middle, high) if fit_of(slice(middle)) else (low, middle - 1)
         # A part may fit with an outlier of the other one.
-        for cut in range(low, max(low - _OUTLIERS_IN_PART, _FEWEST_IN_PART) - 1, -1):
+        for cut in range(low, max(low - _OUTLIERS_IN_PART, FEWEST_STATIONS) - 1, -1):
             before = fit_of(slice(cut))
             if before is None:
                 continue
