@@ -320,62 +320,57 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
         return readings.of(slice(0))
     T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
 
-    def place(free: FloatArray) -> tuple[FloatArray, FloatArray]:
-        joints[:, column] = free
-        return T_w_v, joints
+    def head(angles: FloatArray) -> FloatArray:
+        joints[:, column] = angles
+        return T_w_v @ head_pose(readings.rig.chain, joints)
 
-    free = _as_seen(readings, X, place, np.full(len(joints), np.median(joints[:, column])))
-    if np.ptp(free) <= MOVED:
-        return readings.of(slice(0))
-    return replace(readings, joints=place(free)[1])
+    angles = _as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column])))
+    joints[:, column] = angles
+    return replace(readings, joints=joints) if np.ptp(angles) > MOVED else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
-    """The readings of nominal wheels by the images and the joints; none without nominal values."""
+    """The readings of nominal wheels by the images and the joints; none if nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
     X, wheels = readings.nominal_head_eye, readings.rig.nominal.wheels
     if X is None or wheels is None:
         return readings.of(slice(0))
+    T_v_h = head_pose(readings.rig.chain, readings.joints)
 
-    def place(free: FloatArray) -> tuple[FloatArray, FloatArray]:
-        x, y, heading = np.concatenate([np.zeros((1, 3)), free.reshape(-1, 3)]).T
-        return se3.transform(se3.rotation_z(heading), np.stack([x, y, 0 * x], axis=1)), readings.joints
+    def base(planar: FloatArray) -> FloatArray:
+        x, y, heading = np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]).T
+        return se3.transform(se3.rotation_z(heading), np.stack([x, y, np.zeros_like(x)], axis=1))
 
-    T_v_k = head_pose(readings.rig.chain, readings.joints) @ X @ readings.T_c_k
+    T_v_k = T_v_h @ X @ readings.T_c_k
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
     heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
-    T_w_v, _ = place(_as_seen(readings, X, place, np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()))
-    return replace(readings, wheels=(_rolled(T_w_v, wheels, readings.time_ns),))
+    start = np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()
+    planar = _as_seen(readings, X, lambda planar: base(planar) @ T_v_h, start)
+    return replace(readings, wheels=(_rolled(base(planar), wheels, readings.time_ns),))
 
 
 def _as_seen(
-    readings: Readings,
-    X: FloatArray,
-    place: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
-    start: FloatArray,
+    readings: Readings, X: FloatArray, head: Callable[[FloatArray], FloatArray], start: FloatArray
 ) -> FloatArray:
-    """The free part of the readings with which the board stays where it is, the head-eye transform near nominal.
+    """The free part (F,) with which the board stays at its place, and the head-eye transform near its nominal one.
 
     Args:
         readings: of one recording.
-        X: nominal pose of the first camera on the head, T_h_c.
-        place: free part (F,) → T_w_v (N, 4, 4) and joints (N, J).
+        X: nominal T_h_c.
+        head: free part (F,) → T_w_h (N, 4, 4).
         start: (F,) free part to start from.
     """
     scale_m = _SPREAD * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
     corners_k = np.broadcast_to(readings.corners_k, (len(readings.T_c_k), 4, 3))
 
     def residuals(x: FloatArray) -> FloatArray:
-        T_w_v, joints = place(x[6:])
         mount = X @ se3.exp(x[:6] * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3))
-        corners_w = se3.act(T_w_v @ head_pose(readings.rig.chain, joints) @ mount @ readings.T_c_k, corners_k)
+        corners_w = se3.act(head(x[6:]) @ mount @ readings.T_c_k, corners_k)
         spread = (corners_w - np.median(corners_w, axis=0)) / scale_m
         return np.concatenate([spread.ravel(), x[:6]])
 
-    optimum = least_squares(
-        residuals, np.concatenate([np.zeros(6), start]), loss="soft_l1", max_nfev=_FREE_STEPS
-    )
-    return np.asarray(optimum.x[6:])
+    x = np.concatenate([np.zeros(6), start])
+    return np.asarray(least_squares(residuals, x, loss="soft_l1", max_nfev=_FREE_STEPS).x[6:])
 
 
 def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> WheelTrack:
