@@ -1,4 +1,4 @@
-"""Findings of a fit for the report: outliers, scale check, jackknife, spread between recordings."""
+"""Findings of a fit for the report: contradictions, scale check, jumps, constants, outliers; recordings pooled."""
 
 from __future__ import annotations
 
@@ -9,23 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
-from mobilecal_cli.likelihood.budget import usual_jackknife_factor
-from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.nuisance import camera_change
-from mobilecal_cli.likelihood.predict import gradients_at, variance
-from mobilecal_cli.likelihood.state import board_in_camera, cameras_at
+from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
-    NINE,
-    Budget,
     EstimatedConstant,
     Evidence,
     Extraction,
-    FloatArray,
     Jump,
     Outlier,
     ScaleCheck,
@@ -37,7 +29,6 @@ CONTRADICTION_SIGMAS = 4.0
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _STRETCH = 3  # stations that are rejected one after another: something moved
-_STEP = 1e-6  # of a constant, for differences
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
@@ -149,82 +140,7 @@ def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     }
 
 
-def at_work_basis(fit: Fit) -> FloatArray:
-    """(P, P) projection of the shared parameters without the height of a camera that never tilts."""
-    shows, vertical = np.eye(fit.data.layout.size), unseen_height(fit.data.chain)
-    if vertical is not None:
-        shows[3:6, 3:6] -= np.outer(vertical, vertical)
-    return shows
-
-
-def budget_of(fit: Fit) -> Budget:
-    """What limits the accuracy: shares of noise levels, kinds of constants and priors in each variance."""
-    lin, layout, shows = fit.lin, fit.data.layout, at_work_basis(fit)
-    kinds = {f"prior {row.name}": row.kind for row in layout.constants}
-    kinds |= {f"prior {name}": "nominal" for name in NINE}
-    kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
-    gradients = gradients_at(lin)
-    nine: dict[str, FloatArray] = {}
-    figures: dict[str, FloatArray] = {}
-    for name, share in fit.budget.items():
-        source = kinds.get(name, name)
-        nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [variance(g @ shows, share) for g in gradients.values()]
-        figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
-    shares = np.array(list(nine.values()))
-    whole = np.array(list(figures.values()))
-    parts = [
-        values / np.where(total > 0, total, 1.0)
-        for values in (shares, whole)
-        for total in [values.sum(axis=0)]
-    ]
-    return Budget(tuple(nine), parts[0], dict(zip(gradients, parts[1].T, strict=True)))
-
-
-def jackknife_covariance(fit: Fit) -> FloatArray:
-    """Jackknife covariance of the nine parameters and the constants, (P, P).
-
-    The units left out in turn are each station's images, its joint readings and each leg's wheels. Each unit's shift
-    is weighted by the square root of its redundancy (the weighted jackknife of Wu, Annals of Statistics 14, 1986), so
-    that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
-    not show them.
-    """
-    spread = sum(influence.spread for influence in fit.influences)
-    C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
-    return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
-
-
-def reference_jacobian(fit: Fit) -> FloatArray:
-    """(9, K) derivative of the nine parameters of the reference camera by those of the first one and the constants."""
-    data, state = fit.data, fit.lin.state
-    J = np.eye(9, data.layout.size)
-    if data.cameras.reference == data.cameras.names[0]:
-        return J
-    R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], cameras_at(data, state).T_c_reference
-    J[3:6, :3] = -se3.skew(R_h_c @ T_c_reference[:3, 3])
-    for k, row in enumerate(data.layout.constants, 9):
-        if isinstance(row.effect, CameraEffect):
-            moved = {**state.constants, row.name: state.value(row.name) + _STEP}
-            T = camera_change(data.cameras, data.layout.constants, moved).apply(data.cameras).T_c_reference
-            turn = se3.log_so3(T[:3, :3] @ T_c_reference[:3, :3].T)
-            J[:3, k] = R_h_c @ turn / _STEP
-            J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / _STEP
-    return J
-
-
-def widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
-    """Factor on the standard deviation of each of the nine parameters, (9,).
-
-    The jackknife's, where it is larger than its own scatter explains: the residuals then vary more than their noise
-    levels say, or are not independent.
-    """
-    std = np.sqrt(np.diag(fit.covariance)[:9])
-    ratio = jackknife / np.where(std > 0, std, np.inf)
-    usual = usual_jackknife_factor(int(fit.inliers.legs.sum()))
-    return np.where(ratio > usual, ratio, 1.0)
-
-
-def over_logs(fit: Fit) -> Fit:
+def pool_recordings(fit: Fit) -> Fit:
     """The fit with the spread between recordings included; unchanged for a single recording, or single legs."""
     lin = fit.lin
     if len(np.unique(lin.data.log)) < 2 or lin.data.motions is not None:

@@ -25,17 +25,17 @@ from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
-FIXED_POINT = 1e-13
-MAX_ROUNDS = 200
+FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
+MAX_ROUNDS = 200  # of a start that does not reach a fixed point
 _SMALLEST = 1e-12  # m: wheels of nothing do not change
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
-_SCOUT_LEGS = 40
-_SCOUT_ROUNDS = 40
-_SAME_ANSWER = 1e-3
-_CLEARLY_BETTER = 0.5
+_SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only lead to a guess
+_CLEARLY_BETTER = (
+    0.5  # share of the point error with positive wheels that impossible ones must reach to be kept
+)
 _UNAMBIGUOUS_RAD = math.radians(150)  # a guess that is wrong by less than a fifth unwraps it correctly
-_NEAR_NOMINAL = 0.15
-_PRIOR_ROUNDS = 12
+_NEAR_NOMINAL = 0.15  # relative error of the nominal wheels: below the fifth that unwraps correctly
+ROUNDS = 12  # where a comparison or an optimization follows, which needs no fixed point
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +162,7 @@ def linear_estimate(
     best = min(answers, key=lambda a: round(a.point_rms_m, 9))
     positive = min((a for a in answers if a.positive), key=lambda a: round(a.point_rms_m, 9), default=best)
     kept = best if best.point_rms_m < _CLEARLY_BETTER * positive.point_rms_m else positive
-    rivals = [a.point_rms_m for a in answers if change(kept.parameters, a.parameters) > _SAME_ANSWER]
+    rivals = [a.point_rms_m for a in answers if change(kept.parameters, a.parameters) > PAPER_TOLERANCE]
     steps = [math.inf, *(change(a, b) for a, b in zip(kept.history, kept.history[1:], strict=False))]
     converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))
     return LinearEstimate(
@@ -194,7 +194,7 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSe
     solutions = [] if prior.T_h_c is None or prior.wheels is None else [Parameters(prior.T_h_c, prior.wheels)]
     for sign in signs:
         try:
-            solutions.append(Rounds(pairs, prior, sign).after(ratios, _PRIOR_ROUNDS))
+            solutions.append(Rounds(pairs, prior, sign).after(ratios, ROUNDS))
         except SolveError:
             continue
     if not solutions:

@@ -17,12 +17,15 @@ from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
 FEW_ROUNDS = 3  # from parameters that are nearly right
-_PAIRS_PER_STATION = 40
-_HEADINGS = 720
+_PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the recording, not with its square
+_HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
 _NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
-_NO_SIZE_M = 1e-12
+_NO_SIZE_M, _NO_RATIO = (
+    1e-12,
+    1e-9,
+)  # a radius or separation, and a ratio of them, that is zero but for rounding
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
@@ -215,7 +218,7 @@ class Rounds:
         psi = self._Phi @ ratios  # eq. 10
         R_h_c = self.rotation(psi)
         ratios = self.ratios(R_h_c, psi)
-        if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < 1e-9:
+        if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < _NO_RATIO:
             return None
         return R_h_c, ratios
 

@@ -12,9 +12,9 @@ from mobilecal_cli.model import FloatArray, Parameters, Refinement
 from mobilecal_cli.solvers.transfer import point_rms_m, residuals_with_jacobian, rms_m
 
 _MAX_STEPS = 100
-_SMALLEST_GAIN = 1e-15
-_FIRST_DAMPING = 1e-6
-_LARGEST_DAMPING = 1e8
+_LEAST_GAIN_M, _LEAST_GAIN = 1e-15, 1e-12  # of the point rms, and over it: a smaller one is rounding
+# Over the diagonal of the normal matrix: from a start that is nearly a minimum, down to rounding, up to no step at all.
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-15, 1e8
 
 
 def _normal_equations(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray, float]:
@@ -43,8 +43,8 @@ def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
             gain = rms - rms_trial
             parameters, H, gradient, rms = trial, H_trial, gradient_trial, rms_trial
             history.append(rms)
-            damping = max(damping / 10, 1e-15)
-            if gain <= _SMALLEST_GAIN + 1e-12 * rms:
+            damping = max(damping / 10, _LEAST_DAMPING)
+            if gain <= _LEAST_GAIN_M + _LEAST_GAIN * rms:
                 break
         else:
             damping *= 10

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,7 +14,6 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     BoolArray,
@@ -24,70 +22,37 @@ from mobilecal_cli.model import (
     FloatArray,
     LinearEstimate,
     Method,
-    NoiseLevels,
     Refinement,
     Solution,
-    Uncertainty,
     WheelGeometry,
 )
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
-    at_work_basis,
-    budget_of,
     constants_of,
     contradictions_of,
-    jackknife_covariance,
     jumps_of,
     outliers_of,
-    over_logs,
-    reference_jacobian,
+    pool_recordings,
     scale_of,
-    widening,
 )
-from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.hypotheses import FITS, explain, misfit, turned_around
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
+from mobilecal_cli.solvers.search import FITS, Search, turned_around
 from mobilecal_cli.solvers.transfer import point_rms_m
+from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
-#: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
-OBSERVABLE_SHARE = 1 / 3
-# Point error over the distance to the board, and outliers per station: beyond these a mistake is searched for.
+# A mistake is searched for where the point error is more than this share of the distance to the board, or where more
+# than this share of the stations have an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
-# Point error of the linear method: beyond this, mistakes in the whole recording are searched for before the estimate;
-# and that of most stations: beyond this, no robust estimate helps.
+# It is searched for before the estimate where the point error of the linear method is more than the first share of the
+# distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
-
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
-
-
-class _ExplainedError(SolveError):
-    """A recording that does not fit, after the search for the cause."""
-
-
-_LOG = logging.getLogger(__name__)
-
-
-def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[str, float]:
-    chain = extraction.rig.chain
-    joints = np.degrees(np.stack([o.joints for o in extraction.observations]))
-    ranges = dict(zip(chain.joints, np.ptp(joints, axis=0), strict=True))
-    motion = {
-        f"{role}_range_deg": float(ranges[name])
-        for role, name in (("pan", chain.pan), ("tilt", chain.tilt))
-        if name in ranges and name not in chain.prismatic
-    }
-    return {
-        **motion,
-        "turned_deg": float(np.degrees(np.sum(np.abs(psi_rad)))),
-        "largest_turn_deg": float(np.degrees(np.max(np.abs(psi_rad)))),
-        "driven_m": path_m,
-    }
 
 
 def solve(
@@ -124,134 +89,85 @@ def solve(
             f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )
+    search = Search(extraction)
     try:
         if method == "ml":
             inference = Inference.of(extraction, constraints, on_step, data)
             constraints.check_shown(inference.data.layout.names)
-            solution = _by_likelihood(extraction, inference, start_ratios)
+            solution = _by_likelihood(extraction, inference, start_ratios, search)
         else:
             solution = _by_points(extraction, data.pairs, method, start_ratios)
-    except _ExplainedError:
-        raise
     except (SolveError, np.linalg.LinAlgError) as error:
-        raise _explained(error, extraction) from error
-    diagnosis = (
-        explain(extraction)
-        if _fits_badly(solution, extraction)
-        else turned_around(extraction.rig, solution.parameters.T_h_c)
-    )
-    if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:
-        diagnosis = _different_cameras(solution, extraction, constraints)
-    return replace(solution, diagnosis=diagnosis)
+        refusal = _refusal(extraction, search)
+        if refusal is None and isinstance(error, SolveError):
+            raise
+        raise refusal or SolveError(
+            "the measurements do not determine all parameters",
+            "record more stations, with the whole board in the images",
+        ) from error
+    return replace(solution, diagnosis=_diagnosis(solution, extraction, constraints, search))
 
 
-def _different_cameras(
-    solution: Solution, extraction: Extraction, constraints: Constraints
-) -> Diagnosis | None:
-    """Recordings that all fit alone, but not with the same cameras and board; None if one cannot be solved alone."""
-    assert solution.uncertainty is not None
-    together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
-    for log in range(len(extraction.wheels)):
-        alone = extraction.of_log(log)
-        if len(alone.observations) <= FEWEST_LEGS:
-            return None
-        try:
-            fit = robust_fit(Inference.of(alone, constraints))
-        except (SolveError, np.linalg.LinAlgError):
-            return None
-        alone_px = max(alone_px, fit.noise.pixel_px)
-        alone_m = max(
-            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
-        )
-    if together_px < _DIFFERENT * alone_px:
-        return None
-    distance_m = _board_distance_m(extraction)
-    return Diagnosis(
-        f"the recordings have different cameras or boards: the corner noise is {alone_px:.2g} px or less in "
-        f"each recording alone, and {together_px:.2g} px in all together",
-        "calibrate each recording alone, and check that all are of one robot whose cameras did not move in between",
-        solution.point_rms_m / distance_m,
-        alone_m / distance_m,
-    )
-
-
-def _explained(error: SolveError | np.linalg.LinAlgError, extraction: Extraction) -> SolveError:
-    """The error with the mistake in the description that explains it, or with how badly the recording fits."""
-    if not extraction.motions:  # mistakes are searched for with a target
-        diagnosis = explain(extraction)
-        if diagnosis is not None:
-            return _refusal(diagnosis)
-        share = misfit(extraction)
-        if share is not None:
-            return _unexplained(share, extraction)
-    if isinstance(error, SolveError):
-        return error
-    return SolveError(
-        "the measurements do not determine all parameters",
-        "record more stations, with the whole board in the images",
+def _by_likelihood(
+    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
+) -> Solution:
+    linear = _linear_start(extraction, inference, start_ratios, search)
+    fit = robust_fit(inference, linear.parameters)
+    # These are of the fit as it is: pooling several recordings moves the estimate.
+    contradictions = contradictions_of(fit)
+    scale = scale_of(extraction, fit, contradictions)
+    suggested = suggestions(fit.lin, fit.covariance)
+    jumps = jumps_of(extraction, fit, inference.jump)
+    fit = pool_recordings(fit)
+    data, state = fit.data, fit.lin.state
+    parameters = state.parameters
+    _require_positive(parameters.wheels)
+    i, j = data.legs.T
+    inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
+    if not inliers.any():
+        inliers[:] = True
+    corrected_extraction, corrected = at_state(extraction, data, state)
+    rms = point_rms_m(corrected, parameters)
+    history = np.array([linear.point_rms_m, rms])
+    refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
+    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
+    return replace(
+        solution,
+        uncertainty=uncertainty_of(fit),
+        outliers=outliers_of(extraction, fit),
+        noisy=fit.noisy,
+        constants=constants_of(fit),
+        evidence=evidence(fit.lin),
+        contradictions=contradictions,
+        scale=scale,
+        between=fit.between,
+        jumps=jumps,
+        suggestions=suggested,
     )
 
 
-def _unexplained(share: float, extraction: Extraction) -> SolveError:
-    apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
-    return _ExplainedError(
-        "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
-        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
-        f"reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
-        "joints and wheels; late readings; readings that stop, jump or change their scale; and readings of one joint "
-        "or of the wheels that do not belong to the recording",
-        "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
-        "the board nor a cable moved",
-    )
-
-
-def _refuse_gross(extraction: Extraction) -> None:
-    """Refuse a recording that does not fit at all, without an estimate.
+def _linear_start(
+    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
+) -> LinearEstimate:
+    """The linear estimate, or nominal values where the motion does not show all parameters.
 
     Raises:
-        SolveError: a mistake explains the whole recording, or none explains any part of it.
+        SolveError: a gross misfit that no estimate helps, or a negative radius or separation.
     """
-    diagnosis = explain(extraction, in_parts=False)
-    if diagnosis is not None:
-        raise _refusal(diagnosis)
-    share = misfit(extraction)
-    if share is not None and share > _HOPELESS_SHARE and explain(extraction) is None:
-        raise _unexplained(share, extraction)
-
-
-def _refusal(diagnosis: Diagnosis) -> SolveError:
-    return _ExplainedError(
-        f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
-    )
-
-
-def _require_positive(wheels: WheelGeometry) -> None:
-    """Refuse impossible wheels.
-
-    Raises:
-        SolveError: a negative radius or separation.
-    """
-    if np.all(wheels.vector > 0):
-        return
-    right, left, separation = 1e3 * wheels.vector
-    raise SolveError(
-        f"the wheel radii that fit best are {right:.1f} mm (right) and {left:.1f} mm (left), the wheel separation is "
-        f"{separation:.1f} mm: a negative value is impossible",
-        "check the topics, signs and units of the wheels and of the head joints in rig.yaml, and their clocks",
-    )
-
-
-def _board_distance_m(extraction: Extraction) -> float:
-    return float(np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
-
-
-def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
-    distance_m = _board_distance_m(extraction)
-    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    return not extraction.motions and bool(
-        solution.point_rms_m > _BAD_SHARE * distance_m
-        or gross > _MANY_OUTLIERS * len(extraction.observations)
-    )
+    pairs = inference.data.pairs
+    if not inference.full_motion:  # no sign check: an unobservable scale may have any sign
+        start = inference.initial()
+        rms = point_rms_m(pairs, start)
+        return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
+    linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
+    if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
+        unexplained = search.misfit is not None and search.misfit > _HOPELESS_SHARE
+        hopeless = search.of_whole is not None or (unexplained and search.diagnosis is None)
+        refusal = _refusal(extraction, search) if hopeless else None
+        if refusal is not None:
+            raise refusal
+    _require_positive(linear.parameters.wheels)
+    return linear
 
 
 def _by_points(
@@ -292,85 +208,108 @@ def _solution(
     )
 
 
-def _by_likelihood(extraction: Extraction, inference: Inference, start_ratios: FloatArray | None) -> Solution:
-    pairs = inference.data.pairs
-    if inference.full_motion:
-        linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
-        if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
-            _refuse_gross(extraction)
-        _require_positive(linear.parameters.wheels)
-    else:  # no sign check: an unobservable scale may have any sign
-        start = inference.initial()
-        rms = point_rms_m(pairs, start)
-        linear = LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
-    fit = robust_fit(inference, linear.parameters)
-    contradictions = contradictions_of(fit)
-    scale = scale_of(extraction, fit, contradictions)
-    suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, fit, inference.jump)
-    fit = over_logs(fit)
-    data, state = fit.data, fit.lin.state
-    parameters = state.parameters
-    _require_positive(parameters.wheels)
-    i, j = data.legs.T
-    inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
-    if not inliers.any():
-        inliers[:] = True
-    corrected_extraction, corrected = at_state(extraction, data, state)
-    rms = point_rms_m(corrected, parameters)
-    history = np.array([linear.point_rms_m, rms])
-    refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
-    return replace(
-        solution,
-        uncertainty=uncertainty_of(fit),
-        outliers=outliers_of(extraction, fit),
-        noisy=fit.noisy,
-        constants=constants_of(fit),
-        evidence=evidence(fit.lin),
-        contradictions=contradictions,
-        scale=scale,
-        between=fit.between,
-        jumps=jumps,
-        suggestions=suggested,
+def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[str, float]:
+    chain = extraction.rig.chain
+    joints = np.degrees(np.stack([o.joints for o in extraction.observations]))
+    ranges = dict(zip(chain.joints, np.ptp(joints, axis=0), strict=True))
+    motion = {
+        f"{role}_range_deg": float(ranges[name])
+        for role, name in (("pan", chain.pan), ("tilt", chain.tilt))
+        if name in ranges and name not in chain.prismatic
+    }
+    return {
+        **motion,
+        "turned_deg": float(np.degrees(np.sum(np.abs(psi_rad)))),
+        "largest_turn_deg": float(np.degrees(np.max(np.abs(psi_rad)))),
+        "driven_m": path_m,
+    }
+
+
+def _require_positive(wheels: WheelGeometry) -> None:
+    """Refuse impossible wheels.
+
+    Raises:
+        SolveError: a negative radius or separation.
+    """
+    if np.all(wheels.vector > 0):
+        return
+    right, left, separation = 1e3 * wheels.vector
+    raise SolveError(
+        f"the wheel radii that fit best are {right:.1f} mm (right) and {left:.1f} mm (left), the wheel separation is "
+        f"{separation:.1f} mm: a negative value is impossible",
+        "check the topics, signs and units of the wheels and of the head joints in rig.yaml, and their clocks",
     )
 
 
-def uncertainty_of(fit: Fit) -> Uncertainty:
-    """Uncertainty of the nine parameters of a fit."""
-    jackknife, J = jackknife_covariance(fit), reference_jacobian(fit)
-    J[fit.lin.priors.fixed[:9]] = 0.0  # exact, whatever the stereo pair is
-    widened = widening(fit, np.sqrt(np.diag(jackknife)[:9]))
-    factor = np.ones(len(fit.covariance))
-    factor[:9] = widened
-    shared = fit.covariance * np.outer(factor, factor)
-    covariance = shared[:9, :9]
-    scales, fixed = fit.lin.priors.scales[:9], fit.lin.priors.fixed[:9]
-    observable = (np.sqrt(np.diag(covariance)) < OBSERVABLE_SHARE * scales) & ~fixed
-    shows = at_work_basis(fit)
-    but_height = np.sqrt(np.diag(shows @ shared @ shows)[:9])
-    camera, camera_constants = camera_covariance(fit.lin, shows @ shared @ shows)
-    levels = [name for name in fit.components if name not in fit.given]
-    return Uncertainty(
-        covariance=covariance,
-        reference_covariance=J @ shared @ J.T,
-        observable=observable,
-        unobservable=fit.lin.priors.unobservable[:, :9],
-        scales=scales,
-        singular_values=fit.directions.singular_values,
-        noise=NoiseLevels(
-            **fit.noise.levels,
-            wider=fit.noise.wider,
-            estimated=tuple(levels),
-            redundancy={name: fit.components[name].redundancy for name in levels},
-        ),
-        fixed=fixed,
-        jackknife_std=np.sqrt(np.diag(J @ jackknife @ J.T)),
-        noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
-        described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
-        widened=widened,
-        at_work=predicted_at(fit.lin, shows @ shared @ shows),
-        camera=camera,
-        camera_constants=camera_constants,
-        budget=budget_of(fit),
+def _board_distance_m(extraction: Extraction) -> float:
+    return float(np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
+
+
+def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
+    """The mistake because of which a recording cannot be solved, or how badly it fits; None if neither is known."""
+    if extraction.motions:  # mistakes are searched for with a target
+        return None
+    diagnosis, share = search.diagnosis, search.misfit
+    if diagnosis is not None:
+        return SolveError(
+            f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
+        )
+    if share is None:
+        return None
+    apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
+    return SolveError(
+        "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
+        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
+        f"reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
+        "joints and wheels; late readings; readings that stop, jump or change their scale; and readings of one joint "
+        "or of the wheels that do not belong to the recording",
+        "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
+        "the board nor a cable moved",
+    )
+
+
+def _diagnosis(
+    solution: Solution, extraction: Extraction, constraints: Constraints, search: Search
+) -> Diagnosis | None:
+    """The mistake in the description or in the readings in spite of which there is a solution."""
+    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
+    fits_badly = solution.point_rms_m > _BAD_SHARE * _board_distance_m(
+        extraction
+    ) or gross > _MANY_OUTLIERS * len(extraction.observations)
+    if fits_badly and not extraction.motions:
+        diagnosis = search.diagnosis
+    else:
+        diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)
+    if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:
+        return _different_cameras(solution, extraction, constraints)
+    return diagnosis
+
+
+def _different_cameras(
+    solution: Solution, extraction: Extraction, constraints: Constraints
+) -> Diagnosis | None:
+    """Recordings that all fit alone, but not with the same cameras and board; None if one cannot be solved alone."""
+    assert solution.uncertainty is not None
+    together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
+    for log in range(len(extraction.wheels)):
+        alone = extraction.of_log(log)
+        if len(alone.observations) <= FEWEST_LEGS:
+            return None
+        try:
+            fit = robust_fit(Inference.of(alone, constraints))
+        except (SolveError, np.linalg.LinAlgError):
+            return None
+        alone_px = max(alone_px, fit.noise.pixel_px)
+        alone_m = max(
+            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
+        )
+    if together_px < _DIFFERENT * alone_px:
+        return None
+    distance_m = _board_distance_m(extraction)
+    return Diagnosis(
+        f"the recordings have different cameras or boards: the corner noise is {alone_px:.2g} px or less in "
+        f"each recording alone, and {together_px:.2g} px in all together",
+        "calibrate each recording alone, and check that all are of one robot whose cameras did not move in between",
+        solution.point_rms_m / distance_m,
+        alone_m / distance_m,
     )

@@ -12,7 +12,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import explain, misfit
+from mobilecal_cli.solvers.search import Search
 from tests.extractions import Noise, ideal_extraction
 from tests.hostile.meaning import (
     PAN,
@@ -123,7 +123,7 @@ QUICK = (
 @pytest.mark.parametrize("name", QUICK)
 def test_the_diagnosis_names_the_mistake(recorded, name):
     spoil, cause = MISTAKES[name]
-    assert cause in explain(spoil(recorded)).cause
+    assert cause in Search(spoil(recorded)).diagnosis.cause
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ def test_the_named_mistake_is_the_only_one(recorded):
 
 
 def test_a_good_recording_has_no_diagnosis(recorded):
-    assert explain(recorded) is None
+    assert Search(recorded).diagnosis is None
     assert solve(recorded).diagnosis is None
 
 
@@ -164,7 +164,7 @@ def test_a_good_recording_has_no_diagnosis(recorded):
 )
 def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
     sides = (from_sixth(lambda v, factor=factor: factor * v) for factor in (right, left))
-    found = explain(wheels(*sides)(recorded))
+    found = Search(wheels(*sides)(recorded)).diagnosis
     assert cause in found.cause
     assert found.cause.endswith("s: the recording fits before and after, but not as a whole")
 
@@ -178,7 +178,7 @@ def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
 )
 def test_joints_that_are_wrong_from_the_middle_on(change, cause):
     made = ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=4), NOISE, 4)
-    found = explain(from_middle(lambda o: replace(o, joints=change(o.joints)))(made))
+    found = Search(from_middle(lambda o: replace(o, joints=change(o.joints)))(made)).diagnosis
     assert found.cause.startswith("from ")
     assert f" s on, {cause}" in found.cause
 
@@ -186,14 +186,14 @@ def test_joints_that_are_wrong_from_the_middle_on(change, cause):
 def test_a_board_that_moves_with_the_robot(recorded):
     first = recorded.observations[0]
     same = tuple(replace(o, T_c_k=first.T_c_k, points_c=first.points_c) for o in recorded.observations)
-    found = explain(replace(recorded, observations=same))
+    found = Search(replace(recorded, observations=same)).diagnosis
     assert found.cause == "all stations show the board at the same place, but the base or the head moves"
 
 
 def test_the_recording_with_the_mistake_is_named(recorded):
     second = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=5), NOISE, 5)
     spoilt = wheels(times(-1), same)(second)
-    found = explain(joined(recorded, spoilt))
+    found = Search(joined(recorded, spoilt)).diagnosis
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
 
 
@@ -227,7 +227,7 @@ def of_torso():
     ],
 )
 def test_a_wrong_sign_is_no_cure_for_another_mistake(recorded, of_torso, name, spoil, cause):
-    found = explain(spoil({"tick": recorded, "paper": of_torso}[name]))
+    found = Search(spoil({"tick": recorded, "paper": of_torso}[name])).diagnosis
     assert cause in found.cause
     assert "wrong sign" not in found.cause
     assert "sign" not in found.cure
@@ -244,7 +244,7 @@ def test_a_wrong_sign_is_no_cure_for_another_mistake(recorded, of_torso, name, s
     ],
 )
 def test_a_change_that_jumps_name_has_no_other_cause(name):
-    found = explain(WRONG[name].change(recorded_twenty()))
+    found = Search(WRONG[name].change(recorded_twenty())).diagnosis
     assert found is None or found.cause.startswith("the readings of the wheels jump")
 
 
@@ -261,7 +261,7 @@ def test_a_change_that_jumps_name_has_no_other_cause(name):
     ],
 )
 def test_nothing_is_named_for_what_no_hypothesis_explains(name):
-    assert explain(WRONG[name].change(recorded_twenty())) is None
+    assert Search(WRONG[name].change(recorded_twenty())).diagnosis is None
 
 
 @pytest.mark.parametrize(
@@ -273,7 +273,7 @@ def test_nothing_is_named_for_what_no_hypothesis_explains(name):
     ],
 )
 def test_wheels_that_do_not_belong_to_the_recording(name):
-    found = explain(WRONG[name].change(recorded_twenty()))
+    found = Search(WRONG[name].change(recorded_twenty())).diagnosis
     assert (
         found.cause
         == "the readings of the wheels do not fit the drive that the images and the head joints show"
@@ -285,8 +285,8 @@ def test_wheels_that_do_not_belong_to_the_recording(name):
 def test_a_head_that_only_pans_fits(robot, seed):
     """The other joints are at rest: their readings are right."""
     made = ideal_extraction(robot, plan_route(robot, "pan_only", seed=seed), NOISE, seed)
-    assert misfit(made) is None
-    assert explain(made) is None
+    assert Search(made).misfit is None
+    assert Search(made).diagnosis is None
 
 
 def test_a_sign_that_nothing_confirms_is_no_cure(recorded):

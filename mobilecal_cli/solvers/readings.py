@@ -1,0 +1,119 @@
+"""What cameras, joints and wheels of a recording say at its stations, for the search for mistakes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.kinematics import MotionSeen, cut_at, encoder_steps_rad, head_pose, join, motion_seen
+from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
+
+FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
+_CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
+_TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What cameras, joints and wheels of N stations say.
+
+    Attributes:
+        rig: the robot.
+        T_c_k: (N, 4, 4) board in the first camera.
+        corners_k: (4, 3) outer corners of the board, m.
+        joints: (N, J) readings, rad or m.
+        time_ns, log: (N,) stamps, and index of the recording.
+        wheels, joint_tracks: see `Extraction`.
+        consistent: the images fit camera_info and the board.
+    """
+
+    rig: Rig
+    T_c_k: FloatArray
+    corners_k: FloatArray
+    joints: FloatArray
+    time_ns: IntArray
+    log: IntArray
+    wheels: tuple[WheelTrack, ...]
+    joint_tracks: tuple[tuple[Track, ...], ...]
+    consistent: bool
+
+    def of(self, stations: IntArray | BoolArray | slice) -> Readings:
+        """Some stations alone."""
+        by_station = ("T_c_k", "joints", "time_ns", "log")
+        return replace(self, **{name: getattr(self, name)[stations] for name in by_station})
+
+    def at_s(self, station: int) -> str:
+        """Time of a station from the beginning of its recording."""
+        begin = self.wheels[int(self.log[station])].time_ns[0]
+        return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
+
+    @property
+    def legs(self) -> int:
+        """Number of legs."""
+        return len(self.log) - len(np.unique(self.log))
+
+    @property
+    def nominal_head_eye(self) -> FloatArray | None:
+        """Nominal pose of the first camera on the head, (4, 4)."""
+        nominal = self.rig.nominal.T_h_reference
+        return None if nominal is None else nominal @ se3.inverse(self.rig.cameras.T_c_reference)
+
+    @cached_property
+    def pairs(self) -> MotionPairs:
+        """The legs, with the outer corners of the board."""
+        steps, legs = [], []
+        for number, track in enumerate(self.wheels):
+            mine = np.flatnonzero(self.log == number)
+            if len(mine) > 1:
+                times = self.time_ns[mine]
+                steps.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
+                legs.append(np.stack([mine[:-1], mine[1:]], axis=1))
+        between = np.concatenate(legs)
+        log = self.log[between[:, 0]]
+        points_c = se3.act(self.T_c_k, np.broadcast_to(self.corners_k, (len(self.T_c_k), 4, 3)))
+        chain, T_v_h = np.searchsorted(log, log), head_pose(self.rig.chain, self.joints)
+        return MotionPairs(T_v_h, self.T_c_k, points_c, between, chain, join(steps))
+
+    @cached_property
+    def motion(self) -> MotionSeen:
+        """What joints and wheels move."""
+        pairs = self.pairs
+        return motion_seen(pairs.T_v_h, pairs.steps.totals_rad, encoder_steps_rad(self.wheels))
+
+    @property
+    def distinguishes(self) -> bool:
+        """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
+        return self._roams and self.motion.tilts
+
+    @property
+    def planar(self) -> bool:
+        """Whether the motion can tell mistakes of the wheels apart, of a camera that no joint moves."""
+        return self._roams and not self.rig.chain.joints
+
+    @property
+    def _roams(self) -> bool:
+        enough = self.legs >= FEWEST_STATIONS - 1
+        return enough and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+
+
+def readings_of(extraction: Extraction) -> Readings:
+    """The readings of an extraction with at least one leg."""
+    observations, board = extraction.observations, extraction.board
+    square_m = board.square_m or float(np.median([o.square_m for o in observations]))
+    grid = board.grid().reshape(-1, 3) * square_m
+    ends = [0, board.columns - 1, len(grid) - board.columns, len(grid) - 1]
+    return Readings(
+        extraction.rig,
+        np.stack([o.T_c_k for o in observations]),
+        grid[ends],
+        np.stack([o.joints for o in observations]),
+        np.array([o.time_ns for o in observations], dtype=np.int64),
+        np.array([o.log for o in observations], dtype=np.int64),
+        extraction.wheels,
+        extraction.joint_tracks,
+        float(np.median([o.reprojection_px for o in observations])) < _CONSISTENT_PX,
+    )

@@ -1,0 +1,339 @@
+"""The search for the mistake because of which a recording does not fit: one scorer for all hypotheses.
+
+The scorer solves the readings without the mistake by the linear method and a few steps of eq. 19 on the board's poses,
+without the worst legs. A cause is named only if the corrected readings fit as recordings fit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from mobilecal_cli import se3
+from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import FEWEST_LEGS
+from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Parameters, Rig, WheelGeometry
+from mobilecal_cli.solvers.hypotheses import FREE, MOVED, SIDES, WHOLE, Stages, of_sides
+from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
+from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
+from mobilecal_cli.solvers.refine import refine_lm
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
+
+#: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
+FITS = 0.02
+_FITS_CHANGED = FITS / 2  # the parts before and after a change
+_FITS_FREE = FITS / 4  # with a free part: it takes up other mistakes too, but never to the level of the noise
+_BETTER = 0.4  # and at most this share of the misfit without the correction
+_EQUAL = 1.5  # hypotheses whose misfits differ by less cannot be distinguished
+_SAME_RAD = 0.5  # unless one of them turns the camera further from its nominal rotation by more than this
+_USED = 0.8  # share of the legs that must fit; the others may be outliers
+_PROMISING = 10 * FITS  # linear solutions beyond this are not refined
+_MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
+_OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
+_CHANGED_SCALE = (
+    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
+)
+_SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+_AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
+_OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
+_SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
+
+
+@dataclass(frozen=True, slots=True)
+class _Score:
+    """A fit of some readings.
+
+    Attributes:
+        misfit, of_all: rms of the corners' transfer error over the distance to the board, of most legs and of all.
+        turned_rad: the camera's turn from its nominal rotation.
+        wheels: those of the fit.
+        possible: all of them positive, or motion that does not show all parameters.
+    """
+
+    misfit: float
+    of_all: float
+    turned_rad: float
+    wheels: WheelGeometry
+    possible: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """The search for the one mistake because of which a recording does not fit; each step is made once, when needed.
+
+    Args:
+        extraction: a recording of a target with at least three legs.
+    """
+
+    extraction: Extraction
+
+    @cached_property
+    def _readings(self) -> Readings:
+        return readings_of(self.extraction)
+
+    @cached_property
+    def _scores_as_is(self) -> list[_Score]:
+        return self._scores(self._readings)
+
+    @property
+    def _as_is(self) -> _Score | None:
+        return next((score for score in self._scores_as_is if score.possible), None)
+
+    @property
+    def _fits(self) -> bool:
+        return self._as_is is not None and self._as_is.misfit < FITS
+
+    @property
+    def _base(self) -> float | None:
+        """Misfit of the readings as they stand; None if nothing fits them, or if their motion does not show it."""
+        return None if self._as_is is None or not self._readings.distinguishes else self._as_is.misfit
+
+    @cached_property
+    def misfit(self) -> float | None:
+        """Misfit of most legs over the distance to the board; None if they fit, or the motion does not show it."""
+        least = min((score.misfit for score in self._scores_as_is), default=0.0)
+        return least if least >= FITS else None
+
+    @cached_property
+    def of_whole(self) -> Diagnosis | None:
+        """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
+        at_rest = _same_view(self._readings)
+        if at_rest is None and self._as_is is not None and self._fits:
+            return _other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
+        return at_rest or self._named(self._readings, WHOLE)
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis | None:
+        """The mistake in all readings, or else in some: of one recording, from a station on, or of one sensor."""
+        if self.of_whole is not None or self._fits:
+            return self.of_whole
+        if len(self._readings.wheels) > 1:
+            return self._of_one_log()
+        free = FREE if self._readings.consistent else ()
+        return self._from_a_station_on() or self._named(self._readings, free, _FITS_FREE)
+
+    @cached_property
+    def _starts(self) -> list[FloatArray]:
+        """Wheel ratios to start from: the nominal ones, and those of the readings as they stand."""
+        nominal = self._readings.rig.nominal.wheels
+        starts = [] if nominal is None else [ratios_of(nominal)]
+        if self._readings.distinguishes:
+            try:
+                linear = linear_estimate(_thinned(self._readings.pairs), nominal).parameters
+                starts.append(np.abs(ratios_of(linear.wheels)) * [1.0, -1.0])
+            except (SolveError, np.linalg.LinAlgError):
+                pass
+        return starts
+
+    def _score(self, readings: Readings) -> _Score | None:
+        """The best possible fit of some readings; None without one.
+
+        Motion that does not show all parameters fits many mistakes: only the readings as they stand are scored there.
+        """
+        return next((score for score in self._scores(readings) if score.possible), None)
+
+    def _scores(self, readings: Readings) -> list[_Score]:
+        """A fit of some readings from each start, the best first."""
+        full = readings.distinguishes
+        shown = full or readings.planar
+        if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
+            return []
+        pairs, X = _thinned(readings.pairs), readings.nominal_head_eye
+        prior = InitialPrior(X, readings.rig.nominal.wheels)
+        distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
+        scores: list[_Score] = []
+        for ratios in self._starts if full else [np.zeros(2)]:
+            try:
+                parameters = (
+                    Rounds(pairs).after(ratios, ROUNDS)
+                    if full
+                    else initial_with_prior(pairs, prior, readings.motion)
+                )
+                misfit, kept = _misfit(pairs, parameters, distance_m)
+                if misfit < _PROMISING:
+                    parameters = refine_lm(pairs.select(kept), parameters).parameters
+                    misfit, _ = _misfit(pairs, parameters, distance_m)
+            except (SolveError, np.linalg.LinAlgError):
+                continue
+            turn = np.eye(3) if X is None else X[:3, :3].T @ parameters.T_h_c[:3, :3]
+            scores.append(
+                _Score(
+                    misfit,
+                    point_rms_m(pairs, parameters) / distance_m,
+                    float(np.linalg.norm(se3.log_so3(turn))),
+                    parameters.wheels,
+                    not shown or bool(np.all(parameters.wheels.vector > 0)),
+                )
+            )
+        return sorted(scores, key=lambda score: score.misfit)
+
+    def _limit(self, fits: float) -> float:
+        return fits if self._base is None else min(_BETTER * self._base, fits)
+
+    def _named(self, readings: Readings, stages: Stages, fits: float = FITS) -> Diagnosis | None:
+        """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
+        limit = self._limit(fits)
+        for stage in stages:
+            scored = [
+                (self._score(row.transform(readings)), row) for family in stage for row in family(readings)
+            ]
+            fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
+            if not fitting:
+                continue
+            least = min(fit.misfit for fit, _ in fitting)
+            equal = [(fit, row) for fit, row in fitting if fit.misfit < _EQUAL * least]
+            nearest = min(fit.turned_rad for fit, _ in equal)
+            named = [row for fit, row in equal if fit.turned_rad < nearest + _SAME_RAD]
+            cures = dict.fromkeys(row.cure for row in named)
+            return Diagnosis(" or ".join(row.cause for row in named), ", or ".join(cures), self._base, least)
+        return None
+
+    def _of_one_log(self) -> Diagnosis | None:
+        """The mistake of one of several recordings."""
+        logs = len(self.extraction.wheels)
+        for log in range(logs):
+            alone = self.extraction.of_log(log)
+            diagnosis = Search(alone).diagnosis if len(alone.observations) > FEWEST_LEGS else None
+            if diagnosis is not None:
+                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
+        return None
+
+    def _from_a_station_on(self) -> Diagnosis | None:
+        """A change: the first stations fit on their own, and the others too, or without a mistake."""
+        readings, limit = self._readings, self._limit(_FITS_CHANGED)
+        count = len(readings.log)
+        if count < 2 * FEWEST_STATIONS:
+            return None
+
+        def fit_of(part: slice) -> _Score | None:
+            fit = self._score(readings.of(part))
+            return fit if fit is not None and fit.of_all < limit else None
+
+        low, high = FEWEST_STATIONS, count - FEWEST_STATIONS
+        while low < high:  # the most first stations that fit
+            middle = (low + high + 1) // 2
+            low, high = (middle, high) if fit_of(slice(middle)) else (low, middle - 1)
+        # A part may fit with an outlier of the other one.
+        for cut in range(low, max(low - _OUTLIERS_IN_PART, FEWEST_STATIONS) - 1, -1):
+            before = fit_of(slice(cut))
+            if before is None:
+                continue
+            after = fit_of(slice(cut, None))
+            if after is not None:
+                return self._change(cut, before, after)
+            diagnosis = self._named(readings.of(slice(cut, None)), WHOLE[:1])
+            if diagnosis is not None:
+                return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
+        return None
+
+    def _change(self, cut: int, before: _Score, after: _Score) -> Diagnosis:
+        """What changes where all stations before the cut fit, and all after it."""
+        readings, misfit = self._readings, max(before.misfit, after.misfit)
+        log = (np.arange(len(readings.log)) >= cut).astype(np.int64)
+        apart = self._score(replace(readings, log=log, wheels=readings.wheels * 2))
+        if apart is not None and apart.misfit < _EQUAL * misfit:
+            what = "the readings of the wheels jump, or the board or the robot is moved by hand,"
+        else:  # larger readings look like smaller wheels
+            factors = before.wheels.vector[:2] / after.wheels.vector[:2]
+            what = " and ".join(
+                f"the {side} wheel's readings become {factor:.2g} times as large"
+                for side, factor in zip(SIDES, factors.tolist(), strict=True)
+                if abs(factor - 1) > _CHANGED_SCALE
+            )
+        return Diagnosis(
+            f"{what or 'a wheel, a joint or a camera changes'} between {readings.at_s(cut - 1)} and "
+            f"{readings.at_s(cut)} s: the recording fits before and after, but not as a whole",
+            "check the wheels, the head, the cameras and the board at this time, and record again without the change",
+            self._base,
+            misfit,
+        )
+
+
+def _thinned(pairs: MotionPairs) -> MotionPairs:
+    legs = len(pairs.legs)
+    if legs <= _MOST_LEGS:
+        return pairs
+    return pairs.select(np.linspace(0, legs - 1, _MOST_LEGS).round().astype(np.int64))
+
+
+def _misfit(pairs: MotionPairs, parameters: Parameters, distance_m: float) -> tuple[float, IntArray]:
+    """Rms of the corners' transfer error over the distance, on the legs that fit best, and these legs."""
+    each_m = leg_rms_m(pairs, parameters)
+    kept = np.sort(np.argsort(each_m)[: math.ceil(_USED * len(each_m))])
+    return math.sqrt(float(np.mean(each_m[kept] ** 2))) / distance_m, kept
+
+
+# -- what needs no fit ------------------------------------------------------------------------------
+
+
+def _same_view(readings: Readings) -> Diagnosis | None:
+    """All stations show the board at the same place while joints or wheels move."""
+    away = se3.inverse(readings.T_c_k[0]) @ readings.T_c_k
+    distance_m = float(np.linalg.norm(readings.T_c_k[0, :3, 3]))
+    still = np.linalg.norm(se3.log_so3(away[:, :3, :3]), axis=-1).max() < _SAME_VIEW
+    still &= np.linalg.norm(away[:, :3, 3], axis=-1).max() < _SAME_VIEW * distance_m
+    moves = [
+        np.ptp(readings.joints, axis=0),
+        np.abs(readings.pairs.steps.totals_rad).max(axis=0, initial=0.0),
+    ]
+    if not still or np.concatenate(moves).max() <= MOVED:
+        return None
+    return Diagnosis(
+        "all stations show the board at the same place, but the base or the head moves",
+        "check that the images are not frozen, and that the board does not move with the robot",
+        None,
+        None,
+    )
+
+
+def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
+    """A camera on the base that is upside down or looks back against its nominal pose: wheels that are exchanged.
+
+    A planar drive with exchanged or reversed wheels fits as well as the right one, with the base turned by 180 degrees.
+    """
+    nominal = rig.nominal.T_h_reference
+    if rig.chain.joints or nominal is None:
+        return None
+    turn = T_h_c[:3, :3] @ (nominal @ se3.inverse(rig.cameras.T_c_reference))[:3, :3].T
+    if float(np.linalg.norm(se3.log_so3(turn))) < _AROUND_RAD:
+        return None
+    upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
+    # Upside down, the base turns the other way; turned about the vertical, it drives backwards and turns as before.
+    cause, cure = of_sides(rig, upside_down != backward, ("right", "left") if backward else ())
+    return Diagnosis(
+        f"{cause}, or the nominal pose of the camera is that of another frame",
+        f"{cure}, or correct nominal.head_eye",
+        None,
+        None,
+    )
+
+
+def _other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagnosis | None:
+    """Wheel radii with which the recording fits but which are several times the nominal ones: another unit."""
+    if nominal is None:
+        return None
+    radii_m = wheels.vector[:2]
+    ratios = radii_m / nominal.vector[:2]
+    factor = float(np.mean(np.abs(ratios)))
+    right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
+    if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
+        if ratios[0] * ratios[1] > 0:
+            return None
+        return Diagnosis(
+            f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
+            "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
+            None,
+            None,
+        )
+    meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
+    return Diagnosis(
+        f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
+        "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
+        None,
+        None,
+    )
