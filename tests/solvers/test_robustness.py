@@ -266,6 +266,25 @@ def test_gross_corners_that_the_stated_pair_hides():
     assert judge(found, extraction).level == "PASS"
 
 
+def test_a_wheel_that_changes_so_much_that_all_later_legs_look_like_slips():
+    """The left wheel is 8 % larger in the last four of 23 legs: they are outliers of one cause, which is named."""
+    robot, first = tick_robot(), 20
+    noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=4e-4, wheel_rad_per_sqrt_rad=0.003)
+    route = plan_route(robot, stations=24, seed=3)
+    ideal = imperfect_extraction(robot, route, Imperfection({}, noise), seed=3)
+    (track,) = ideal.wheels
+    larger = np.where(track.time_ns > ideal.observations[first - 1].time_ns, 1.08, 1.0)
+    left_rad = track.left_rad[0] + np.cumsum(np.diff(track.left_rad, prepend=track.left_rad[0]) / larger)
+    wheels = (WheelTrack.at_same_times(track.time_ns, track.right_rad, left_rad),)
+    extraction = replace(ideal, wheels=wheels)
+    found = solve(extraction)
+    assert len([o for o in found.outliers if o.kind == "slip"]) >= 3
+    (jump,) = found.jumps
+    assert (jump.part, jump.station) == ("left wheel", first)
+    assert jump.move_m == pytest.approx(0.08 * robot.wheels.radius_left_m, rel=0.1)
+    assert judge(found, extraction).level == "FAIL"
+
+
 @pytest.mark.parametrize("fixed", [NINE[:6], ("t_x", "r_z")])
 def test_fixed_values_are_those_of_the_reference_camera(fixed):
     """The stereo pair is 0.3 degrees off: the right camera stays, and the left one moves with the estimated pair."""
