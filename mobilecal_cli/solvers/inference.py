@@ -45,6 +45,8 @@ _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
+# Outliers that may have one cause, and the share of their misfit that it explains to first order.
+_MANY_OUTLIERS, _EXPLAINED = 3, 0.5
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -312,8 +314,12 @@ class Inference:
     def jump(self, fit: Fit) -> jumps.Jump | None:
         """The jump that explains the residuals best; None where none is significant.
 
-        What looks like one is tested at the noise levels of the residuals without it.
+        What looks like one is tested at the noise levels of the residuals without it. One that explains many outliers
+        comes first.
         """
+        jump = self._behind_outliers(fit)
+        if jump is not None:
+            return jump
         jump = jumps.likeliest(fit.lin)
         if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
@@ -322,6 +328,27 @@ class Inference:
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
         jump = jumps.again(lin, jump)
         return jump if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump) else None
+
+    def _behind_outliers(self, fit: Fit) -> jumps.Jump | None:
+        """The jump of a wheel with which most outliers fit the other measurements; None if there is none.
+
+        All legs on one side of a large one look like slips. Jumps of other parts show in the images.
+        """
+        inliers = fit.inliers
+        views, legs = inliers.views | outliers.usable(fit), np.ones_like(inliers.legs)
+        restored = np.sum(views & ~inliers.views) + np.sum(~inliers.legs)
+        if restored < _MANY_OUTLIERS:
+            return None
+        lin = fit.lin.with_inliers(replace(inliers, views=views, legs=legs))
+        lin = lin.predicted(proposed(lin)[0])
+        jump = jumps.likeliest(lin)
+        if jump is None or not jump.part.endswith("wheel"):
+            return None
+        if jump.chi2 < _EXPLAINED * (lin.cost - fit.lin.cost):
+            return None
+        lin = jumps.without(lin, jump)
+        jump = jumps.again(lin, jump)
+        return jump if jumps.lasts(lin, jump) else None
 
     def _levels_near(
         self,

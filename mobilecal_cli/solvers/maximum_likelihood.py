@@ -153,7 +153,7 @@ def _without_outliers(inference: Inference, initial: Parameters, wider: Mapping[
     noise = replace(inference.first_noise(own_px), wider=wider)
     inliers = replace(everything, corners=corners, views=boards)
     fit = _first_fit(inference, initial, noise, inliers)
-    return _decided(inference, _corners_restored(inference, inference.estimate_noise(fit)))
+    return _decided(inference, _corners_decided(inference, inference.estimate_noise(fit)))
 
 
 def _decided(inference: Inference, fit: Fit) -> Fit:
@@ -168,17 +168,20 @@ def _decided(inference: Inference, fit: Fit) -> Fit:
     return fit
 
 
-def _corners_restored(inference: Inference, fit: Fit) -> Fit:
-    """The fit with corners restored that fit the board in the estimated cameras: the stated ones may be wrong."""
+def _corners_decided(inference: Inference, fit: Fit) -> Fit:
+    """The fit with gross corners decided in the estimated cameras and board: the stated ones may be wrong.
+
+    Wrong cameras reject corners that are right, and hide gross ones behind a misfit of all. An image or board that does
+    not fit as a whole is left to the tests of stations.
+    """
     for _ in range(_CORNER_ROUNDS):
-        if np.array_equal(fit.inliers.corners, fit.data.seen):
+        corners, boards, _ = outliers.gross_corners(fit.data, fit.lin.state)
+        used = fit.inliers.corners
+        corners &= used.any(axis=2, keepdims=True)
+        decided = np.where(boards[:, None, None], corners, used | corners)
+        if np.array_equal(decided, used):
             break
-        corners, _, _ = outliers.gross_corners(fit.data, fit.lin.state)
-        restored = fit.inliers.corners | (corners & fit.inliers.corners.any(axis=2, keepdims=True))
-        if np.array_equal(restored, fit.inliers.corners):
-            break
-        inliers = replace(fit.inliers, corners=restored)
-        fit = _refitted(inference, fit, inliers)
+        fit = _refitted(inference, fit, replace(fit.inliers, corners=decided))
     return fit
 
 

@@ -97,7 +97,11 @@ def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
 
 
 def residuals_of(
-    extraction: Extraction, pairs: MotionPairs, parameters: Parameters, inliers: BoolArray | None = None
+    extraction: Extraction,
+    pairs: MotionPairs,
+    parameters: Parameters,
+    inliers: BoolArray | None = None,
+    rejected: BoolArray | None = None,
 ) -> Residuals:
     """Predict every station's corners in the station before (eq. 18) and compare, in m and in px.
 
@@ -105,6 +109,7 @@ def residuals_of(
         extraction, pairs: the observations and the legs between them.
         parameters: the prediction's.
         inliers: (L,) legs to compare; all by default.
+        rejected: (N, C, M) corners that do not count; none by default.
     """
     kept = np.arange(len(pairs.legs)) if inliers is None else np.flatnonzero(inliers)
     i, j = pairs.legs[kept].T
@@ -119,11 +124,15 @@ def residuals_of(
             ahead = measured[k, i] | (points[..., 2] > _LEAST_DEPTH_M)
             predicted[k] = project(camera, np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
     squares = (predicted - pixels[:, i]) ** 2
-    counted = measured[:, i, :, None]
+    left_out = np.zeros_like(measured) if rejected is None else np.moveaxis(rejected, 1, 0)
+    gross: BoolArray = np.asarray(left_out.any(axis=0))
+    counted = (measured[:, i] & ~left_out[:, i] & ~gross[j])[..., None]
+    apart = np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1)
+    good = ~(gross[i] | gross[j])
     T_w_v = dead_reckoned(pairs, parameters)
     return Residuals(
         legs=pairs.legs[kept],
-        leg_point_rms_m=np.sqrt(np.mean(np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1), axis=-1)),
+        leg_point_rms_m=np.sqrt(np.sum(apart, axis=-1, where=good) / np.maximum(good.sum(axis=-1), 1)),
         predicted_px=predicted,
         leg_reprojection_px=np.sqrt(
             np.sum(squares, axis=(0, 2, 3), where=counted) / np.maximum(counted.sum(axis=(0, 2, 3)), 1)

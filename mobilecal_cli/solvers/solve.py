@@ -130,7 +130,14 @@ def _by_likelihood(
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
+    solution = _solution(
+        corrected_extraction,
+        corrected,
+        refinement,
+        linear=linear,
+        inliers=inliers,
+        rejected=data.seen & ~fit.inliers.corners,
+    )
     return replace(
         solution,
         uncertainty=uncertainty_of(fit),
@@ -190,8 +197,9 @@ def _solution(
     *,
     linear: LinearEstimate,
     inliers: BoolArray | None = None,
+    rejected: BoolArray | None = None,
 ) -> Solution:
-    residuals = residuals_of(extraction, pairs, best.parameters, inliers)
+    residuals = residuals_of(extraction, pairs, best.parameters, inliers, rejected)
     wheels = best.parameters.wheels
     path = (wheels.radius_right_m * pairs.steps.right_rad + wheels.radius_left_m * pairs.steps.left_rad) / 2
     psi = integrate(pairs.steps, wheels).psi_rad

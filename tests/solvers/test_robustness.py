@@ -28,7 +28,7 @@ from tests.extractions import (
     ideal_extraction,
     imperfect_extraction,
 )
-from tests.pairs import with_views
+from tests.pairs import measured_anew, with_views
 from tests.report.example import made, make_provenance, rows_of
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
@@ -241,6 +241,48 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     found = solve(extraction)
     assert not found.outliers
     assert "distortion" in {e.kind for e in found.contradictions}
+
+
+def test_gross_corners_that_the_stated_pair_hides():
+    """The right camera is rolled by 0.05 degrees: every board misses by as much as the few corners that are 3 px off."""
+    robot, random = tick_robot(), np.random.default_rng(5)
+    noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=4e-4, wheel_rad_per_sqrt_rad=0.003)
+    pair = Imperfection({"stereo_r_x": 0.001}, noise)
+    ideal = imperfect_extraction(robot, plan_route(robot, stations=12, seed=3), pair, seed=3)
+    bad = random.random((len(ideal.observations), 2, ideal.board.corners)) < 0.05
+    moved = 3.0 * np.exp(2j * np.pi * random.random(bad.shape)) * bad
+    observations = []
+    for o, of_station in zip(ideal.observations, moved, strict=True):
+        left, right = (
+            replace(view, pixels=view.pixels + np.column_stack([at.real, at.imag]))
+            for view, at in zip(o.views, of_station, strict=True)
+        )
+        points_k = ideal.board.grid() * ideal.board.square_m
+        observations.append(measured_anew(ideal.rig.cameras, o, points_k, left, right))
+    extraction = replace(ideal, observations=tuple(observations))
+    found = solve(extraction)
+    assert sum(o.kind == "corners" for o in found.outliers) == np.sum(bad.any(axis=(1, 2)))
+    assert np.abs(errors(found.parameters, robot) / found.uncertainty.std).max() < 4
+    assert judge(found, extraction).level == "PASS"
+
+
+def test_a_wheel_that_changes_so_much_that_all_later_legs_look_like_slips():
+    """The left wheel is 8 % larger in the last four of 23 legs: they are outliers of one cause, which is named."""
+    robot, first = tick_robot(), 20
+    noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=4e-4, wheel_rad_per_sqrt_rad=0.003)
+    route = plan_route(robot, stations=24, seed=3)
+    ideal = imperfect_extraction(robot, route, Imperfection({}, noise), seed=3)
+    (track,) = ideal.wheels
+    larger = np.where(track.time_ns > ideal.observations[first - 1].time_ns, 1.08, 1.0)
+    left_rad = track.left_rad[0] + np.cumsum(np.diff(track.left_rad, prepend=track.left_rad[0]) / larger)
+    wheels = (WheelTrack.at_same_times(track.time_ns, track.right_rad, left_rad),)
+    extraction = replace(ideal, wheels=wheels)
+    found = solve(extraction)
+    assert len([o for o in found.outliers if o.kind == "slip"]) >= 3
+    (jump,) = found.jumps
+    assert (jump.part, jump.station) == ("left wheel", first)
+    assert jump.move_m == pytest.approx(0.08 * robot.wheels.radius_left_m, rel=0.1)
+    assert judge(found, extraction).level == "FAIL"
 
 
 @pytest.mark.parametrize("fixed", [NINE[:6], ("t_x", "r_z")])
