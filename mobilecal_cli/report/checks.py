@@ -84,7 +84,9 @@ def stations(made: Calibration) -> Iterator[Check]:
     cameras = made.extraction.rig.cameras
     everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
-    causes = [note for note in made.extraction.notes if note.startswith(NO_IMAGES)]
+    notes = made.extraction.notes
+    causes = [note for note in notes if note.startswith(NO_IMAGES)]
+    causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
     for (_, reason), count in rejection_counts(made.extraction).items():
         details = {item.detail for item in made.extraction.rejections if item.reason == reason}
         of = f" ({details.pop()})" if len(details) == 1 else ""
