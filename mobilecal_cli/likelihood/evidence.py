@@ -81,7 +81,10 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
         sigma_of = dict(zip(names, prior.tolist(), strict=True))
-        tested.append(Evidence(first.kind, first.part, estimates, sigma_of, chi2, dof, sigmas, max(shifts)))
+        asked = tuple(layout.names[k] for k in columns if lin.priors.mean[k])
+        tested.append(
+            Evidence(first.kind, first.part, estimates, sigma_of, chi2, dof, sigmas, max(shifts), asked)
+        )
     return tuple(tested)
 
 

@@ -40,6 +40,7 @@ class Evidence:
         dof: how many directions of these constants the data show.
         sigmas: `chi2` as a number of standard deviations of a normal distribution.
         shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
+        asked: those of them whose stated value is that of --prior, not of the description.
     """
 
     kind: str
@@ -50,6 +51,7 @@ class Evidence:
     dof: int
     sigmas: float
     shift_sigmas: float
+    asked: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

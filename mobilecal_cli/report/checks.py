@@ -301,6 +301,24 @@ def camera_info(made: Calibration) -> Iterator[Check]:
 _CONTRADICTION_SIGMAS = 4.0
 
 
+@criterion(Metric("prior", "sigma"), gated=False)
+def prior(made: Calibration) -> Iterator[Check]:
+    """Priors of the user that the data contradict; those that move the result fail."""
+    uncertainty, shift_limit = made.solution.uncertainty, 2.0
+    for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
+        if sigmas > _CONTRADICTION_SIGMAS:
+            yield Check(
+                f"prior.{name}", sigmas, _CONTRADICTION_SIGMAS,
+                "fail" if shift > shift_limit else "warning",
+                f"--prior {name}",
+                f"{sigmas:.1f} sigma from the data",
+                f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+                f"The value of --prior {name} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
+                f"{shift:.1f} standard deviations.",
+                f"Correct --prior {name} (m, rad), or leave it out.",
+            )  # fmt: skip
+
+
 @criterion(Metric("contradiction", "sigma"), gated=False)
 def contradiction(made: Calibration) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail."""

@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
+    NINE,
     BoolArray,
     Diagnosis,
     Extraction,
@@ -25,6 +26,7 @@ from mobilecal_cli.model import (
     LinearEstimate,
     Method,
     NoiseLevels,
+    Parameters,
     Refinement,
     Solution,
     Uncertainty,
@@ -323,7 +325,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, start_ratios: F
     solution = _solution(corrected_extraction, corrected, refinement, linear=linear, inliers=inliers)
     return replace(
         solution,
-        uncertainty=uncertainty_of(fit),
+        uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
@@ -374,3 +376,28 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         camera_constants=camera_constants,
         budget=budget_of(fit),
     )
+
+
+def _asked_of(fit: Fit, inference: Inference, start: Parameters) -> dict[str, tuple[float, float]]:
+    """How far the data alone are from the user's priors of the nine parameters, see `Uncertainty.asked`.
+
+    Empty where the data alone do not determine the parameters.
+    """
+    asked = inference.constraints.priors
+    others = {name: prior for name, prior in asked.items() if name not in NINE}
+    if len(others) == len(asked):
+        return {}
+    try:
+        alone = robust_fit(
+            replace(inference, constraints=replace(inference.constraints, priors=others)), start
+        )
+    except SolveError:
+        return {}
+    priors, distances = fit.lin.priors, {}
+    std = np.sqrt(np.diag(alone.covariance))
+    value, used = (priors.displacement(each.lin.state) for each in (alone, fit))
+    for k, name in enumerate(NINE):
+        if name in asked:
+            away = abs(value[k] - priors.mean[k]) / math.hypot(std[k], asked[name][1])
+            distances[name] = float(away), float(abs(value[k] - used[k]) / std[k])
+    return distances
