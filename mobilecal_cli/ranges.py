@@ -115,4 +115,6 @@ def of_parameter(name: str) -> Range:
         return WHEEL_RADIUS
     if name == "separation":
         return WHEEL_SEPARATION
+    if name.startswith("t_"):
+        return POSITION
     return DIFFERENCE

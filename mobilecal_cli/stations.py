@@ -145,14 +145,14 @@ def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[i
     return {i: j for j, i in sorted(best.items(), key=lambda item: item[1])}
 
 
-def _silences(images: Mapping[str, PictureIndex]) -> Iterator[str]:
+def _silences(recorded_ns: Mapping[str, IntArray]) -> Iterator[str]:
     """A note where one camera recorded nothing for a while and another did: a cable, or a full disk."""
-    most = max(images, key=lambda name: len(images[name].time_ns))
-    for name in images:
-        other = next(k for k in images if k != name) if len(images) == 2 else most
+    most = max(recorded_ns, key=lambda name: len(recorded_ns[name]))
+    for name in recorded_ns:
+        other = next(k for k in recorded_ns if k != name) if len(recorded_ns) == 2 else most
         if other == name:
             continue
-        own, others = np.sort(images[name].time_ns), np.sort(images[other].time_ns)
+        own, others = recorded_ns[name], recorded_ns[other]
         edges = np.sort(np.concatenate([own, others[[0, -1]]]))
         longest = int(np.argmax(np.diff(edges)))
         begin, end = edges[longest : longest + 2]
@@ -292,9 +292,9 @@ def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> 
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
 
-def _blind(images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> Iterator[str]:
+def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) -> Iterator[str]:
     """A note where no camera records anything for a while, and the robot moves: a cable, a driver, or a full disk."""
-    taken = np.unique(np.concatenate([index.time_ns for index in images.values()]))
+    taken = np.unique(np.concatenate([*recorded_ns.values()]))
     begin_ns = max(int(c.track.time_ns[0]) for c in channels)
     end_ns = min(int(c.track.time_ns[-1]) for c in channels)
     edges = np.unique([*taken[(taken > begin_ns) & (taken < end_ns)], begin_ns, end_ns])
@@ -304,7 +304,7 @@ def _blind(images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> 
     since, until = (int(at) for at in edges[longest : longest + 2])
     moves = any(c.wander(since, until) > c.tolerance for c in channels)
     if until - since > max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns) and moves:
-        which = camera_words(*images) if len(images) == 1 else "cameras"
+        which = camera_words(*recorded_ns) if len(recorded_ns) == 1 else "cameras"
         yield (
             f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
             f"reading on, while the robot moves. Check the {which}, cables and drivers, and the recorder."
@@ -492,8 +492,8 @@ def plan_stations(
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
-    notes += (note for log, _ in paired for note in _silences(log.signals.images))
-    notes += (note for log, _ in paired for note in _blind(log.signals.images, log.channels))
+    notes += (note for log, _ in paired for note in _silences(log.signals.recorded_ns))
+    notes += (note for log, _ in paired for note in _blind(log.signals.recorded_ns, log.channels))
     notes += (note for log, _ in paired for note in _not_used(log))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"

@@ -319,6 +319,15 @@ def lost_after(seconds, begin=0.0):
     return {side: indexed(ns(np.arange(begin + 0.1, seconds, 0.2))) for side in ("left", "right")}
 
 
+def test_images_that_are_left_out_were_recorded():
+    left_out = {side: ns(np.arange(14.1, 24, 0.2)) for side in ("left", "right")}
+    both = lost_after(14.0)
+    one = {**both, "right": indexed(ns(np.arange(0.1, 24, 0.2)))}
+    for images, left_out_ns in ((both, left_out), (one, {"left": left_out["left"]})):
+        log = signals(staircase, staircase, images=images, left_out_ns=left_out_ns)
+        assert not any("images for" in note for note in planned(log, ("pan",)).notes)
+
+
 @pytest.mark.parametrize(("images", "words"), [
     (lost_after(14.0), "No images for 10 s, from 14 s after the first reading on, while the robot moves."),
     (lost_after(24.0, begin=9.0), "No images for 9 s, from 0 s after the first reading on"),

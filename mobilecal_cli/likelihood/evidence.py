@@ -80,7 +80,8 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
-        tested.append(Evidence(first.kind, first.part, estimates, chi2, sigmas, max(shifts)))
+        asked = tuple(layout.names[k] for k in columns if lin.priors.mean[k])
+        tested.append(Evidence(first.kind, first.part, estimates, chi2, sigmas, max(shifts), asked))
     return tuple(tested)
 
 

@@ -52,6 +52,7 @@ class Evidence:
         chi2: decrease of the cost if the stated values of these constants were ignored, to second order.
         sigmas: `chi2` as a number of standard deviations of a normal distribution.
         shift_sigmas: largest change of one of the nine parameters if they were ignored, in its standard deviations.
+        asked: those of them whose stated value is that of --prior, not of the description.
     """
 
     kind: str
@@ -60,6 +61,7 @@ class Evidence:
     chi2: float
     sigmas: float
     shift_sigmas: float
+    asked: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

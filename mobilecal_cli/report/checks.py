@@ -88,7 +88,9 @@ def stations(made: Calibration) -> Iterator[Check]:
     cameras = made.extraction.rig.cameras
     everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
-    causes = [note for note in made.extraction.notes if note.startswith(NO_IMAGES)]
+    notes = made.extraction.notes
+    causes = [note for note in notes if note.startswith(NO_IMAGES)]
+    causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
     for (_, reason), count in rejection_counts(made.extraction).items():
         details = {item.detail for item in made.extraction.rejections if item.reason == reason}
         of = f" ({details.pop()})" if len(details) == 1 else ""
@@ -312,6 +314,24 @@ def camera_info(made: Calibration) -> Iterator[Check]:
 
 #: Evidence beyond this is a contradiction: the solver's own limit.
 _CONTRADICTION_SIGMAS = 4.0
+
+
+@criterion(Metric("prior", "sigma"), gated=False, section="description")
+def prior(made: Calibration) -> Iterator[Check]:
+    """Priors of the user that the data contradict; those that move the result fail."""
+    uncertainty, shift_limit = made.solution.uncertainty, 2.0
+    for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
+        if sigmas > _CONTRADICTION_SIGMAS:
+            yield Check(
+                f"prior.{name}", sigmas, _CONTRADICTION_SIGMAS,
+                "fail" if shift > shift_limit else "warning",
+                f"--prior {name}",
+                f"{sigmas:.1f} sigma from the data",
+                f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+                f"The value of --prior {name} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
+                f"{shift:.1f} standard deviations.",
+                f"Correct --prior {name} (m, rad), or leave it out.",
+            )  # fmt: skip
 
 
 @criterion(Metric("contradiction", "sigma"), gated=False, section="description")

@@ -51,6 +51,9 @@ def contradiction_sentences(
     measured = evidence.kind == "square_size" and extraction.board.square_m is None
     words = SOURCES[evidence.kind]
     stated, cure = _MEASURED_SQUARE if measured else (words.stated, words.cure)
+    if evidence.asked:
+        stated = " and ".join(f"--prior {name}" for name in evidence.asked)
+        cure = f"Correct {stated}, or leave it out."
     kind = nuisance.kind(evidence.kind)
     priors = " and ".join(sorted({std_text(each.prior * kind.shown) for each in evidence.values.values()}))
     known = {name: (each.value, each.std) for name, each in evidence.values.items() if each.std is not None}

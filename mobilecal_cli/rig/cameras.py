@@ -37,6 +37,12 @@ _FORMS = {
 }  # fmt: skip
 
 
+def _image_topics(description: RobotDescription) -> dict[str, TopicInfo]:
+    """Image topics by name: those with messages. Recorders also list topics on which nothing was published."""
+    topics = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
+    return {name: topic for name, topic in topics.items() if topic.count != 0} or topics
+
+
 def _present(description: RobotDescription) -> str:
     return listed(f"{topic.name} ({topic.type})" for topic in description.topics)
 
@@ -61,7 +67,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         RecordingError: no such camera; the hint lists the topics present.
         ConfigError: several cameras could be meant.
     """
-    present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
+    present = _image_topics(description)
     cameras = config.cameras
     configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
     if cameras.both is not None:
@@ -189,7 +195,7 @@ def _each_camera(topics: Iterable[str], rectified: bool | None) -> dict[tuple[st
 
 def named_cameras(config: RigConfig, description: RobotDescription) -> dict[str, str]:
     """Image topic of every camera of a recording, by names for rig.yaml: the words in which their topics differ."""
-    present = {topic.name: topic for topic in description.topics if topic.type in IMAGES}
+    present = _image_topics(description)
     cameras = _each_camera(present, config.cameras.rectified)
     alike = set.intersection(*map(set, cameras)) if len(cameras) > 1 else set()
     named: dict[str, str] = {}
@@ -232,9 +238,10 @@ def note_on_choice(
     """What was chosen, where a recording has more cameras than the single one that is used."""
     if tuple(images) != (SINGLE,) or SINGLE in config.cameras.named:
         return ()
-    others = [topic.name for topic in description.topics if topic.type in IMAGES]
     own = _camera_of(mirrored(images[SINGLE]))
-    others = [name for name in others if _camera_of(mirrored(name)) != own or _is_depth(name)]
+    others = [
+        name for name in _image_topics(description) if _camera_of(mirrored(name)) != own or _is_depth(name)
+    ]
     if not others:
         return ()
     return (

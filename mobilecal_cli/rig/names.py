@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import takewhile
 
 from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side
 
@@ -65,6 +67,44 @@ def joint_state_names(description: RobotDescription) -> list[str]:
 
 #: Words of commands, which are no measurements.
 _COMMANDS = {"cmd", "command", "commands", "target", "setpoint", "goal", "desired", "reference"}
+
+
+def of_one_robot(
+    description: RobotDescription, images: Iterable[str], configured: Iterable[str]
+) -> RobotDescription:
+    """The description with each joint on the topics of this robot alone, and with its URDF alone.
+
+    Measured joint states are preferred to commanded ones, then those in the namespace of the cameras to those of other
+    robots. Topics that are equally near keep their joints.
+
+    Args:
+        images: image topics of the cameras.
+        configured: joint-state topics of the configuration, which keep their joints.
+    """
+
+    def nearness(topic: str) -> tuple[bool, int]:
+        levels = (zip(topic.split("/")[:-1], image.split("/")[:-1], strict=False) for image in images)
+        common = (sum(1 for _ in takewhile(lambda level: level[0] == level[1], each)) for each in levels)
+        return not _COMMANDS & {*words(topic)}, max(common, default=0)
+
+    images, configured = tuple(images), set(configured)
+    nearest: dict[str, tuple[bool, int]] = {}
+    for topic, joints in description.joint_names.items():
+        nearest |= {joint: max(nearness(topic), nearest.get(joint, (False, 0))) for joint in joints}
+    kept = {
+        topic: tuple(j for j in joints if topic in configured or nearness(topic) == nearest[j])
+        for topic, joints in description.joint_names.items()
+    }
+    best = max(map(nearness, description.urdfs), default=None)
+    return replace(
+        description,
+        joint_names={
+            topic: joints for topic, joints in kept.items() if joints or not description.joint_names[topic]
+        },
+        urdfs={topic: text for topic, text in description.urdfs.items() if nearness(topic) == best},
+    )
+
+
 _HEAD_JOINT_WORDS = PAN_WORDS | TILT_WORDS
 _WHEEL_WORDS = {*COUNTER_WORDS, "wheel"}
 

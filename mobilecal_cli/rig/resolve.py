@@ -33,6 +33,7 @@ from mobilecal_cli.rig.cameras import (
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of
 from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
+from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
 
@@ -162,6 +163,8 @@ def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str 
             return None
 
     images = tried("cameras", lambda: image_topics(config, description))
+    configured = (config.joints.topic, config.wheels.left.topic, config.wheels.right.topic)
+    description = of_one_robot(description, (images or {}).values(), filter(None, configured))
     topics: dict[str, str] = {}
     rectified, cameras = False, None
     notes: tuple[str, ...] = ()

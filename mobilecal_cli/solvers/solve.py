@@ -16,12 +16,14 @@ from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
+    NINE,
     BoolArray,
     Diagnosis,
     Extraction,
     FloatArray,
     LinearEstimate,
     Method,
+    Parameters,
     Refinement,
     Solution,
     WheelGeometry,
@@ -35,6 +37,7 @@ from mobilecal_cli.solvers.findings import (
     pool_recordings,
     scale_of,
 )
+from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
@@ -140,7 +143,7 @@ def _by_likelihood(
     )
     return replace(
         solution,
-        uncertainty=uncertainty_of(fit),
+        uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         constants=constants_of(fit),
@@ -321,3 +324,28 @@ def _different_cameras(
         solution.point_rms_m / distance_m,
         alone_m / distance_m,
     )
+
+
+def _asked_of(fit: Fit, inference: Inference, start: Parameters) -> dict[str, tuple[float, float]]:
+    """How far the data alone are from the user's priors of the nine parameters, see `Uncertainty.asked`.
+
+    Empty where the data alone do not determine the parameters.
+    """
+    asked = inference.constraints.priors
+    others = {name: prior for name, prior in asked.items() if name not in NINE}
+    if len(others) == len(asked):
+        return {}
+    try:
+        alone = robust_fit(
+            replace(inference, constraints=replace(inference.constraints, priors=others)), start
+        )
+    except SolveError:
+        return {}
+    priors, distances = fit.lin.priors, {}
+    std = np.sqrt(np.diag(alone.covariance))
+    value, used = (priors.displacement(each.lin.state) for each in (alone, fit))
+    for k, name in enumerate(NINE):
+        if name in asked:
+            away = abs(value[k] - priors.mean[k]) / math.hypot(std[k], asked[name][1])
+            distances[name] = float(away), float(abs(value[k] - used[k]) / std[k])
+    return distances

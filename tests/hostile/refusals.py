@@ -224,7 +224,7 @@ CASES = (
     ),
     Case("`--fix radius_left=0`", (*SOLVE, "--fix", "radius_left=0"), 2, "0 m is not possible (range 0.001 to 10 m)", extraction),
     Case("`--fix radius_left=-0.2`", (*SOLVE, "--fix", "radius_left=-0.2"), 2, "-0.2 m is not possible", extraction),
-    Case("`--fix t_x=1e300`", (*SOLVE, "--fix", "t_x=1e300"), 2, "1e+300 is not possible (range -100 to 100)", extraction),
+    Case("`--fix t_x=1e300`", (*SOLVE, "--fix", "t_x=1e300"), 2, "1e+300 m is not possible (range -20 to 20 m)", extraction),
     Case(
         "`--prior t_x=0.1±1e-300`", (*SOLVE, "--prior", "t_x=0.1±1e-300"), 2,
         "standard deviation: 1e-300 is not possible (range 1e-09 to 1000)", extraction,

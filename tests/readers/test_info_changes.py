@@ -102,6 +102,7 @@ def test_what_most_messages_say_is_used_and_other_images_are_left_out(tmp_path):
     first_ns = signals.images["left"].time_ns[0]
     assert first_ns == r.START_NS + 20 * r.STEP_NS
     assert len(signals.images["left"].time_ns) == 4
+    assert [len(signals.recorded_ns[side]) for side in ("left", "right")] == [6, 6]
     assert len(signals.images["right"].time_ns) == 6
     (note,) = [note for note in signals.notes if CAMERA_INFO_CHANGES in note]
     assert "4 of 10 messages differ from the others" in note

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Outlier
+from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.checks import outliers_as_noise
 from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.findings import contradiction_sentences, jackknife_sentence, outlier_sentences
@@ -16,6 +16,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.constraints import constraints_of
 from tests.extractions import ideal_extraction
 from tests.report.example import drawn, made, make_extraction, make_solution, solved
 
@@ -135,3 +136,32 @@ def test_noise_is_named_by_its_kind():
 
     assert "joint readings differ" in said("readings")
     assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")
+
+
+@pytest.mark.parametrize(("sigma", "level"), [(10.0, "PASS"), (1.0, "FAIL")])
+def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
+    right, extraction = drawn()
+    k, std = NINE.index("t_x"), right.uncertainty.std
+    value, wide = right.parameters.T_h_c[0, 3] + 10 * sigma * std[k], sigma * std[k]
+    solution = solve(extraction, constraints=constraints_of([], [f"t_x={value:.6f}+-{wide:.6f}"], []))
+    verdict = judge(solution, extraction)
+    assert verdict.level == level
+    assert "The value of --prior t_x is " in verdict.reason + verdict.next_step
+    assert "Correct --prior t_x (m, rad), or leave it out." in verdict.next_step
+    sigmas, shift = solution.uncertainty.asked["t_x"]
+    assert sigmas > 4
+    assert (shift > 2) == (level == "FAIL")
+    agreeing = solve(
+        extraction, constraints=constraints_of([], [f"t_x={right.parameters.T_h_c[0, 3]:.6f}+-0.001"], [])
+    )
+    assert agreeing.uncertainty.asked["t_x"][0] < 1
+    assert "--prior" not in judge(agreeing, extraction).next_step
+
+
+def test_a_constant_is_compared_with_the_prior_of_the_user():
+    _, extraction = drawn()
+    solution = solve(extraction, constraints=constraints_of([], ["pan_zero=1+-0.05"], []))
+    (found,) = solution.contradictions
+    what, cure = contradiction_sentences(found, solution, extraction)
+    assert "from --prior pan_zero (prior 2.9 deg)" in what
+    assert cure == "Correct --prior pan_zero, or leave it out."

@@ -78,6 +78,9 @@ def test_too_few_stations_come_before_any_failure():
     verdict = judge(solution, replace(extraction, rejections=(*lost, *extraction.rejections)))
     assert verdict.reason.endswith("Not used, 3 times: no readings around the image (left wheel).")
     assert verdict.next_step.startswith("Remove this cause, and record again")
+    change = f"/left/camera_info: {CAMERA_INFO_CHANGES} 9.0 s after the start: K by up to 20 px"
+    verdict = judge(solution, replace(extraction, notes=(change,)))
+    assert verdict.reason == f"{few} {change}."
     assert judge(make_solution(make_extraction(n=8)), make_extraction(n=8)).level == "PASS"
 
 

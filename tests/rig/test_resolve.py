@@ -124,6 +124,57 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
     assert only.sources.info["right"] == "/stereo/right/camera_info"
 
 
+def test_topics_without_messages_are_no_cameras():
+    """A recorder lists the raw images of a driver that publishes compressed ones alone."""
+    empty = [TopicInfo(f"/stereo/{side}/image_raw", "sensor_msgs/msg/Image", 0) for side in ("left", "right")]
+    compressed = [
+        TopicInfo(f"{topic.name}/compressed", "sensor_msgs/msg/CompressedImage", 9) for topic in empty
+    ]
+    log = description((), [*empty, *compressed])
+    assert resolve_rig(RigConfig(), log)[0].sources.image["left"] == "/stereo/left/image_raw/compressed"
+    named = config(cameras={side: {"image": f"/stereo/{side}/image_raw"} for side in ("left", "right")})
+    with pytest.raises(RecordingError, match="the topic /stereo/left/image_raw contains no images"):
+        resolve_rig(named, log)
+
+
+def two_robots():
+    """The topics of one robot, in the namespaces of two; the second has larger wheels."""
+    log, robots = description(), ("/robot1", "/robot2")
+    return replace(
+        log,
+        topics=tuple(replace(t, name=robot + t.name) for robot in robots for t in log.topics),
+        infos={robot + topic: own for robot in robots for topic, own in log.infos.items()},
+        joint_names={f"{robot}/joint_states": JOINTS for robot in robots},
+        urdfs={f"{robot}/robot_description": AT_BASE for robot in robots}
+        | {"/robot2/robot_description": AT_BASE.replace('radius="0.2"', 'radius="0.3"')},
+    )
+
+
+@pytest.mark.parametrize(("robot", "radius_m"), [("/robot1", 0.2), ("/robot2", 0.3)])
+def test_joints_and_urdf_are_those_of_the_robot_with_the_cameras(robot, radius_m):
+    cameras = {side: {"image": f"{robot}/stereo/{side}/image_raw"} for side in ("left", "right")}
+    rig, notes = resolve_rig(config(cameras=cameras), two_robots())
+    assert rig.sources.joints == (f"{robot}/joint_states",)
+    assert {wheel.topic for wheel in rig.sources.wheels.values()} == {f"{robot}/joint_states"}
+    assert rig.nominal.wheels is not None
+    assert rig.nominal.wheels.radius_left_m == radius_m
+    assert not any("URDF" in note for note in notes)
+    chosen = config(cameras=cameras, joints={"topic": "/robot1/joint_states"})
+    assert resolve_rig(chosen, two_robots())[0].sources.joints == ("/robot1/joint_states",)
+
+
+def test_commands_are_no_readings():
+    commands = TopicInfo("/joint_commands", "sensor_msgs/msg/JointState", 500)
+    joint_names = {"/joint_commands": JOINTS, "/joint_states": JOINTS}
+    log = description(extra=[commands], joint_names=joint_names)
+    rig, _ = resolve_rig(RigConfig(), log)
+    assert rig.sources.joints == ("/joint_states",)
+    assert rig.sources.wheels["left"].topic == "/joint_states"
+    assert resolve_rig(config(joints={"topic": "/joint_commands"}), log)[0].sources.joints == (
+        "/joint_commands",
+    )
+
+
 def test_base_link_off_the_axle_is_taken_out():
     rig, notes = resolve_rig(RigConfig(), description(urdf=URDF.format(x=-0.2)))
     T_v_h = head_pose(rig.chain, np.zeros(2))

@@ -14,6 +14,7 @@ from mobilecal_cli.model import (
     IMAGES,
     JOINT_STATE,
     SIDES,
+    IntArray,
     JointField,
     JointTransform,
     PictureIndex,
@@ -370,14 +371,16 @@ def read_signals(
             some,
         )
         indices: dict[str, PictureIndex] = {}
+        left_out_ns: dict[str, IntArray] = {}
         for camera, series in images.items():
             index = _index(samples[series], series.topic in read.video, some)
-            indices[camera] = index.rows(infos.usual_at(sources.info.get(camera, ""), index.log_ns))
+            usual = infos.usual_at(sources.info.get(camera, ""), index.log_ns)
+            indices[camera], left_out_ns[camera] = index.rows(usual), np.delete(index.time_ns, usual)
             if not len(indices[camera].time_ns):
                 raise RecordingError(f"{series.topic}: no usable images", "record all cameras the whole time")
         for side, track in wheels.items():
             some += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(some), infos.corrected)
+        return Signals(tracks, wheels, indices, tuple(some), infos.corrected, left_out_ns)
 
     return _usable([dict(zip(every, piece, strict=True)) for piece in pieces], signals_of, notes)
 
