@@ -59,7 +59,7 @@ def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):
     assert keys(made)["head.urdf"] == "../robot.urdf"
     assert not any(one.needed for one in made.todo)
     found = inspect.check(rig, [log])
-    assert found.parts.chain_from == "head.urdf of the configuration"
+    assert found.survey.head.origin == "head.urdf of the configuration"
     assert {lack.about for lack in found.missing} == {"motion"}  # the head never moves
 
 
