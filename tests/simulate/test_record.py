@@ -30,8 +30,8 @@ SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
 
 
-def recorded(folder: Path, scenario: Scenario) -> Path:
-    out = folder / f"log{SUFFIXES[scenario.container.split('-')[0]]}"
+def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
+    out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
     simulate(scenario, out)
     return out
 
@@ -215,9 +215,9 @@ def truth_of(out: Path):
     return YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
 
 
-def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(once):
+def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path):
     robot, _ = IMPERFECT.plan()
-    truth = truth_of(once(IMPERFECT))
+    truth = truth_of(recorded(tmp_path, IMPERFECT))
     of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
     assert set(truth["constants"]) == set(constant_kinds(robot)) - of_motion
     drawn = IMPERFECT.imperfections(robot)[0]
@@ -233,8 +233,8 @@ def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(once):
     assert truth["head_eye"] == plain["head_eye"]
 
 
-def test_an_imperfect_robot_is_recorded_with_its_stated_description(once, reference):
-    description, signals, _ = contents(once(IMPERFECT), IMPERFECT)
+def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, reference):
+    description, signals, _ = contents(recorded(tmp_path, IMPERFECT), IMPERFECT)
     assert description.urdfs == reference[0].urdfs
     for (name, value), (_, stated) in zip(flat(description.infos), flat(reference[0].infos), strict=True):
         assert np.array_equal(value, stated), name
