@@ -227,7 +227,7 @@ def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path)
     noise = {name: truth["scenario"][name] for name in ("floor_rad", "floor_m", "wheel_share", "stamp_s")}
     levels = {"floor_rad": np.radians(0.1), "floor_m": 0.0005, "wheel_share": 0.001, "stamp_s": 0.0}
     assert noise == pytest.approx(levels)
-    plain = truth_of(once(SMALL))
+    plain = truth_of(recorded(tmp_path, SMALL, "plain"))
     assert "constants" not in plain
     assert truth["stations"] == plain["stations"]
     assert truth["head_eye"] == plain["head_eye"]
