@@ -6,7 +6,8 @@ that change with the driven distance, exposure during motion, and what no consta
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 
@@ -280,18 +281,7 @@ def ideal_extraction(
     nominal: bool = True,
     camera_late_s: float = 0.0,
 ) -> Extraction:
-    """Extraction of a drive with ideal image processing, of a robot as stated, with only the given noise.
-
-    Without pixel noise the points and board poses are exact. With it, points are triangulated from noisy
-    pixels and the pose minimizes the reprojection error, as for real images.
-
-    Args:
-        robot, route: the ground truth.
-        noise: none by default.
-        seed: of the noise.
-        nominal: whether nominal values are known.
-        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
-    """
+    """Extraction of a drive of a robot as stated, with only the given noise; see `extraction_of`."""
     return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
 
 
@@ -310,24 +300,30 @@ def imperfect_extraction(
     camera_late_s: float = 0.0,
     images: int = 40,
 ) -> Extraction:
-    """Extraction of a drive of a robot that is not as stated; see `ideal_extraction`.
-
-    Args:
-        robot: the description, with the true head-eye transform and wheels.
-        route: the true motion of base and joints; readings follow from it.
-        imperfection: what is not as stated, and the noise.
-        seed: of the noise.
-        nominal: whether nominal values are known.
-        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
-        images: their number where the robot never rests.
-
-    Raises:
-        ConfigError: the cameras' images are too inconsistent to be triangulated.
-    """
+    """Extraction of a drive of a robot that is not as stated; see `extraction_of`."""
     if unknown := set(imperfection.constants) - set(constant_kinds(robot)):
         raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
     actual = OutsideRobot(robot, imperfection.constants, imperfection.outside)
     return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
+
+
+def joined(*parts: Extraction) -> Extraction:
+    """Several extractions as the recordings of one."""
+    return replace(
+        parts[0],
+        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
+        wheels=tuple(chain.from_iterable(part.wheels for part in parts)),
+        joint_tracks=tuple(chain.from_iterable(part.joint_tracks for part in parts)),
+    )
+
+
+def slipped(extraction: Extraction, leg: int, right_rad: float, left_rad: float = 0.0) -> Extraction:
+    """The same with wheels that turn on, in the middle of a leg, without the base."""
+    (track,) = extraction.wheels
+    first, second = extraction.observations[leg : leg + 2]
+    late = track.time_ns > (first.time_ns + second.time_ns) // 2
+    wheels = track.right_rad + right_rad * late, track.left_rad + left_rad * late
+    return replace(extraction, wheels=(WheelTrack.at_same_times(track.time_ns, *wheels),))
 
 
 def in_view(camera: Camera, pixels: FloatArray) -> bool:
@@ -345,9 +341,22 @@ def extraction_of(
     camera_late_s: float = 0.0,
     images: int = 40,
 ) -> Extraction:
-    """Extraction of a drive of the actual robot, as its description makes it; see `ideal_extraction`.
+    """Extraction of a drive of the actual robot with ideal image processing, as its description makes it.
 
-    `images` is their number where the robot never rests.
+    Of a robot as stated, without pixel noise, the points and board poses are exact. Otherwise points are triangulated
+    from the pixels and the pose minimizes the reprojection error, as for real images.
+
+    Args:
+        actual: the description, with the true head-eye transform and wheels, and what is not as stated.
+        route: the true motion of base and joints; readings follow from it.
+        noise: of the recording.
+        seed: of the noise.
+        nominal: whether nominal values are known.
+        camera_late_s: delay of the camera stamps relative to joints and wheels, s.
+        images: their number where the robot never rests.
+
+    Raises:
+        ConfigError: the cameras' images are too inconsistent to be triangulated.
     """
     # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
     random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))

@@ -24,6 +24,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
     fixed_camera_robot,
+    pixels,
     pose,
     rgbd_robot,
     skid_steer_robot,
@@ -53,6 +54,20 @@ def rig_of(robot: SimulatedRobot, nominal: bool = True) -> Rig:
 def corners_of(route: Route) -> FloatArray:
     """(M, 3) the board's corners in the board frame, m."""
     return route.board.grid() * (route.board.square_m or 0.0)
+
+
+def in_cameras(rig: CameraRig, T_c_k: FloatArray, points_k: FloatArray) -> list[FloatArray]:
+    """(M, 2) px of points (M, 3) of the board frame, for each camera, as the simulator shows them."""
+    points_c = se3.act(T_c_k, points_k)
+    return [
+        pixels(camera, se3.act(se3.inverse(T_c_camera), points_c))
+        for camera, T_c_camera in zip(rig.each, rig.T_c_each, strict=True)
+    ]
+
+
+def true_nominal(robot: SimulatedRobot) -> Nominal:
+    """Nominal values that are those of a simulated robot."""
+    return Nominal(robot.T_h_c @ robot.rig_cameras.T_c_reference, robot.wheels)
 
 
 @cache

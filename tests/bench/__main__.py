@@ -77,7 +77,7 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
                 "callbacks, which take most of their time. Without callbacks: their time minus the time in callbacks, "
                 "divided by the total time of mobilecal."
             ),
-            established.table,
+            established.solvers,
         ),
     }
 

@@ -18,37 +18,33 @@ from pathlib import Path
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.steps import Data, Fit, Report, calibrate, fitted
+from mobilecal_cli.calibrate.steps import Fit, calibrate
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.actual import draw
-from tests.bench.imperfect import AS_PRINTED, FIVE_SIGMA, LEVELS, USUAL, Case
+from tests.bench.imperfect import (
+    AS_PRINTED,
+    LEVELS,
+    USUAL,
+    Case,
+    Run,
+    configuration,
+    run_of_case,
+    verdict_cells,
+)
 from tests.bench.simulated import errors
 from tests.bench.study import Study, conditions, head, line, results_of
-from tests.extractions import Imperfection, imperfect_extraction
 from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees
 
-_ROUTES = 10  # that the runs share
 
-
-def one_run(cameras: int, chain: str, seed: int) -> tuple[float, float, str]:
-    """NEES / n, the largest error in sigmas, and the verdict."""
-    robot = CONFIGURATIONS[cameras, chain]()
-    noise = Case(noise=USUAL, levels_drawn=True).noise_of(seed)
-    printed = replace(AS_PRINTED, print_seed=seed)
-    what = Imperfection(draw(robot, np.random.default_rng([seed, 7])), noise, printed)
-    extraction = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed % _ROUTES), what, seed)
-    try:
-        found = fitted(extraction)
-    except MobilecalError as error:
-        return np.nan, np.nan, type(error).__name__
-    return *_against(found, robot), Report(Data(extraction), found).verdict.level
+def one_run(cameras: int, chain: str, seed: int) -> Run:
+    """Noise levels estimated."""
+    case = Case(configuration(cameras, chain)).drawn(noise=USUAL, outside=AS_PRINTED, levels_drawn=True)
+    return run_of_case(case, seed)
 
 
 def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
@@ -116,12 +112,9 @@ def main() -> None:
     runs = Study.begun(100).runs
     head("cameras", "chain", "NEES / n", *LEVELS, "false PASS", title=f"{runs} runs each")
     for cameras, chain in CONFIGURATIONS:
-        off, worst, levels = zip(
-            *results_of(one_run, cameras, chain, seeds=range(runs), together=2), strict=True
-        )
-        counts = [levels.count(level) for level in LEVELS[:3]]
-        false = sum(w > FIVE_SIGMA for w, level in zip(worst, levels, strict=True) if level == "PASS")
-        line(cameras, chain, f"{np.nanmean(off):.2f}", *counts, runs - sum(counts), false)
+        results = results_of(one_run, cameras, chain, seeds=range(runs), together=2)
+        mean, _, *counts = verdict_cells(results)
+        line(cameras, chain, mean, *counts)
 
 
 if __name__ == "__main__":

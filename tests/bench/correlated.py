@@ -9,13 +9,13 @@ import numpy as np
 from mobilecal_cli.model import Noise
 from tests.bench.imperfect import (
     AS_PRINTED,
+    CORRELATED,
     LEVELS,
     ROBOTS,
-    USUAL,
     Case,
     Run,
-    all_kinds,
     level_counts,
+    print_runs,
     run_of_case,
     summary,
 )
@@ -39,8 +39,8 @@ def correlated(name: str, floor_m: float, wheel_m: float) -> Case:
     """A recording on a smooth floor, which is not the exponential process that the estimator assumes."""
     case = RECORDINGS[name][0]
     sway = {level: Noise.limits("guess")[level] for level in ("sway_rad", "sway_m")}
-    noise = replace(USUAL, floor_length_m=floor_m, floor_smooth=True, wheel_length_m=wheel_m, **sway)
-    return replace(case, kinds=all_kinds(case.motion == "moving"), noise=noise, outside=AS_PRINTED)
+    noise = replace(CORRELATED, floor_length_m=floor_m, wheel_length_m=wheel_m, **sway)
+    return case.drawn(noise=noise, outside=AS_PRINTED)
 
 
 def one_run(name: str, floor_m: float, wheel_m: float, seed: int) -> Run:
@@ -76,10 +76,9 @@ def main() -> None:
                 *summary(std, ROBOTS["pan-tilt"]()),
                 f"{np.mean([r.seconds for r in results]):.1f}",
             )
-            for seed, r in zip(seeds, results, strict=True):
-                if r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE:
-                    parts = [jump.part for jump in r.jumps]
-                    print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.2f}, {r.named}, {parts}")
+            print_runs(
+                results, lambda r: r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE, seeds
+            )
 
 
 if __name__ == "__main__":

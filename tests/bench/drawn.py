@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
@@ -15,9 +13,9 @@ from tests.bench.imperfect import (
     VERDICTS,
     Case,
     Run,
-    all_kinds,
     bound_of,
     given,
+    print_runs,
     run_of,
     true_robot,
     verdict_cells,
@@ -44,9 +42,7 @@ CASES = {
 
 def drawn(name: str) -> Case:
     """A case with every constant drawn from its prior, and every noise level around the estimator's guess."""
-    case = CASES[name]
-    kinds = all_kinds(case.motion == "moving")
-    return replace(case, kinds=kinds, noise=USUAL, outside=AS_PRINTED, levels_drawn=True)
+    return CASES[name].drawn(noise=USUAL, outside=AS_PRINTED, levels_drawn=True)
 
 
 def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
@@ -86,9 +82,7 @@ def study(name: str, runs: int) -> None:
     for label, mine in each.items():
         spoilt, named = sum(r.outliers > 0 for r in mine), sum(bool(r.named) for r in mine)
         line(label, *verdict_cells(mine), spoilt, named)
-        for seed, r in enumerate(mine):
-            if r.false_pass or r.level.startswith("refused"):
-                print(f"  seed {seed}: {r.level}, NEES / n {r.nees[3]:.1f}, {r.named}")
+        print_runs(mine, lambda r: r.false_pass or r.level.startswith("refused"))
 
 
 def price(name: str, runs: int) -> None:

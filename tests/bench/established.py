@@ -6,6 +6,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
@@ -22,17 +23,16 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
-from tests.bench.study import conditions, kernel_mb, measured
+from tests.bench.study import conditions, kernel_mb, measured, table
 from tests.extractions import ideal_extraction
 
 SIZES = (12, 200, 2000)
 SOLVERS = ("mobilecal", "ceres", "gtsam")
-HEADER = (
-    "| stations | runs | mobilecal (s) | Ceres (s) | gtsam (s) | Ceres / mobilecal | gtsam / mobilecal "
-    "| Ceres without callbacks / mobilecal | gtsam without callbacks / mobilecal | growth of memory (MB) | difference of cost | difference of the parameters |\n"
-    + "| --- " * 12
-    + "|"
-)
+HEAD = (
+    "stations", "runs", "mobilecal (s)", "Ceres (s)", "gtsam (s)", "Ceres / mobilecal", "gtsam / mobilecal",
+    "Ceres without callbacks / mobilecal", "gtsam without callbacks / mobilecal", "growth of memory (MB)",
+    "difference of cost", "difference of the parameters",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def one(solver: str, path: Path) -> None:
     print(json.dumps(asdict(Found(seconds, callbacks, memory, cost, end.parameters.vector.tolist()))))
 
 
-def row(stations: int, runs: int) -> str:
+def row(stations: int, runs: int) -> list[str]:
     """One line of the table: the solvers take turns, and a ratio is of runs that follow one another."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "extraction.npz"
@@ -104,10 +104,10 @@ def row(stations: int, runs: int) -> str:
     theirs = [turns[0][solver] for solver in SOLVERS[1:]]
     cost = ", ".join(f"{abs(ours.cost / other.cost - 1):.1e}" for other in theirs)
     nine = ", ".join(f"{np.abs(np.array(ours.nine) / other.nine - 1).max():.1e}" for other in theirs)
-    return f"| {stations:,} | {runs} | " + " | ".join([*seconds, *ratios, memory, cost, nine]) + " |"
+    return [f"{stations:,}", f"{runs}", *seconds, *ratios, memory, cost, nine]
 
 
-def table(repeats: int = 5) -> str:
+def solvers(sizes: Sequence[int] = SIZES, repeats: int = 5) -> str:
     """The study as a Markdown table.
 
     Each time is the median of `repeats` runs, each in its own process. It covers building and solving the problem,
@@ -116,10 +116,10 @@ def table(repeats: int = 5) -> str:
     start; it is listed in the order of `SOLVERS`. Differences of cost and parameters are relative to mobilecal.
     """
     rows = []
-    for stations in SIZES:
+    for stations in sizes:
         rows.append(row(stations, repeats))
         print(rows[-1], file=sys.stderr, flush=True)  # the last takes a quarter of an hour
-    return "\n".join([HEADER, *rows])
+    return table(HEAD, rows)
 
 
 def main() -> None:
@@ -128,12 +128,7 @@ def main() -> None:
         one(sys.argv[2], Path(sys.argv[3]))
         return
     print(f"{conditions()}\n")
-    if len(sys.argv) == 1:
-        print(table())
-        return
-    print(HEADER)
-    for text in sys.argv[1:]:
-        print(row(int(text), 5), flush=True)
+    print(solvers([int(text) for text in sys.argv[1:]] or SIZES))
 
 
 if __name__ == "__main__":

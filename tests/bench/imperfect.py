@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE, errors
 from tests.bench.study import rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
-from tests.robots import one_on_pan_tilt, three_on_pan_tilt
+from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
 
 ROBOTS = {
     "paper": paper_robot,
@@ -63,6 +64,14 @@ ROBOTS = {
     "camera on pan-tilt": one_on_pan_tilt,
     "three cameras": three_on_pan_tilt,
 }
+
+
+def configuration(cameras: int, chain: str) -> str:
+    """Key of a configuration among the robots."""
+    return f"cameras: {cameras}, chain: {chain}"
+
+
+ROBOTS |= {configuration(*key): robot for key, robot in CONFIGURATIONS.items()}
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
 _LEVELS = (*_DEVICES, "floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share")
 _LENGTHS = ("floor_length_m", "wheel_length_m")
@@ -73,6 +82,8 @@ _LEVEL_FACTOR, _LENGTH_FACTOR = 1.6, 3.0
 _STRETCHES_PER_LENGTH = 2.0
 #: Noise of a robot that is as described, and at the first guesses of floor, stamps and wheels in proportion.
 PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
+#: A floor and wheel errors that stay the same for a while; the floor is smooth.
+CORRELATED = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 #: Every corner's place on the board, as its prior expects it.
 AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003)
 FIVE_SIGMA = 5.0
@@ -108,6 +119,10 @@ class Case:
     outside: Outside = _NOTHING
     twice: bool = False
     levels_drawn: bool = False
+
+    def drawn(self, scale: float = 1.0, **changes: Any) -> Case:
+        """The same with every kind of constant drawn from so many times its prior, and other changes."""
+        return replace(self, kinds=all_kinds(self.motion == "moving", scale), **changes)
 
     def constants(self, seed: int) -> dict[str, float]:
         """The constants of one run."""
@@ -354,6 +369,16 @@ def verdict_cells(runs: Sequence[Run]) -> list[object]:
     nees = np.array([run.nees[3] for run in runs])
     false = sum(run.false_pass for run in runs)
     return [f"{np.nanmean(nees):.2f}", f"{np.nanmedian(nees):.2f}", *level_counts(runs), false]
+
+
+def print_runs(
+    runs: Sequence[Run], remarkable: Callable[[Run], bool], seeds: Iterable[int] | None = None
+) -> None:
+    """Print a line for each remarkable run; its seed is its number unless stated."""
+    for seed, run in zip(range(len(runs)) if seeds is None else seeds, runs, strict=True):
+        if remarkable(run):
+            changed = [jump.part for jump in run.jumps]
+            print(f"  seed {seed}: {run.level}, NEES / n {run.nees[3]:.2f}, {run.named}, {changed}")
 
 
 def summary(error: FloatArray, robot: SimulatedRobot) -> list[str]:

@@ -16,11 +16,10 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
-from tests.bench.imperfect import USUAL, Case, all_kinds
+from tests.bench.imperfect import CORRELATED, Case
 from tests.bench.study import conditions, head, line, measured
 from tests.pairs import with_views
 
-_NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 #: Cases, times of the priors that constants are drawn from, and number of recordings.
 RECORDINGS = (
     ("20 stations", Case(stations=20), 1.0, 5),
@@ -36,7 +35,7 @@ def recordings() -> list[tuple[str, Extraction]]:
     """All recordings, with a name."""
     made = []
     for name, case, times, count in RECORDINGS:
-        drawn = replace(case, noise=_NOISE, kinds=all_kinds(case.motion == "moving", times))
+        drawn = case.drawn(times, noise=CORRELATED)
         made += [(f"{name}, seed {10 * seed}", drawn.extraction(10 * seed)) for seed in range(count)]
     return made
 

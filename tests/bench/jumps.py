@@ -15,19 +15,15 @@ from mobilecal_cli.model import Extraction, FloatArray, Solution, Track, WheelTr
 from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
 from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.solvers import solve
-from tests.bench.imperfect import FIVE_SIGMA, LEVELS, USUAL, Case, all_kinds, judged, level_counts, refused
+from tests.bench.imperfect import CORRELATED, FIVE_SIGMA, LEVELS, Case, judged, level_counts, refused
 from tests.bench.imperfect import Run as Result
 from tests.bench.study import Study, head, line, results_of
 from tests.extractions import OutsideRobot, extraction_of
 
-_NOISE = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 RECORDINGS = {
-    name: replace(case, noise=_NOISE, kinds=all_kinds(case.motion == "moving"))
-    for name, case in (
-        ("20 stations", Case(stations=20)),
-        ("40 stations", Case(stations=40)),
-        ("40 images in motion", Case(motion="moving")),
-    )
+    "20 stations": Case(stations=20).drawn(noise=CORRELATED),
+    "40 stations": Case(stations=40).drawn(noise=CORRELATED),
+    "40 images in motion": Case(motion="moving").drawn(noise=CORRELATED),
 }
 FACTORS, MOMENTS = (1.0, 3.0, 10.0), (0.25, 0.5, 0.75)
 _STEREO = tuple(f"stereo_r_{axis}" for axis in "xyz")

@@ -17,6 +17,7 @@ from tests.bench.imperfect import (
     Run,
     all_kinds,
     level_counts,
+    print_runs,
     run_of_case,
     summary,
 )
@@ -145,10 +146,7 @@ def main() -> None:
             sum(bool(set(kinds) - set(right)) for kinds in named),
             sum(bool(r.jumps) for r in results),
         )
-        for seed, r in enumerate(results):
-            if r.beyond or r.jumps or r.level != "PASS":
-                changed = [jump.part for jump in r.jumps]
-                print(f"  seed {seed}: {r.level}, NEES / 9 {r.nees[3]:.1f}, {r.named}, {changed}")
+        print_runs(results, lambda r: bool(r.beyond or r.jumps or r.level != "PASS"))
 
 
 if __name__ == "__main__":

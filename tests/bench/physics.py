@@ -14,12 +14,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.model import Corners, Extraction, Observation, Track, WheelTrack
-from mobilecal_cli.simulate.robot import pixels, tick_robot
+from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route, wheel_speeds
 from mobilecal_cli.vision import board_pose, square_from_points, triangulate
 from tests.bench.imperfect import LEVELS, level_counts, run_of
 from tests.bench.study import Study, head, line
-from tests.robots import corners_of, rig_of
+from tests.robots import corners_of, in_cameras, rig_of
 
 _STEP_S = 0.002
 _EVERY = 5  # steps for one row of the log
@@ -154,9 +154,7 @@ def _observed(route, T_c_k, random):
     """Views, points, board pose, square and misfit of one station; None if a camera does not show the whole board."""
     rig, corners_k = tick_robot().rig_cameras, corners_of(route)
     seen = []
-    for camera, T_x_c in zip(rig.each, (np.eye(4), np.linalg.inv(rig.T_c_each[1])), strict=True):
-        T = T_x_c @ T_c_k
-        at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
+    for camera, at in zip(rig.each, in_cameras(rig, T_c_k, corners_k), strict=True):
         if at.min() < 0 or np.any(at > [camera.width, camera.height]):
             return None
         seen.append(at + _PIXEL_PX * random.normal(size=at.shape))

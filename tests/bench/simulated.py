@@ -8,7 +8,6 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -21,14 +20,13 @@ from mobilecal_cli.model import (
     KnownNoise,
     Noise,
     Parameters,
-    WheelTrack,
 )
-from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot, pixels
+from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.pairs import measured_anew
-from tests.robots import corners_of
+from tests.robots import corners_of, in_cameras
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -87,18 +85,15 @@ def spoiled(
         displaced[:3, :3] = Rotation.from_rotvec(random.normal(size=3) * np.radians(4)).as_matrix()
         displaced[:3, 3] = way / np.linalg.norm(way) * random.uniform(0.02, 0.15)
         T_c_k = seen[i].T_c_k @ displaced
-        both = []
-        for camera, T in ((rig.each[0], T_c_k), (rig.each[1], se3.inverse(rig.T_c_each[1]) @ T_c_k)):
-            at = pixels(camera, corners_k @ T[:3, :3].T + T[:3, 3])
-            both.append(Corners(at + PIXEL_PX * random.normal(size=at.shape), PIXEL_PX, 1))
+        both = [
+            Corners(at + PIXEL_PX * random.normal(size=at.shape), PIXEL_PX, 1)
+            for at in in_cameras(rig, T_c_k, corners_k)
+        ]
         moved = measured_anew(rig, replace(seen[i], T_c_k=T_c_k), corners_k, *both)
         assert moved is not None
         seen[i] = moved
-    wheels, leg = extraction.wheels[0], None
-    if slip:
-        leg = int(random.integers(0, count - 1))
-        middle = (seen[leg].time_ns + seen[leg + 1].time_ns) // 2
-        right = wheels.right_rad.copy()
-        right[wheels.time_ns > middle] += random.choice([-1, 1]) * random.uniform(0.08, 0.4)
-        wheels = WheelTrack.at_same_times(wheels.time_ns, right, wheels.left_rad)
-    return replace(extraction, observations=tuple(seen), wheels=(wheels,)), bad, leg
+    displaced = replace(extraction, observations=tuple(seen))
+    if not slip:
+        return displaced, bad, None
+    leg = int(random.integers(0, count - 1))
+    return extractions.slipped(displaced, leg, random.choice([-1, 1]) * random.uniform(0.08, 0.4)), bad, leg

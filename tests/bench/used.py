@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from tests.bench.drawn import CASES
-from tests.bench.imperfect import USUAL, VERDICTS, Run, all_kinds, run_of_case, verdict_cells
+from tests.bench.imperfect import USUAL, VERDICTS, Run, run_of_case, verdict_cells
 from tests.bench.study import Study, head, line, results_of
 
 
 def one_run(name: str, scale: float, seed: int) -> Run:
     """Noise levels estimated."""
-    case = CASES[name]
-    return run_of_case(replace(case, kinds=all_kinds(case.motion == "moving", scale), noise=USUAL), seed)
+    return run_of_case(CASES[name].drawn(scale, noise=USUAL), seed)
 
 
 def main() -> None:

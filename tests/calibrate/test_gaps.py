@@ -10,7 +10,7 @@ from mobilecal_cli.model import NINE, Rejection
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.vision import SQUARES_UNKNOWN
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 
 
 def extraction(motion, noise=None):
@@ -68,15 +68,9 @@ def test_too_few_stations_count_the_reasons():
 
 
 def recordings(count, stations):
-    parts = [
-        replace(extraction("standard"), observations=extraction("standard").observations[:stations])
-    ] * count
-    return replace(
-        parts[0],
-        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
-        wheels=tuple(part.wheels[0] for part in parts),
-        counts={"stations": count * stations},
-    )
+    whole = extraction("standard")
+    part = replace(whole, observations=whole.observations[:stations], counts={"stations": count * stations})
+    return joined(*[part] * count)
 
 
 @pytest.mark.parametrize(("count", "stations", "legs"), [(4, 1, 0), (2, 2, 2), (20, 1, 0)])

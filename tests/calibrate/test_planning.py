@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from mobilecal_cli.calibrate import plan as planning
 from mobilecal_cli.calibrate.extract import extract
@@ -22,6 +21,7 @@ from mobilecal_cli.readers import open_recording, read_images
 from mobilecal_cli.readers.messages import Channel
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import solve
+from tests.records import records_of, written
 
 from ..readers import recordings as r
 
@@ -253,24 +253,14 @@ def test_clocks_that_differ_are_noted(tmp_path):
 
 def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
     joints, pictures = log()
-    chosen = [
-        item
-        for item in pictures
-        if item.topic == "/l" and item.log_ns == r.START_NS + 300 * MS + LAG_NS["/l"]
-    ]
-    assert len(chosen) == 1
-    broken = replace(chosen[0], make=lambda store: store.types["std_msgs/msg/UInt16"](1))
-    items = in_order(joints, [item for item in pictures if item is not chosen[0]])
-    folder = r.write_bag2(tmp_path / "log", items)
-    (file,) = folder.glob("*.db3")
-    connection = sqlite3.connect(file)
-    number = connection.execute("SELECT id FROM topics WHERE name = '/l'").fetchone()[0]
-    data = bytes(r.ROS2.serialize_cdr(broken.make(r.ROS2), "std_msgs/msg/UInt16"))
-    connection.execute(
-        "INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", (number, broken.log_ns, data)
+    (file,) = r.write_bag2(tmp_path / "log", in_order(joints, pictures)).glob("*.db3")
+    data = bytes(r.ROS2.serialize_cdr(r.number("UInt16", 1)(r.ROS2), "std_msgs/msg/UInt16"))
+    log_ns = r.START_NS + 300 * MS + LAG_NS["/l"]
+    of_topic = "(SELECT id FROM topics WHERE name = '/l')"
+    r.in_sqlite(
+        file,
+        f"UPDATE messages SET data = x'{data.hex()}' WHERE timestamp = {log_ns} AND topic_id = {of_topic}",
     )
-    connection.commit()
-    connection.close()
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording([file]) as recording:
         (plan,), notes = one_plan(recording)
     assert len(plan.stations[0].shots) == 9
@@ -298,24 +288,13 @@ def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
 
 def apart(source: Path, folder: Path) -> list[Path]:
     """A recording once more, its pictures in a file of their own, logged 40 ms (left) and 43 ms later."""
-    paths = [folder / "joints.mcap", folder / "pictures.mcap"]
-    with open_recording([source]) as recording, paths[0].open("wb") as one, paths[1].open("wb") as other:
-        writers = {False: Writer(one), True: Writer(other)}
-        channels = {}
-        for writer in writers.values():
-            writer.start("ros2")
-        for message in recording.messages({topic.name for topic in recording.topics}):
-            writer = writers["image_raw" in message.topic]
-            if message.topic not in channels:
-                definition = message.channel.definition.encode()
-                schema = writer.register_schema(message.type, "ros2msg", definition)
-                channels[message.topic] = writer.register_channel(message.topic, "cdr", schema)
-            late = 0 if "image_raw" not in message.topic else 40 * MS if "left" in message.topic else 43 * MS
-            time_ns = message.log_time_ns + late
-            writer.add_message(channels[message.topic], time_ns, bytes(message.payload), time_ns)
-        for writer in writers.values():
-            writer.finish()
-    return paths
+    joints = [record for record in records_of(source) if "image_raw" not in record.topic]
+    pictures = [
+        replace(record, time_ns=record.time_ns + (40 if "left" in record.topic else 43) * MS)
+        for record in records_of(source)
+        if "image_raw" in record.topic
+    ]
+    return [written(folder / "joints.mcap", joints), written(folder / "pictures.mcap", pictures)]
 
 
 @pytest.mark.long

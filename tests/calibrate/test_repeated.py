@@ -15,23 +15,13 @@ from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import edited
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 
 ROBOT = paper_robot()
 
 
 def recorded(route_seed=0, noise_seed=0, noise=Noise(0.2, 0.003, np.radians(1.2), np.radians(0.05))):  # noqa: B008
     return ideal_extraction(ROBOT, plan_route(ROBOT, seed=route_seed), noise, noise_seed)
-
-
-def both(one: Extraction, other: Extraction) -> Extraction:
-    second = tuple(replace(o, log=1) for o in other.observations)
-    return replace(
-        one,
-        observations=(*one.observations, *second),
-        wheels=(*one.wheels, *other.wheels),
-        joint_tracks=(*one.joint_tracks, *other.joint_tracks),
-    )
 
 
 def cut(track: Track, first: int | None = None, last: int | None = None) -> Track:
@@ -53,11 +43,11 @@ def refused(extraction: Extraction) -> str:
 
 def test_equal_readings():
     one = recorded()
-    assert refused(both(one, one)).endswith("wheel and joint readings")
+    assert refused(joined(one, one)).endswith("wheel and joint readings")
     # Parts of the recording, whose wheels count from their own start; the second pair overlaps by a third.
     third = len(one.wheels[0].time_ns) // 3
     for a, b in ((one, cut_wheels(one, 400)), (cut_wheels(one, None, 2 * third), cut_wheels(one, third))):
-        assert refused(both(a, b)) == (
+        assert refused(joined(a, b)) == (
             "a.mcap and b.bag are the same recording: they contain the same wheel and joint readings"
         )
 
@@ -66,17 +56,17 @@ def test_equal_images():
     one = recorded()
     late = Track(one.wheels[0].right.time_ns + 1000, one.wheels[0].right.value)
     other = replace(one, wheels=(WheelTrack(late, late),))
-    assert refused(both(one, other)).endswith("images")
+    assert refused(joined(one, other)).endswith("images")
 
 
 @pytest.mark.parametrize(("route", "noise"), [(1, 0), (0, 1)])
 def test_other_recordings_at_the_same_times(route, noise):
     """Simulated recordings all begin at the same time."""
-    refuse_equal_recordings(both(recorded(), recorded(route, noise)), ["a.mcap", "b.mcap"])
+    refuse_equal_recordings(joined(recorded(), recorded(route, noise)), ["a.mcap", "b.mcap"])
 
 
 def test_other_drives_without_noise():
-    refuse_equal_recordings(both(recorded(noise=None), recorded(1, noise=None)), ["a.mcap", "b.mcap"])
+    refuse_equal_recordings(joined(recorded(noise=None), recorded(1, noise=None)), ["a.mcap", "b.mcap"])
 
 
 def test_equal_files():

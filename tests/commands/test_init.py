@@ -42,7 +42,6 @@ def test_standard_output_holds_the_file_alone(sample_logs, tmp_path):
     assert done.out.startswith("# rig.yaml for mobilecal")
     assert done.err.startswith("Filled in\n")
     assert_golden(done.err, "init")
-    assert "TODO: optional" in done.err
 
 
 def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):

@@ -386,20 +386,15 @@ def test_camera_calibration_parsers_reads_the_camera_info(model):
     assert (data["image_width"], data["image_height"]) == (left.width, left.height)
 
 
-@pytest.mark.parametrize(
-    ("model", "count", "named", "read"),
-    [
-        ("none", 0, "plumb_bob", 5),
-        ("plumb_bob", 5, "plumb_bob", 5),
-        ("rational_polynomial", 8, "rational_polynomial", 8),
-        ("equidistant", 4, "kannala_brandt", 4),
-    ],
-)
-def test_foxglove_reads_the_camera_calibration(model, count, named, read):
-    """Models and numbers of coefficients as in Foxglove's schema."""
-    camera = replace(ROBOT.rig_cameras.each[0], distortion=model, D=np.zeros(count))
-    made = foxglove._calibration(camera, "camera", 0)
-    assert (made.distortion_model, len(made.D)) == (named, read)
+@pytest.mark.parametrize("model", MODELS)
+def test_foxglove_reads_the_camera_calibration(model):
+    """Models and numbers of coefficients as in Foxglove's schema, which has a name of its own for one of them."""
+    _, named, read = MODELS[model]
+    made = foxglove._calibration(cameras_of(model).first, "camera", 0)
+    assert (made.distortion_model, len(made.D)) == (
+        "kannala_brandt" if named == "equidistant" else named,
+        read,
+    )
     assert (len(made.K), len(made.R), len(made.P)) == (9, 9, 12)
 
 

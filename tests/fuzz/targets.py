@@ -18,7 +18,6 @@ from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.calibrate import inspect
@@ -215,15 +214,12 @@ def _in_json(path: Path) -> None:
         ),
         "/ticks": ("encoders", {"header": header, "counts": [5, 6]}),
     }
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, enable_crcs=False, compression=CompressionType.NONE)
-        writer.start()
-        for topic, (kind, fields) in kinds.items():
-            schema = writer.register_schema(kind, "jsonschema", b"{}")
-            channel = writer.register_channel(topic, "json", schema)
-            for k in range(4):
-                writer.add_message(channel, 5 * 10**9 + k, json.dumps(fields).encode(), 0)
-        writer.finish()
+    messages = (
+        r.Raw(topic, 5 * 10**9 + k, json.dumps(fields).encode(), (kind, "jsonschema", b"{}"), "json")
+        for topic, (kind, fields) in kinds.items()
+        for k in range(4)
+    )
+    r.write_raw(path, messages, profile="", enable_crcs=False, compression=CompressionType.NONE)
 
 
 def _in_protobuf(path: Path) -> None:

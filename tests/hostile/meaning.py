@@ -16,7 +16,6 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import require_stations
-from mobilecal_cli.camera import project
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     CameraRig,
@@ -35,8 +34,9 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.bench.simulated import errors
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 from tests.pairs import measured_anew, with_pair
+from tests.robots import in_cameras
 
 SIGMAS = 4.0
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))
@@ -232,8 +232,8 @@ def pixels_of(o: Observation) -> tuple[FloatArray, FloatArray]:
 
 def shown(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Where both cameras show points, px."""
-    in_right = se3.act(se3.inverse(rig.T_c_each[1]), points_c)
-    return project(rig.each[0], points_c), project(rig.each[1], in_right)
+    left, right = in_cameras(rig, np.eye(4), points_c)
+    return left, right
 
 
 def measured(pixels: Callable[[int, Observation], tuple[FloatArray, FloatArray]]) -> Change:
@@ -478,14 +478,7 @@ def another_robot(made: Extraction) -> Extraction:
     T = robot.T_h_c @ se3.transform(se3.exp_so3(np.array([0.05, 0.0, 0.05])), np.array([0.02, 0.0, 0.01]))
     other = replace(robot, wheels=wheels_, T_h_c=T)
     second = ideal_extraction(other, plan_route(other, stations=STATIONS, seed=7), NOISE, 7)
-    later = tuple(replace(o, log=1, station=o.station + STATIONS) for o in second.observations)
-    return replace(
-        made,
-        observations=(*made.observations, *later),
-        wheels=(*made.wheels, *second.wheels),
-        joint_tracks=(),
-        logs=(*made.logs, *second.logs),
-    )
+    return replace(joined(made, second), joint_tracks=())
 
 
 _WIDTH, _HEIGHT = 639.0, 479.0

@@ -5,9 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
-import sqlite3
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
 from tests.extractions import Noise, ideal_extraction
+from tests.readers.recordings import in_sqlite
 from tests.records import records_of, written
 
 LOGS = REPOSITORY / "sample_logs"
@@ -153,8 +152,7 @@ def database(statement: str) -> Make:
                     )
                 writer.write(connections[record.topic], record.time_ns, record.data)
         (path,) = (folder / "bag").glob("*.db3")
-        with closing(sqlite3.connect(path)) as connection, connection:
-            connection.execute(statement)
+        in_sqlite(path, statement)
 
     return make
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html.parser
 import json
 import os
 import shutil
@@ -14,6 +13,7 @@ from ruamel.yaml import YAML
 from tests.command import python, run
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
+from tests.report.example import Page
 
 
 def killed_everywhere(folder, existing, exchange) -> list[list[str]]:
@@ -47,17 +47,6 @@ def test_killed_where_directories_cannot_change_places(tmp_path):
 EVIL = "x</script><img src=x onerror=alert(1)>\x1b[2J\u202e$\\frac{1}{$ {{7*7}} 'q' \"dq\""
 
 
-class Tags(html.parser.HTMLParser):
-    """Every tag with its attributes."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
-
-    def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
-
-
 @pytest.mark.long
 def test_names_that_try_to_steer(sample_logs, tmp_path, tmp_path_factory):
     def edit(topic, message):
@@ -73,12 +62,11 @@ def test_names_that_try_to_steer(sample_logs, tmp_path, tmp_path_factory):
         assert not any(ord(character) < 32 and character != "\n" for character in text)
         assert "\u202e" not in text
     page = (tmp_path / "out/report.html").read_text(encoding="utf-8")
-    tags = Tags()
-    tags.feed(page)
-    scripts = [attributes for tag, attributes in tags.found if tag == "script"]
+    tags = Page(page).tags
+    scripts = [attributes for tag, attributes in tags if tag == "script"]
     assert scripts == [{"type": "application/json", "id": "data"}, {}]  # the page's own
-    assert not any(key.startswith("on") for _, attributes in tags.found for key in attributes)
-    assert not any(attributes.get("src") == "x" for _, attributes in tags.found)
+    assert not any(key.startswith("on") for _, attributes in tags for key in attributes)
+    assert not any(attributes.get("src") == "x" for _, attributes in tags)
     assert "\x1b" not in page
     assert "\u202e" not in page
     assert "49" not in page.split("x&lt;/script&gt;")[1][:120]

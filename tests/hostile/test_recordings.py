@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bz2
-import json
 import os
 import resource
 import signal
@@ -16,7 +15,6 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
-from mcap.writer import Writer as McapWriter
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description, sha256_of
@@ -283,14 +281,13 @@ def test_message_definitions_without_end(definition, payload, encoding):
 
 def test_json_that_is_deeper_than_the_stack(tmp_path):
     path = tmp_path / "log.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start()
-        schema = writer.register_schema("sensor_msgs/JointState", "jsonschema", b"{}")
-        channel = writer.register_channel("/joint_states", "json", schema)
-        writer.add_message(channel, 1, b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}", 1)
-        writer.add_message(channel, 2, json.dumps({"name": ["pan"], "position": [1.0]}).encode(), 2)
-        writer.finish()
+    deep = b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}"
+    schema = ("sensor_msgs/JointState", "jsonschema", b"{}")
+    messages = (
+        r.Raw("/joint_states", k, data, schema, "json")
+        for k, data in enumerate((deep, b'{"name": ["pan"], "position": [1.0]}'), 1)
+    )
+    r.write_raw(path, messages, profile="")
     with bounded(), open_recording([path]) as recording:
         assert read_description(recording).joint_names == {"/joint_states": ("pan",)}
 
@@ -341,28 +338,14 @@ def test_metadata_that_would_harm_is_done_without(tmp_path, metadata):
 
 def test_a_database_that_computes_its_messages_is_refused(tmp_path):
     """A view in the place of the table of messages could run without end, or read other files."""
-    import sqlite3
-
-    path = tmp_path / "log.db3"
-    connection = sqlite3.connect(path)
-    connection.execute("CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)")
-    connection.execute(
+    path = r.in_sqlite(
+        tmp_path / "log.db3",
+        "CREATE TABLE topics (id INTEGER, name TEXT, type TEXT, serialization_format TEXT)",
         "CREATE VIEW messages AS WITH RECURSIVE n(id) AS (SELECT 1 UNION ALL SELECT id + 1 FROM n) "
-        "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n"
+        "SELECT id, 1 AS topic_id, id AS timestamp, x'00' AS data FROM n",
     )
-    connection.commit()
-    connection.close()
     with bounded(), pytest.raises(RecordingError, match="no tables topics and messages"):
         open_recording([path])
-
-
-def test_devices_and_pipes_are_no_recordings(tmp_path):
-    import os
-
-    os.mkfifo(tmp_path / "pipe.mcap")
-    for path in (tmp_path / "pipe.mcap", Path("/dev/zero")):
-        with bounded(), pytest.raises(RecordingError, match="not a regular file"):
-            open_recording([path])
 
 
 def test_names_that_are_numbers_out_of_range(tmp_path, sound):
@@ -377,17 +360,13 @@ def test_names_that_are_numbers_out_of_range(tmp_path, sound):
 
 def test_a_database_of_other_types_than_it_says(tmp_path):
     """SQLite keeps whatever is written into a column: numbers for names, names for numbers."""
-    import sqlite3
-
-    path = r.CONTAINERS["bare-db3"](tmp_path / "log", r.world(12))
-    connection = sqlite3.connect(path)
-    rows = connection.execute("SELECT id, name FROM topics").fetchall()
-    changes = {"name": b"5", "type": 7, "serialization_format": 1.5}
-    for (number, _), (column, value) in zip(rows, changes.items(), strict=False):
-        connection.execute(f"UPDATE topics SET {column} = ? WHERE id = ?", (value, number))
-    connection.execute("UPDATE messages SET timestamp = 'late' WHERE id = (SELECT MAX(id) FROM messages)")
-    connection.commit()
-    connection.close()
+    path = r.in_sqlite(
+        r.CONTAINERS["bare-db3"](tmp_path / "log", r.world(12)),
+        "UPDATE topics SET name = x'35' WHERE id = 1",
+        "UPDATE topics SET type = 7 WHERE id = 2",
+        "UPDATE topics SET serialization_format = 1.5 WHERE id = 3",
+        "UPDATE messages SET timestamp = 'late' WHERE id = (SELECT MAX(id) FROM messages)",
+    )
     with bounded(), open_recording([path]) as recording:
         assert any("5" in info.name for info in recording.topics)
         assert recording.end_ns is not None
@@ -395,8 +374,6 @@ def test_a_database_of_other_types_than_it_says(tmp_path):
 
 
 def test_the_hash_of_no_recording(tmp_path):
-    with pytest.raises(RecordingError, match="no such file or directory"):
-        sha256_of(tmp_path / "log.mcap")
     os.mkfifo(tmp_path / "log.mcap")
     with bounded(), pytest.raises(RecordingError, match="not a regular file"):
         sha256_of(tmp_path / "log.mcap")

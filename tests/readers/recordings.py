@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterable
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -231,6 +232,14 @@ def write_bag2(path: Path, items: list[Item], storage: str = "SQLITE3", compress
     if compression:
         writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     _fill(writer, items, ROS2, ROS2.serialize_cdr)
+    return path
+
+
+def in_sqlite(path: Path, *statements: str) -> Path:
+    """A database after some statements; a new one if there is none."""
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for statement in statements:
+            connection.execute(statement)
     return path
 
 

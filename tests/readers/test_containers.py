@@ -142,6 +142,8 @@ def test_a_directory_with_several_recordings_lists_them(tmp_path):
     assert refused_directory(both) == "contains a directory with a recording: bag/"
     r.write_mcap(both / "other.mcap", ITEMS)
     assert refused_directory(both) == "contains 2 recordings: other.mcap; bag/"
+    r.write_mcap(both / "more.mcap", ITEMS)
+    assert refused_directory(both) == "contains 3 recordings: more.mcap; other.mcap; bag/"
 
 
 def test_an_unpacked_copy_is_no_other_recording(tmp_path):

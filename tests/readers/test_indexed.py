@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sqlite3
 from dataclasses import replace
 
 import numpy as np
@@ -101,10 +100,7 @@ def logged(recording, extent):
 def test_sqlite_reads_the_log_times_asked_for(tmp_path, indexed):
     (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
     if not indexed:
-        connection = sqlite3.connect(file)
-        connection.execute("DROP INDEX timestamp_idx")
-        connection.commit()
-        connection.close()
+        r.in_sqlite(file, "DROP INDEX timestamp_idx")
     times = LOGGED["/left/image_raw"]
     at_ns = np.array([times[0] - 1, times[1], times[2], times[4], times[5]])
     with open_recording([file]) as recording:

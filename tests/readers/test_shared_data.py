@@ -147,17 +147,6 @@ def test_wrong_serialization_is_named(shared_data):
         recording.messages([recording.topics[0].name])
 
 
-def test_joints_of_fetch_and_ubr1(shared_data):
-    folder = shared_data / "bags/fetch_calibration/fetch_calibration/config"
-    with open_recording([folder / "checkerboard_poses.bag"]) as recording:
-        (names,) = read_description(recording).joint_names.values()
-        assert {"head_pan_joint", "head_tilt_joint", "l_wheel_joint", "r_wheel_joint"} <= set(names)
-    path = shared_data / "bags/robot_calibration_ubr/launch/calibration_poses.bag"
-    with open_recording([path]) as recording:
-        (names,) = read_description(recording).joint_names.values()
-        assert {"head_pan_joint", "base_l_wheel_joint", "base_r_wheel_joint"} <= set(names)
-
-
 def test_picture_that_claims_more_than_it_holds(shared_data):
     path = shared_data / "bags/rosbags_rs_all_types/tests/test_bags/test_bag_mcap"
     topic = "/test/sensor_msgs/image"

@@ -34,8 +34,16 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.vision import thumbnail_jpeg
 from tests.actual import draw
-from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.extractions import (
+    STATION_NOISE,
+    Imperfection,
+    Noise,
+    ideal_extraction,
+    imperfect_extraction,
+    joined,
+)
 from tests.pairs import with_pair
+from tests.robots import true_nominal
 
 ROBOT = tick_robot()
 WHEELS = ROBOT.wheels
@@ -52,10 +60,7 @@ def make_extraction(n: int = 12, logs: int = 1, seed: int = 0) -> Extraction:
     ]
     start_ns = parts[0].observations[0].time_ns
     return replace(
-        with_nominal(parts[0], Nominal()),
-        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
-        wheels=tuple(track for part in parts for track in part.wheels),
-        joint_tracks=tuple(tracks for part in parts for tracks in part.joint_tracks),
+        with_nominal(joined(*parts), Nominal()),
         rejections=(
             Rejection("stations", "the base moved", "0.021 rad in 0.4 s", start_ns + 31 * 10**9),
             Rejection("vision", "board partly hidden", "41 of 54 corners", start_ns + 40 * 10**9, 12),
@@ -204,9 +209,7 @@ def recorded(constants, noise=STATION_LEVELS, motion="standard", stations=12, se
     robot = tick_robot()
     route = plan_route(robot, motion, stations, seed=seed)
     extraction = imperfect_extraction(robot, route, Imperfection(constants, noise), seed=seed)
-    nominal = Nominal(robot.T_h_c @ extraction.rig.cameras.T_c_reference, robot.wheels)
-    rig = replace(extraction.rig, nominal=nominal)
-    return replace(extraction, rig=rig, logs=(LogSource("log.mcap", "0" * 64),))
+    return replace(with_nominal(extraction, true_nominal(robot)), logs=(LogSource("log.mcap", "0" * 64),))
 
 
 @cache

@@ -12,7 +12,6 @@ import pytest
 
 from mobilecal_cli.calibrate.steps import Data, Report, solve
 from mobilecal_cli.model import LogSource
-from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import job_summary
 from tests.command import run
@@ -120,9 +119,3 @@ def test_suggestions_go_by_the_user_s_limits(result, sample_logs):
     done = run("suggest", sample_logs / "paper_robot.mcap", "-q", "-c", "mine.yaml", cwd=result)
     assert done.code == 0, done.err
     assert "limits the camera position in the base" in done.out.splitlines()[0]
-
-
-def test_the_draft_has_the_limits(sample_logs):
-    done = run("init", sample_logs / "paper_robot.mcap", "-o", "-")
-    for name, limit in ACCURACY.items():
-        assert f"#   {name}: {limit:g}\n" in done.out

@@ -24,6 +24,7 @@ from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.report.fleet import FleetRow, fleet_text
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.solvers import evaluate
+from tests.extractions import slipped
 from tests.golden import assert_golden
 from tests.report.example import (
     ROBOT,
@@ -42,13 +43,10 @@ from tests.report.example import (
 @pytest.fixture(scope="module")
 def texts(extraction):
     """Every text of a calibration by the default method; a wheel slips once."""
-    (track,) = extraction.wheels
-    slip = 0.2 * (track.right.time_ns > extraction.observations[5].time_ns + 10**9)
-    right = replace(track.right, value=track.right.value + slip)
-    slipped = replace(extraction, wheels=(replace(track, right=right),))
-    solution = make_solution(slipped, "ml")
+    slipping = slipped(extraction, 5, 0.2)
+    solution = make_solution(slipping, "ml")
     trial = evaluate(extraction, solution.parameters, ROBOT.wheels)
-    report = made(solution, slipped, trial)
+    report = made(solution, slipping, trial)
     checks = "".join(
         f"{check.outcome}: {check.name}: {check.measured_text} ({check.limit_text})\n  {check.why} {check.next_step}\n"
         for check in report.verdict.checks
@@ -60,7 +58,7 @@ def texts(extraction):
         FleetRow(f"robot-{n}", level, code, "the reason", 12, (0.1, 0.0, 0.0), (0.1,) * 6, (1e-3,) * 9)
         for n, (level, code) in enumerate((("PASS", 0), ("FAIL", 6), ("NOT ENOUGH", 6)))
     ]
-    page = page_of(solution, slipped, make_snapshots(slipped), trial=trial)
+    page = page_of(solution, slipping, make_snapshots(slipping), trial=trial)
     return {
         "summary": summary_text(report),
         "details": summary_text(report, verbose=True),
@@ -69,7 +67,7 @@ def texts(extraction):
         "comparison": comparison_text(Comparison(("one", "two", "three"), past, changes, history(past))),
         "fleet": fleet_text(rows),
         "page": prose(page),
-        "suggestions": "\n".join(suggestion_sentences(solution, slipped)) + "\n",
+        "suggestions": "\n".join(suggestion_sentences(solution, slipping)) + "\n",
         "findings": "\n".join(
             [report.quality.reprojection_text, report.uncertainty.jackknife_text, report.error_budget.limiting,
              report.error_budget.advice, *report.outliers_text]

@@ -16,7 +16,7 @@ from mobilecal_cli.calibrate.load import read_extraction
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml
 from mobilecal_cli.model import Board, KnownNoise, Markers, Nominal, Provenance, WheelGeometry
-from mobilecal_cli.rig.config import checked_settings, load_rig
+from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
@@ -125,20 +125,6 @@ def test_params_yaml(tmp_path, params, name):
         with pytest.raises(ConfigError) as caught:
             read(path)
         assert f"{path}: provenance.config: {said}" in caught.value.message
-
-
-@pytest.mark.parametrize("name", [name for name in CASES if name != "prior negative infinity"])
-def test_rig_yaml(tmp_path, name):
-    change, said = CASES[name]
-    plain = settings_of(change(make_extraction()))
-    section, *keys = said.partition(":")[0].removesuffix(".0").split(".")
-    inner = plain[section]
-    (tmp_path / "rig.yaml").write_text(
-        as_yaml({section: {keys[0]: inner[keys[0]]} if section != "board" else inner})
-    )
-    with pytest.raises(ConfigError) as caught:
-        load_rig(tmp_path / "rig.yaml")
-    assert said in caught.value.message
 
 
 def extraction_to_npz_with_nan(extraction):

@@ -14,6 +14,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import BoardView, NumberField, TopicInfo
+from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig, likely_square_m
 from mobilecal_cli.rig.names import may_be_a_reading
@@ -55,6 +56,7 @@ def test_a_draft_loads_and_settles_the_same_rig():
     )
     assert todo(draft) == {}
     assert set(todo(draft, needed=False)) == {"board.square_m"}
+    assert all(f"#   {name}: {limit:g}\n" in draft.text for name, limit in ACCURACY.items())
     # Each value stands beside its source.
     for one in draft.filled:
         assert one.source in draft.text

@@ -105,24 +105,6 @@ def expected_pixels(name, motion="standard", points_k=None, joints=None, **camer
     ]
 
 
-def fields_of(extraction):
-    for o in extraction.observations:
-        yield from (o.time_ns, o.joints, *(view.pixels for view in o.views), o.points_c, o.points_cov)
-        yield from (o.T_c_k, o.T_c_k_cov, o.square_m, o.reprojection_px)
-    for track in (*extraction.joint_tracks[0], extraction.wheels[0].right, extraction.wheels[0].left):
-        yield from (track.time_ns, track.value)
-
-
-@pytest.mark.parametrize("motion", ["standard", "moving"])
-@pytest.mark.parametrize("name", ROBOTS)
-def test_without_imperfections_the_extraction_is_the_ideal_one_bit_for_bit(name, motion):
-    robot, noise = ROBOTS[name](), Noise(0.2, 0.003, 0.001, 1e-3)
-    ideal = ideal_extraction(robot, route_of(name, motion), noise, 3)
-    imperfect = seen(name, dict.fromkeys(constant_kinds(robot), 0.0), motion, noise, seed=3)
-    for a, b in zip(fields_of(ideal), fields_of(imperfect), strict=True):
-        assert np.array_equal(a, b)
-
-
 def test_the_constants_of_a_pan_tilt_robot():
     kinds = constant_kinds(tick_robot())
     cameras = {

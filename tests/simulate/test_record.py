@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import get_args
 
@@ -62,15 +63,20 @@ def flat(value):
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory):
-    path = recorded(tmp_path_factory.mktemp("reference"), SMALL)
-    return contents(path, SMALL)
+def once(tmp_path_factory):
+    """The recording of a scenario in a directory of its own, for tests that leave it as it is."""
+    return cache(lambda scenario: recorded(tmp_path_factory.mktemp("once"), scenario))
+
+
+@pytest.fixture(scope="module")
+def reference(once):
+    return contents(once(SMALL), SMALL)
 
 
 @pytest.mark.parametrize("container", [container for container in get_args(Container) if container != "mcap"])
-def test_every_container_holds_the_same_values(tmp_path, reference, container):
+def test_every_container_holds_the_same_values(once, reference, container):
     scenario = replace(SMALL, container=container)
-    description, signals, pictures = contents(recorded(tmp_path, scenario), scenario)
+    description, signals, pictures = contents(once(scenario), scenario)
     for found, expected in (
         (description.infos, reference[0].infos),
         (signals, reference[1]),
@@ -85,15 +91,13 @@ def test_every_container_holds_the_same_values(tmp_path, reference, container):
 
 
 @pytest.mark.parametrize("container", ["mcap", "bag", "rosbag2"])
-def test_the_same_scenario_gives_the_same_bytes(tmp_path, container):
+def test_the_same_scenario_gives_the_same_bytes(once, tmp_path, container):
     scenario = replace(SMALL, container=container)
-    both = []
-    for name in ("first", "again"):
-        (tmp_path / name).mkdir()
-        recorded(tmp_path / name, scenario)
-        files = sorted(file for file in (tmp_path / name).rglob("*") if file.is_file())
-        both.append({str(file.relative_to(tmp_path / name)): file.read_bytes() for file in files})
-    assert both[0] == both[1]
+    first, again = (
+        {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+        for folder in (once(scenario).parent, recorded(tmp_path, scenario).parent)
+    )
+    assert first == again
 
 
 def test_readings_are_the_truth_within_the_stated_noise(reference):
@@ -136,10 +140,10 @@ def test_an_exact_recording_has_the_exact_readings(tmp_path):
     assert len(pictures) == 2 * len(route.rests_s)
 
 
-def test_tick_counters_wrap_and_are_read_as_the_wheels_angles(tmp_path):
+def test_tick_counters_wrap_and_are_read_as_the_wheels_angles(once):
     scenario = replace(SMALL, robot="tick")
     robot, route = scenario.plan()
-    path = recorded(tmp_path, scenario)
+    path = once(scenario)
     with open_recording([path]) as recording:
         counts = [m.decode().data for m in recording.messages(["/wheel_ticks/left"])]
     _, signals, _ = contents(path, scenario)
@@ -165,10 +169,11 @@ def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(tmp_path, name):
+def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(once, name):
     scenario = replace(SMALL, robot=name)
     robot, _ = scenario.plan()
-    description, _, _ = contents(recorded(tmp_path, scenario), scenario)
+    with open_recording([once(scenario)]) as recording:
+        description = read_description(recording)
     urdf = parse_urdf(description.urdfs["/robot_description"])
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
@@ -180,10 +185,9 @@ def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(tmp_path, name):
     assert radii == {"left": {nominal.radius_left_m}, "right": {nominal.radius_right_m}}
 
 
-def test_the_truth_holds_the_nine_numbers_and_the_stations(tmp_path):
+def test_the_truth_holds_the_nine_numbers_and_the_stations(once):
     robot, route = SMALL.plan()
-    out = recorded(tmp_path, SMALL)
-    truth = YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
+    truth = truth_of(once(SMALL))
     assert truth["schema_version"] == 1
     assert truth["head_eye"]["parent_frame"] == "head_link"
     assert truth["head_eye"]["child_frame"] == "stereo_left_optical"

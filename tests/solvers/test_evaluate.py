@@ -14,7 +14,7 @@ from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 
 ROBOT = ROBOTS["paper"]()
 TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)
@@ -110,11 +110,7 @@ def test_a_turned_camera_is_seen_as_such(exact):
 
 def test_logs_stand_alone():
     two = [ideal_extraction(ROBOT, plan_route(ROBOT, seed=s), Noise(pixel_px=0.2), seed=s) for s in (0, 1)]
-    second = tuple(replace(o, log=1) for o in two[1].observations)
-    both = replace(
-        two[0], observations=(*two[0].observations, *second), wheels=(two[0].wheels[0], two[1].wheels[0])
-    )
-    found = evaluate(both, TRUTH, ROBOT.wheels)
+    found = evaluate(joined(*two), TRUTH, ROBOT.wheels)
     assert len(found.legs) == 22
     assert set(found.legs[:, 0]) == {0, 1}
     apart = [evaluate(each, TRUTH, None) for each in two]

@@ -13,7 +13,7 @@ from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.search import Search
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 from tests.hostile.meaning import (
     PAN,
     WRONG,
@@ -30,7 +30,6 @@ from tests.hostile.meaning import (
     wheels,
 )
 from tests.hostile.meaning import recorded as recorded_twenty
-from tests.solvers.test_several_logs import joined
 
 ROBOT = tick_robot()
 

@@ -20,11 +20,10 @@ from mobilecal_cli.solvers import maximum_likelihood as recipe
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.noise import lengths
 from tests.bench.simulated import as_described, errors, spoiled
-from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction
+from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction, joined
 from tests.extractions import Noise as Disturbance
 from tests.pairs import with_views
 from tests.robots import chain_of
-from tests.solvers.test_several_logs import joined
 from tests.truth import nees
 
 ROBOT = paper_robot()
@@ -361,18 +360,8 @@ def test_a_robot_as_described_contradicts_nothing(solution):
     assert kinds >= {"joint_zero", "joint_position", "focal_length", "square_size"}
 
 
-def two_logs(seeds, robots):
-    """Two extractions as two logs of one."""
-    return joined(
-        *(
-            ideal_extraction(r, plan_route(r, "standard", seed=s), NOISE, s)
-            for s, r in zip(seeds, robots, strict=True)
-        )
-    )
-
-
-def test_two_logs_of_one_robot_are_better_than_one(solution):
-    found = solve(two_logs((1, 2), (ROBOT, ROBOT)))
+def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
+    found = solve(joined(noisy, extraction_of(seed=2)))
     assert found.between.shift.shape == (2, 9)
     assert np.all(found.between.between_std == 0)
     assert np.all(found.uncertainty.std < solution.uncertainty.std)

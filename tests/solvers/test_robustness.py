@@ -9,7 +9,7 @@ import pytest
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import NINE, FixedLink, JointLink, Nominal, Parameters, WheelTrack
+from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import Case, judge
 from mobilecal_cli.simulate.robot import tick_robot
@@ -27,9 +27,11 @@ from tests.extractions import (
     Noise,
     ideal_extraction,
     imperfect_extraction,
+    slipped,
 )
 from tests.pairs import measured_anew, with_views
 from tests.report.example import made, make_provenance, rows_of
+from tests.robots import true_nominal
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
 
@@ -155,8 +157,7 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
 
 
 def with_true_nominal(extraction):
-    nominal = Nominal(ROBOT.T_h_c @ extraction.rig.cameras.T_c_reference, ROBOT.wheels)
-    return replace(extraction, rig=replace(extraction.rig, nominal=nominal))
+    return replace(extraction, rig=replace(extraction.rig, nominal=true_nominal(ROBOT)))
 
 
 @pytest.mark.parametrize(
@@ -218,13 +219,7 @@ def test_many_outliers_of_a_kind_are_noise():
 def test_discrepancies_that_do_not_matter_are_no_outliers():
     """Corners of 0.002 px and exact wheels, and one leg that is wrong by a fifth of a millimeter."""
     noise = Noise(0.002, 1e-5, 0.0, 1e-6)
-    extraction = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=1), noise, 1)
-    track = extraction.wheels[0]
-    late = track.time_ns > extraction.observations[5].time_ns + 10**9
-    slipped = WheelTrack.at_same_times(
-        track.time_ns, track.right_rad + 5e-4 * late, track.left_rad + 5e-4 * late
-    )
-    found = solve(replace(extraction, wheels=(slipped,)))
+    found = solve(slipped(recorded("standard", 1, noise=noise), 5, 5e-4, 5e-4))
     assert not [o for o in found.outliers if o.kind == "slip"]
 
 

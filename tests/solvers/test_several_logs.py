@@ -12,16 +12,24 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, Nominal, WheelGeometry
+from mobilecal_cli.model import NINE, Corners, WheelGeometry
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests import truth
-from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.extractions import (
+    STATION_NOISE,
+    Imperfection,
+    Noise,
+    ideal_extraction,
+    imperfect_extraction,
+    joined,
+)
 from tests.pairs import with_views
 from tests.report.example import made, rows_of
+from tests.robots import true_nominal
 
 ROBOT = paper_robot()
 NOISE = Noise(0.2, 0.003, 0.0, np.radians(0.05))
@@ -34,16 +42,6 @@ def recorded(motion, seed, robot=ROBOT, noise=NOISE, stations=12, grown_m=0.0):
     robot = replace(robot, wheels=WheelGeometry(*radii, wheels.separation_m))
     whole = ideal_extraction(robot, plan_route(robot, motion, seed=seed), noise, seed)
     return replace(whole, observations=whole.observations[:stations])
-
-
-def joined(*parts):
-    """Several extractions as the recordings of one."""
-    return replace(
-        parts[0],
-        observations=tuple(replace(o, log=log) for log, part in enumerate(parts) for o in part.observations),
-        wheels=tuple(part.wheels[0] for part in parts),
-        joint_tracks=tuple(part.joint_tracks[0] for part in parts),
-    )
 
 
 def nees(solution):
@@ -242,7 +240,7 @@ def short_leg(seed, turn_rad):
 def short_legs(turns_rad):
     """Recordings of two stations each, with the head-eye transform in the description, but no wheels."""
     extraction = joined(*(short_leg(seed, turn) for seed, turn in enumerate(turns_rad)))
-    nominal = Nominal(ROBOT.T_h_c @ extraction.rig.cameras.T_c_reference, None)
+    nominal = replace(true_nominal(ROBOT), wheels=None)
     return replace(extraction, rig=replace(extraction.rig, nominal=nominal))
 
 
