@@ -450,8 +450,9 @@ def build_report(case: Case) -> ReportData:
         verdict=case.verdict,
         numbers=numbers_of(solution, extraction.rig),
         metrics=figures_of(case, case.verdict.checks),
-        parameters=ResultData(
-            **_nine(solution.parameters, cameras, alone),
+        parameters=like(
+            ResultData,
+            _nine(solution.parameters, cameras, alone),
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
@@ -461,22 +462,24 @@ def build_report(case: Case) -> ReportData:
             odometry=_odometry(solution, extraction),
         ),
         quality=_quality(solution, extraction),
-        linear=LinearData(
-            **_nine(linear.parameters, cameras, alone),
+        linear=like(
+            LinearData,
+            _nine(linear.parameters, cameras, alone),
             point_rms_mm=linear.point_rms_m * 1e3,
             second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
             iterations=linear.rounds,
             iterations_to_tolerance=linear.rounds_to_tolerance,
             initial_ratios=linear.start_ratios,
             initial_from=linear.start_from,
-            history=tuple(ParametersData(**_nine(each, cameras, alone)) for each in linear.history),
+            history=tuple(_nine(each, cameras, alone) for each in linear.history),
         ),
         refinement=None
         if refinement is None
         else like(
             RefinementData,
-            refinement,
-            **_nine(refinement.parameters, cameras, alone),
+            _nine(refinement.parameters, cameras, alone),
+            method=refinement.method,
+            evaluations=refinement.evaluations,
             point_rms_mm=refinement.point_rms_m * 1e3,
             point_rms_history_mm=refinement.point_rms_history_m * 1e3,
         ),
@@ -544,21 +547,23 @@ def build_report(case: Case) -> ReportData:
     )
 
 
-def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool = False) -> dict[str, Any]:
-    T = reference_pose(parameters, cameras)
-    lock_deg = se3.gimbal_margin_deg(T[:3, :3])
-    names = [f"{name}_mm" for name in (*(f"translation_{axis}" for axis in "xyz"), *NINE[6:])]
-    shown: list[float | None] = (np.concatenate([T[:3, 3], parameters.wheels.vector]) * 1e3).tolist()
-    if odometry:  # nobody measured these wheels
-        shown[3:] = [None] * 3
-    return {
-        **dict(zip(names, shown, strict=True)),
-        "translation_m": T[:3, 3],
-        "rotation_vector_deg": np.degrees(se3.log_so3(T[:3, :3])),
-        "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]),
-        "euler_zyx_deg": np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= se3.NEAR_LOCK_DEG else None,
-        "gimbal_margin_deg": lock_deg,
-    }
+def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool) -> ParametersData:
+    """Parameters with the pose of the reference camera; with odometry alone nobody measured the wheels."""
+    T, wheels = reference_pose(parameters, cameras), parameters.wheels
+    lock_deg, (x_mm, y_mm, z_mm) = se3.gimbal_margin_deg(T[:3, :3]), (T[:3, 3] * 1e3).tolist()
+    return ParametersData(
+        rotation_vector_deg=np.degrees(se3.log_so3(T[:3, :3])),
+        quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]),
+        euler_zyx_deg=np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= se3.NEAR_LOCK_DEG else None,
+        gimbal_margin_deg=lock_deg,
+        translation_m=T[:3, 3],
+        translation_x_mm=x_mm,
+        translation_y_mm=y_mm,
+        translation_z_mm=z_mm,
+        radius_right_mm=None if odometry else wheels.radius_right_m * 1e3,
+        radius_left_mm=None if odometry else wheels.radius_left_m * 1e3,
+        separation_mm=None if odometry else wheels.separation_m * 1e3,
+    )
 
 
 def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None:
