@@ -24,6 +24,8 @@ from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArra
 from mobilecal_cli.vision import SQUARES_UNKNOWN
 
 FEWEST_STATIONS = 4
+#: Notes on a recording in the hint of a refusal.
+_NOTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,11 +126,14 @@ def require_stations(extraction: Extraction) -> None:
         reasons = Counter(rejection.reason for rejection in extraction.rejections).most_common()
         counted = ", ".join(f"{n} x {reason}" for reason, n in reasons)
         rejected = f"; rejected: {counted}" if counted else ""
-        where = f"the board was found at {have} of {extraction.counts.get('stations', have)} stations"
+        looked_at = extraction.counts.get("stations", have)
+        where = f"the board was found at {have} of {looked_at} stations"
         where_kept = extraction.rig.cameras.images_words
         cure = (
             f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
         )
+        if have == looked_at:
+            cure = "; noted: ".join(["stop at more places in front of the board", *extraction.notes[:_NOTED]])
         if reasons and reasons[0][0] == SQUARES_UNKNOWN:
             cure = (
                 "set board.square_m in rig.yaml, or --square-m: stations that one camera alone shows need it"

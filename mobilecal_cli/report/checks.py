@@ -41,6 +41,7 @@ from mobilecal_cli.report.use import (
     MOTION,
     Figure,
     advice,
+    below_limits,
     limiting_sentence,
     missing_motion,
     next_step_of,
@@ -263,6 +264,15 @@ def observable(made: Calibration) -> Iterator[Check]:
 
 def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, and what to do."""
+    head, base = bool(set(missing) & set(NINE[:6])), bool(set(missing) & set(NINE[6:]))
+    constants = made.solution.constants.values()
+    free = {c.kind for c in constants if c.prior >= nuisance.FREE * nuisance.kind(c.kind).sigma}
+    ignored = sorted(free - ({"square_size"} if made.extraction.board.square_m is None else set()))
+    if ignored and not below_limits(made.solution.motion, head, base):
+        return (
+            f"the stated values of {', '.join(ignored)} are ignored",
+            "Use them: leave out --estimate, and free in priors of rig.yaml.",
+        )
     lacking, cures = missing_motion(made.solution, missing), []
     if set(missing) & set(NINE[:6]):
         cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")

@@ -138,12 +138,12 @@ def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
 
 def small_extents(motion: Mapping[str, float], head: bool, base: bool) -> Iterator[str]:
     """What to do about small motion of the head, or of the base, as sentences."""
-    for key in _small(motion, head, base):
+    for key in below_limits(motion, head, base):
         extent, digits = MOTION[key], 1 if MOTION[key].unit == "m" else 0
         yield f"{extent.cure.capitalize()} (now {motion[key]:.{digits}f} {extent.unit})."
 
 
-def _small(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
+def below_limits(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
     """Keys of the extents of the head, or of the base, that are below their limits."""
     return [
         key
@@ -155,7 +155,7 @@ def _small(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
 def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
     """Motion that the recording lacks to determine these parameters: key of `MOTION` → why, in words."""
     of_base, motion = set(names) & set(NINE[6:]), solution.motion
-    keys = _small(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
+    keys = below_limits(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
     if of_base and not {"turned_deg", "driven_m"} & set(keys):
         # Turning shows the radii over the separation, driving the radii: it is little beside the other.
         keys.append("turned_deg" if of_base == {NINE[8]} else "driven_m")

@@ -21,21 +21,28 @@ from tests.bench import (
     wheels_alone,
 )
 
-exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
-stay = (correlated, one_thing, jumps, invariance)
-for study in (
-    table1,
-    samples,
-    fleet,
-    memory,
-    real_pairs,
-    drawn,
-    configurations,
-    used,
-    odometry,
-    wheels_alone,
-    *stay,
-    *exact,
-):
-    print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
-    study.main()
+
+def main() -> None:
+    """All of them."""
+    exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
+    stay = (correlated, one_thing, jumps, invariance)
+    for study in (
+        table1,
+        samples,
+        fleet,
+        memory,
+        real_pairs,
+        drawn,
+        configurations,
+        used,
+        odometry,
+        wheels_alone,
+        *stay,
+        *exact,
+    ):
+        print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
+        study.main()
+
+
+if __name__ == "__main__":
+    main()

@@ -67,6 +67,15 @@ def test_too_few_stations_count_the_reasons():
     )
 
 
+def test_where_the_board_was_always_found_the_recording_is_the_cause():
+    whole = extraction("standard")
+    note = "/left/image: 23 of 24 stamps occur twice; the first is kept"
+    few = replace(whole, observations=whole.observations[:1], counts={"stations": 1}, notes=(note,))
+    with pytest.raises(ObservationError, match=r"at 1 of 1 stations \(at least 4 needed\)") as caught:
+        require_stations(few)
+    assert caught.value.hint == f"stop at more places in front of the board; noted: {note}"
+
+
 def recordings(count, stations):
     whole = extraction("standard")
     part = replace(whole, observations=whole.observations[:stations], counts={"stations": count * stations})

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.nuisance import FREE, kind
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    EstimatedConstant,
     Nominal,
     Parameters,
     Rejection,
@@ -365,3 +367,22 @@ def test_a_camera_of_a_pair_that_hardly_shows_the_board_is_not_enough(solution, 
     half = (*extraction.observations[: (count + 1) // 2], *seen[(count + 1) // 2 :])
     verdict = judge(solution, replace(extraction, observations=half))
     assert {check.outcome for check in verdict.checks} == {"pass"}
+
+
+def test_stated_values_that_are_ignored_are_the_cause_where_the_motion_is_enough():
+    solution, extraction = drawn()
+    hidden = np.array([False] + [True] * 8)
+    pan = EstimatedConstant(
+        "pan_zero", "joint_zero", "pan", "zero", 0.0, 0.2, FREE * kind("joint_zero").sigma
+    )
+    free = replace(
+        solution,
+        uncertainty=replace(solution.uncertainty, observable=hidden),
+        constants={"pan_zero": pan},
+        motion={"pan_range_deg": 60.0, "tilt_range_deg": 20.0, "turned_deg": 90.0, "driven_m": 3.0},
+    )
+    said = [check for check in judge(free, extraction).checks if check.id == "observable"]
+    assert "the stated values of joint_zero are ignored" in said[0].why
+    still = replace(free, motion={**free.motion, "tilt_range_deg": 1.0})
+    said = [check for check in judge(still, extraction).checks if check.id == "observable"]
+    assert "the head tilted by 1.0 degrees only" in said[0].why
