@@ -171,7 +171,7 @@ def _decided(inference: Inference, fit: Fit) -> Fit:
 def _corners_decided(inference: Inference, fit: Fit) -> Fit:
     """The fit with gross corners decided in the estimated cameras and board: the stated ones may be wrong.
 
-    Wrong cameras reject corners that are right, and hide gross ones behind a misfit of all. An image or board that does
+    Wrong cameras reject corners that are right, and accept gross ones beside a misfit of all. An image or board that does
     not fit as a whole is left to the tests of stations.
     """
     for _ in range(_CORNER_ROUNDS):
