@@ -171,8 +171,8 @@ def _decided(inference: Inference, fit: Fit) -> Fit:
 def _corners_decided(inference: Inference, fit: Fit) -> Fit:
     """The fit with gross corners decided in the estimated cameras and board: the stated ones may be wrong.
 
-    Wrong cameras reject corners that are right, and accept gross ones beside a misfit of all. An image or board that does
-    not fit as a whole is left to the tests of stations.
+    Wrong cameras reject corners that are right, and accept gross ones beside a misfit of all. An image or board that
+    does not fit as a whole is left to the tests of stations.
     """
     for _ in range(_CORNER_ROUNDS):
         corners, boards, _ = outliers.gross_corners(fit.data, fit.lin.state)
