@@ -83,9 +83,12 @@ def scale_of(
 
 
 def jumps_of(
-    extraction: Extraction, fit: Fit, search: Callable[[Fit], jumps.Jump | None]
-) -> tuple[Jump, ...]:
-    """Where something moved: stretches of rejected stations, or else the most significant jump, if any."""
+    extraction: Extraction, fit: Fit, search: Callable[[Fit], tuple[jumps.Jump, Fit] | None]
+) -> tuple[tuple[Jump, ...], Fit]:
+    """Where something moved: stretches of rejected stations, or else the most significant jump, if any.
+
+    And the fit without what that jump explains: no evidence against the robot description.
+    """
     observations, data, joints = extraction.observations, fit.data, fit.data.chain
     out = ~fit.inliers.views
     stretches = []
@@ -112,10 +115,11 @@ def jumps_of(
                 0.0,
                 0.0,
             ),
-        )
-    jump = search(fit)
-    if jump is None or jump.shift_sigmas < _MATERIAL_SIGMAS:
-        return ()
+        ), fit
+    significant = search(fit)
+    if significant is None or significant[0].shift_sigmas < _MATERIAL_SIGMAS:
+        return (), fit
+    jump, without = significant
     value = jump.value
     turns = jump.part != "" and not jump.part.endswith("wheel")
     slides = jump.part.removeprefix("joint ") in joints.prismatic
@@ -124,7 +128,7 @@ def jumps_of(
     move = float(value[0]) if slides or not turns else move
     o = observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
-    return (Jump(jump.part, o.log, jump.station, o.time_ns, 0, *sizes),)
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, 0, *sizes),), without
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

@@ -311,15 +311,15 @@ class Inference:
             fitted = True
         return fit
 
-    def jump(self, fit: Fit) -> jumps.Jump | None:
-        """The jump that explains the residuals best; None where none is significant.
+    def jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
+        """The jump that explains the residuals best, and the fit without it; None where none is significant.
 
         What looks like one is tested at the noise levels of the residuals without it. One that explains many outliers
         comes first.
         """
-        jump = self._behind_outliers(fit)
-        if jump is not None:
-            return jump
+        behind = self._behind_outliers(fit)
+        if behind is not None:
+            return behind
         jump = jumps.likeliest(fit.lin)
         if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
@@ -327,9 +327,10 @@ class Inference:
         lin = lin.predicted(proposed(lin)[0])
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
         jump = jumps.again(lin, jump)
-        return jump if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump) else None
+        significant = jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)
+        return (jump, replace(fit, lin=lin)) if significant else None
 
-    def _behind_outliers(self, fit: Fit) -> jumps.Jump | None:
+    def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The jump of a wheel with which most outliers fit the other measurements; None if there is none.
 
         All legs on one side of a large one look like slips. Jumps of other parts show in the images.
@@ -348,7 +349,7 @@ class Inference:
             return None
         lin = jumps.without(lin, jump)
         jump = jumps.again(lin, jump)
-        return jump if jumps.lasts(lin, jump) else None
+        return (jump, replace(fit, lin=lin)) if jumps.lasts(lin, jump) else None
 
     def _levels_near(
         self,

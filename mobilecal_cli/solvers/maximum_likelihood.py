@@ -46,14 +46,28 @@ def maximum_likelihood(
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     """Outliers under the stated priors, then the scales of the priors, and a fine fit at the end.
 
-    Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if there
-    were any. Meanwhile the scales stay: a gross error of a measurement must not look like a wrong description.
+    A part that moves in the middle of the recording may drive the scales so far that the fit has no end. Then it is
+    the one under the stated priors: the jump explains the misfit, not the description.
 
     Raises:
         SolveError: see `maximum_likelihood`.
     """
     held = replace(inference, scales_stay=True)
     fit = _without_outliers(held, start or inference.initial(), {})
+    try:
+        return _with_scales(inference, held, fit)
+    except SolveError:
+        if held.jump(fit) is None:
+            raise
+        return held.estimate_noise(fit, FINE)
+
+
+def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
+    """The fit with the scales of the priors, from one under the stated priors.
+
+    Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if there
+    were any. Meanwhile the scales stay: a gross error of a measurement must not look like a wrong description.
+    """
     # Anew from the supposed levels: a wrong description may have made them large.
     supposed = inference.first_noise(np.array([fit.noise.pixel_px]))
     fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, supposed))

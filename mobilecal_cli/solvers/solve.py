@@ -117,10 +117,10 @@ def _by_likelihood(
     linear = _linear_start(extraction, inference, start_ratios, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
-    contradictions = contradictions_of(fit)
-    scale = scale_of(extraction, fit, contradictions)
+    jumps, still = jumps_of(extraction, fit, inference.jump)
+    contradictions = contradictions_of(still)
+    scale = scale_of(extraction, still, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
-    jumps = jumps_of(extraction, fit, inference.jump)
     fit = pool_recordings(fit)
     data, state = fit.data, fit.lin.state
     parameters = state.parameters

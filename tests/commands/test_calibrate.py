@@ -157,7 +157,7 @@ def test_uncertainty_is_a_contract(first, workplace, sample_logs):
 def test_fixed_prior_and_more_numbers(npz, workplace):
     asked = [
         "--fix",
-        "separation=0.5",
+        "separation=0.51",
         "--prior",
         "radius_left=0.2275±0.0001",
         "--estimate",
@@ -166,7 +166,7 @@ def test_fixed_prior_and_more_numbers(npz, workplace):
     result = run("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
     assert result.code == 0, result.err
     params = load(workplace / "asked/params.yaml")
-    assert params["wheels"]["separation_m"] == 0.5
+    assert params["wheels"]["separation_m"] == 0.51
     assert params["uncertainty"]["observable"]["separation"] is False
     assert params["uncertainty"]["std"]["separation"] == 0
     assert params["uncertainty"]["std"]["radius_left"] < 0.00011

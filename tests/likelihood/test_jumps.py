@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction
 from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
@@ -42,6 +42,18 @@ def test_a_mount_that_turns_is_found(whole):
     assert (jump.part, jump.station, jump.rejected) == ("head mount", HALF, 0)
     assert jump.turn_rad == pytest.approx(np.radians(1.5), rel=0.2)
     assert jump.shift_sigmas > 2
+
+
+def test_what_a_moved_camera_explains_contradicts_nothing(whole):
+    """The right camera turns by 0.4 degrees half-way: squares, baseline and lenses are as stated."""
+    turns = dict(zip(("stereo_r_x", "stereo_r_y", "stereo_r_z"), np.radians([0.2, 0.28, 0.2]), strict=True))
+    after = extraction_of(OutsideRobot(ROBOT, turns), ROUTE, NOISE, 1)
+    solution = solve(spliced(whole, after))
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("right camera", HALF)
+    assert jump.turn_rad == pytest.approx(np.radians(0.4), rel=0.1)
+    assert solution.contradictions == ()
+    assert not solution.scale.apart
 
 
 def test_one_station_that_does_not_fit_is_no_jump(whole):
