@@ -19,7 +19,7 @@ _SMALL_ANGLE_RAD = 1e-3  # below this the series' error (angle^6) is less than o
 def skew(vector: FloatArray) -> FloatArray:
     """(..., 3) → (..., 3, 3) with skew(a) b = a x b."""
     out = np.zeros((*vector.shape, 3))
-    x, y, z = np.moveaxis(vector, -1, 0)
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
     out[..., 0, 1], out[..., 0, 2] = -z, y
     out[..., 1, 0], out[..., 1, 2] = z, -x
     out[..., 2, 0], out[..., 2, 1] = -y, x

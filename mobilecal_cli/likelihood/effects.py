@@ -263,9 +263,10 @@ class Sight:
 
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
         """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
-        x, y, z = np.moveaxis(shift_c, -1, 0)[..., None]
         by_x, by_y, by_z = self.by_point_c
-        moved: FloatArray = by_x * x + by_y * y + by_z * z
+        moved: FloatArray = by_x * shift_c[..., 0, None]
+        moved += by_y * shift_c[..., 1, None]
+        moved += by_z * shift_c[..., 2, None]
         return moved
 
     def corrected(self, shift: FloatArray) -> FloatArray:

@@ -180,6 +180,7 @@ def corner_residuals(
             continue
         motion = velocity_c, rows
         sight = Sight(k, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)
+        at_stamp = replace(sight, by_point_c=by_point)
         for column, (_, row) in enumerate(direct, 6):
             if isinstance(row.effect, CameraEffect):
                 by_value = row.effect.pixels(sight)
@@ -187,7 +188,7 @@ def corner_residuals(
                     J[:, column, k] = by_value
             elif isinstance(row.effect, BoardEffect):
                 shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
-                J[:, column, k] = replace(sight, by_point_c=by_point).by_shift(shift_c)
+                J[:, column, k] = at_stamp.by_shift(shift_c)
     return residual, J
 
 
