@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import reprlib
 from dataclasses import dataclass
 from typing import SupportsFloat
 
 from mobilecal_cli.errors import ConfigError
 
-_PER_METER = 1000.0  # millimeters
+#: Unit → the smaller unit that it is often mistaken for, and how many of these it is.
+_SMALLER = {"m": ("millimeters", 1000.0), "rad": ("degrees", 180 / math.pi), "s": ("milliseconds", 1000.0)}
 #: Gate on an expected error in use (1 sigma) → default limit of the verdict.
 ACCURACY = {
     "predicted.camera_mm": 20.0,
@@ -40,8 +42,13 @@ class Range:
     def __str__(self) -> str:
         return f"{self.low:g} to {self.high:g} {self.unit}".strip()
 
-    def check(self, name: str, given: object) -> float:
+    def check(self, name: str, given: object, hint: str = "check the value and its unit") -> float:
         """A value, a Python or NumPy number, as a float.
+
+        Args:
+            name: of the value, for the message.
+            given: the value.
+            hint: what to do about a value that is out of range.
 
         Raises:
             ConfigError: it is no number, out of range, or NaN.
@@ -50,7 +57,7 @@ class Range:
         if value not in self:
             raise ConfigError(
                 f"{name}: {f'{value:g} {self.unit}'.strip()} is not possible (range {self}){self._unit_of(value)}",
-                "check the value and its unit",
+                hint,
             )
         return value
 
@@ -65,9 +72,11 @@ class Range:
         return value
 
     def _unit_of(self, value: float) -> str:
-        """What a length beyond the range looks like, "" if it is no length or far beyond."""
-        if self.unit == "m" and self.high < abs(value) <= _PER_METER * self.high:
-            return f"; {value:g} looks like millimeters: {value / _PER_METER:g} m"
+        """What a value beyond the range looks like, "" if its unit has no smaller one or it is far beyond."""
+        if self.unit in _SMALLER:
+            smaller, count = _SMALLER[self.unit]
+            if self.high < abs(value) <= count * self.high:
+                return f"; {value:g} looks like {smaller}: {value / count:.4g} {self.unit}"
         return ""
 
 
@@ -93,7 +102,9 @@ POSITION = Range(-20.0, 20.0, "m")
 #: A drive.
 DISTANCE = Range(1e-2, 1e5, "m")
 ODOMETRY_RATE = Range(1e-1, 1e4, "Hz")
-ANGLE = Range(-100.0, 100.0, "rad")
+ANGLE = Range(-2 * math.pi, 2 * math.pi, "rad")
+#: A rotation about one axis relative to the nominal one.
+TURN = Range(-math.pi, math.pi, "rad")
 #: Standard deviations and noise levels in any unit of this package.
 SIGMA = Range(1e-9, 1e3)
 #: Noise levels that were estimated.
@@ -110,11 +121,11 @@ READING = Range(-1e9, 1e9)
 
 
 def of_parameter(name: str) -> Range:
-    """Range of one of the nine parameters, or of a constant."""
+    """Range of one of the nine parameters."""
     if name.startswith("radius_"):
         return WHEEL_RADIUS
     if name == "separation":
         return WHEEL_SEPARATION
     if name.startswith("t_"):
         return POSITION
-    return DIFFERENCE
+    return TURN

@@ -339,17 +339,19 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
     covered = np.ones(len(pairs), dtype=bool)
+    lacking = []
     for channel in channels:
         missing = ~channel.covers(times)
+        lacking += [channel.name] * bool(missing.any())
         rejections += [
             Rejection("stations", _NO_READINGS, channel.name, int(time_ns))
             for time_ns in times[missing & covered]
         ]
         covered &= ~missing
     if not covered.any():
-        names = ", ".join(dict.fromkeys(r.detail for r in rejections))
         raise RecordingError(
-            f"none of {len(pairs)} {what} has readings of all joints and wheels around it; missing: {names}",
+            f"none of {len(pairs)} {what} has readings of all joints and wheels around it; missing: "
+            f"{', '.join(dict.fromkeys(lacking))}",
             "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
     shown = _Shown(signals.images, channels)

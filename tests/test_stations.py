@@ -140,7 +140,10 @@ def test_readings_that_end_before_the_pictures_begin():
     bad = Signals(joints={"pan": early}, wheels=good.wheels, images=good.images, notes=())
     with pytest.raises(RecordingError, match=r"none of .* stereo pairs has readings") as caught:
         planned(bad, ("pan",))
-    assert "pan" in caught.value.message
+    assert caught.value.message.endswith("missing: pan")
+    bad = Signals(joints={"pan": early, "tilt": early}, wheels=good.wheels, images=good.images, notes=())
+    with pytest.raises(RecordingError, match=r"missing: pan, tilt$"):
+        planned(bad, ("pan", "tilt"))
 
 
 def test_wheels_that_never_overlap():

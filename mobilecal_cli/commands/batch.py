@@ -58,8 +58,8 @@ def batch(
     """
     import os
 
+    from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
-    from mobilecal_cli.calibrate.batch import run_locally, run_on
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.export import write_file
     from mobilecal_cli.report.fleet import fleet_json, fleet_text
@@ -67,7 +67,7 @@ def batch(
 
     run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
-    with errors_to(junit, [source], replace, [config]):
+    with errors_to(junit, [source], replace, [config], {name: output / name for name in SUMMARIES}):
         with progress_bar(quiet) as progress:
             rows = calibrate_each(
                 source,

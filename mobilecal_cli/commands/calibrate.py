@@ -63,8 +63,8 @@ def calibrate(
     fix: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME[=VALUE]",
-            help="Fix a parameter or constant (m, rad, share), or head_eye or wheels. Repeatable.",
+            metavar="NAME[=VALUE],...",
+            help="Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.",
         ),
     ] = None,
     prior: Annotated[
@@ -124,7 +124,8 @@ def calibrate(
     from mobilecal_cli.solvers import constraints_of
 
     began_s = time.perf_counter()
-    with errors_to(junit, logs, force, [config, last], output or steps.default_output(logs[0])):
+    outputs = {"--summary": summary, "--output": output or steps.default_output(logs[0])}
+    with errors_to(junit, logs, force, [config, last], outputs):
         if summary is not None:
             check_appendable(summary)
         flags = flags_of(setting)

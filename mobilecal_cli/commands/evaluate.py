@@ -12,7 +12,6 @@ from mobilecal_cli.commands.options import (
     Config,
     Gates,
     JUnit,
-    Logs,
     NoBar,
     Settings,
     Verbose,
@@ -20,11 +19,18 @@ from mobilecal_cli.commands.options import (
     errors_to,
     flags_of,
 )
+from mobilecal_cli.errors import ConfigError
 
 
 def evaluate(
-    logs: Logs,
-    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of the calibration to test.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            readable=False,
+            metavar="logs... params",
+            help="Recordings of one robot, and last the params.yaml of the calibration to test.",
+        ),
+    ],
     before: Annotated[
         Path | None,
         typer.Option(
@@ -55,6 +61,12 @@ def evaluate(
     from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
 
+    *logs, params = files
+    if not logs:
+        raise ConfigError(
+            f"{params}: the only path given; evaluate needs a recording and a params.yaml",
+            "mobilecal evaluate another.mcap log_calibration/params.yaml",
+        )
     with errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
             result = evaluated(

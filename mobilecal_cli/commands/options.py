@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
+from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
 
 if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
@@ -116,18 +116,22 @@ def errors_to(
     logs: Sequence[Path],
     force: bool,
     others: Sequence[Path | None],
-    output: Path | None = None,
+    outputs: Mapping[str, Path | None] | None = None,
 ) -> Iterator[None]:
-    """Write an error to the JUnit file as well, unless that file must not be replaced."""
-    from mobilecal_cli.export import check_file, write_file
+    """Write an error to the JUnit file as well, unless that file must not be replaced.
+
+    Args:
+        junit: this file.
+        logs: inputs of the command.
+        force: whether an existing file may be replaced.
+        others: more inputs.
+        outputs: option or name → path of each other output of the command.
+    """
+    from mobilecal_cli.export import check_apart, check_file, write_file
     from mobilecal_cli.report.junit import junit_error_xml
 
+    check_apart({"--junit": junit, **(outputs or {})})
     if junit is not None:
-        if output is not None and junit.resolve().is_relative_to(output.resolve()):
-            raise OutputError(
-                f"--junit {junit}: inside the output directory, which is replaced as a whole",
-                "choose a path outside of it",
-            )
         check_file(junit, force, [*logs, *others])
     try:
         yield

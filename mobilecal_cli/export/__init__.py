@@ -10,6 +10,7 @@ from mobilecal_cli.export.extraction import (
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.outputs import (
     append_text,
+    check_apart,
     check_appendable,
     check_file,
     check_output,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from itertools import permutations
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
@@ -33,6 +34,27 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
         real = path.resolve()
         if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
             raise OutputError(f"{path}: this command reads this file", _ANOTHER)
+
+
+def check_apart(outputs: Mapping[str, Path | None]) -> None:
+    """Check that no output of a command is another one, or inside another one.
+
+    Args:
+        outputs: option or name → path, None without this output.
+
+    Raises:
+        OutputError: two of them are at one path, or one is inside a directory that is replaced as a whole.
+    """
+    # Not Path.resolve(): it stops at links in a circle.
+    given = [(name, path, Path(os.path.realpath(path))) for name, path in outputs.items() if path is not None]
+    for (name, path, real), (other, other_path, other_real) in permutations(given, 2):
+        if real == other_real:
+            raise OutputError(f"{name} {path}: also the path of {other}", "choose a path of its own for each")
+        if real.is_relative_to(other_real):
+            raise OutputError(
+                f"{name} {path}: inside {other} {other_path}, which is replaced as a whole",
+                "choose a path outside of it",
+            )
 
 
 def check_parent(path: Path) -> None:

@@ -293,8 +293,19 @@ def _info_topic(name: str, image: str, config: RigConfig, description: RobotDesc
     )
 
 
+_BASELINE_ADVICE = (
+    "calibrate the stereo pair: the right camera's P[0, 3] must be -fx * baseline; or state cameras.right.pose "
+    "(pose of the right camera in the left one) and board.square_m in rig.yaml"
+)
+
+
 def _camera(info: CameraInfo, rectified: bool) -> Camera:
     if rectified:
+        if not info.P.any():
+            raise RecordingError(
+                f"the images are rectified, but P in the camera info of {info.frame_id!r} is all zeros",
+                "use the raw images (cameras.NAME.image in rig.yaml), which need only K and D, or record P",
+            )
         return Camera(info.frame_id, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
     return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
@@ -309,6 +320,12 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     Raises:
         RecordingError: no baseline, or left and right are exchanged.
     """
+    without = [side for side, info in zip(SIDES, (left, right), strict=True) if not info.P.any()]
+    if without:
+        raise RecordingError(
+            f"the stereo pair has no baseline: P is all zeros in the camera info of {' and '.join(without)}",
+            _BASELINE_ADVICE,
+        )
     # Origin of the pair's rectified frame in each camera's rectified coordinates, (3,), m.
     origin, other_origin = (np.linalg.solve(info.P[:, :3], info.P[:, 3]) for info in (left, right))
     offset = origin - other_origin
@@ -322,7 +339,7 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
         raise RecordingError(
             f"the stereo pair has no baseline: P[0, 3] is {left.P[0, 3]:g} in {left.frame_id or 'left'} and "
             f"{right.P[0, 3]:g} in {right.frame_id or 'right'}",
-            "calibrate the stereo pair; the right camera's P[0, 3] must be -fx * baseline",
+            _BASELINE_ADVICE,
         )
     if offset[0] < 0:
         raise RecordingError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import reprlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
@@ -619,6 +620,10 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     return list(section.model_fields)
 
 
+#: Types of pydantic's errors for a value in place of a section.
+_NOT_A_SECTION = ("model_type", "dict_type")
+
+
 def _explained(error: ValidationError, where: str) -> ConfigError:
     problems, hints = [], []
     for item in error.errors():
@@ -628,6 +633,14 @@ def _explained(error: ValidationError, where: str) -> ConfigError:
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
             problems.append(f"{'.'.join(str(part) for part in location)}: unknown key")
             hints.append(f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}")
+        elif item["type"] in _NOT_A_SECTION:
+            key, value = ".".join(str(part) for part in location), reprlib.repr(item["input"])
+            problems.append(f"{key}: a section of keys, not a value (got {value})")
+            names = (
+                ["all"] if key == "priors" else _known_keys(location) if item["type"] != "dict_type" else []
+            )
+            example = f"{key}.{names[0] if names else 'NAME'}={item['input'] if key == 'priors' else 'VALUE'}"
+            hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))
     return ConfigError(

@@ -19,8 +19,6 @@ _GROUPS = {
     "wheels": NINE[6:],
 }
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-# Constants that depend on the robot's joints: their names are checked when the robot is known.
-_OF_THE_ROBOT = re.compile(r".+_(?:zero|scale|axis_[xyz]|position_[xyz])|backlash_.+|baseline_[xyz]")
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _KINDS = tuple(kind.name for kind in nuisance.KINDS)
 #: Group → its kinds of constants, for --estimate.
@@ -29,6 +27,18 @@ _KIND_GROUPS = {
     "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion"),
     "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
     "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
+}
+#: A constant is at most so many of its default prior sigmas from its stated value: more is another quantity or unit.
+_MOST_SIGMAS = 20.0
+_MOST = {"readout": 0.1}  # s: unknown for most cameras, and stated as 0 then
+#: Patterns of names of constants that depend on the robot → their kind. The names are checked when it is known.
+_KIND_OF = {
+    r".+_zero": "joint_zero",
+    r".+_scale": "joint_scale",
+    r".+_axis_[xyz]": "joint_axis",
+    r".+_position_[xyz]": "joint_position",
+    r"backlash_.+": "backlash",
+    r"baseline_[xyz]": "baseline_direction",
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
@@ -147,15 +157,16 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
     """Parse the values of --fix, --prior and --estimate.
 
     Args:
-        fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of a constant.
+        fix: NAME or NAME=VALUE; the name of one of the nine parameters, of a group of them, or of a constant. Commas
+            separate several, also in the others.
         prior: NAME=VALUE±SIGMA (or +-).
-        estimate: constants, kinds of constants or groups of kinds whose stated values are ignored, separated by commas.
+        estimate: constants, kinds of constants or groups of kinds whose stated values are ignored.
 
     Raises:
         ConfigError: unknown name or wrong format.
     """
     fixed: list[tuple[str, float | None]] = []
-    for text in fix:
+    for text in _each(fix):
         name, given, number = text.partition("=")
         if given and not re.fullmatch(_NUMBER, number.strip()):
             raise ConfigError(
@@ -164,7 +175,7 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
             )
         fixed.append((name, float(number) if given else None))
     priors: list[tuple[str, tuple[float, float]]] = []
-    for text in prior:
+    for text in _each(prior):
         name, _, rest = text.partition("=")
         match = _PRIOR.fullmatch(rest.replace(" ", ""))
         if match is None:
@@ -175,13 +186,18 @@ def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[
         priors.append((name, (float(match[1]), float(match[2]))))
     names: list[str] = []
     for text in estimate:
-        named = [name.strip() for name in text.split(",") if name.strip()]
+        named = [name for name in _each([text]) if name]
         if not named:
             raise ConfigError(
                 f"--estimate {text!r}: names no constant", "for example --estimate pan_zero,stereo"
             )
         names += named
     return checked_constraints(fixed, priors, names)
+
+
+def _each(texts: Iterable[str]) -> list[str]:
+    """The entries of the values of an option, which commas separate."""
+    return [entry.strip() for text in texts for entry in text.split(",")]
 
 
 def checked_constraints(
@@ -208,32 +224,62 @@ def checked_constraints(
                 f"--fix {name}={value}: {name} is a group of parameters and takes no value",
                 f"omit the value, or fix one of {', '.join(_GROUPS[name])}",
             )
-        exact = None if value is None else ranges.of_parameter(name).check(f"--fix {name}", value)
+        exact = None if value is None else _in_range("--fix", name, value)
         for member in _GROUPS.get(name, (name,)):
             _check_new("--fix", member, fixed)
             fixed[member] = exact
     priors: dict[str, tuple[float, float]] = {}
     for name, (mean, sigma) in prior:
         _check_name("--prior", name, [*NINE, *rows])
-        _check_new("--prior", name, (*fixed, *priors))
+        _check_new("--prior", name, fixed, priors)
         priors[name] = (
-            ranges.of_parameter(name).check(f"--prior {name}", mean),
+            _in_range("--prior", name, mean),
             ranges.SIGMA.check(f"--prior {name}: standard deviation", sigma),
         )
     constants: list[str] = []
     for name in estimate:
         for member in _KIND_GROUPS.get(name, (name,)):
             _check_name("--estimate", member, [*_KIND_GROUPS, *_KINDS, *rows])
-            _check_new("--estimate", member, (*fixed, *priors))
+            _check_new("--estimate", member, fixed, priors)
             constants.append(member)
     return Constraints(fixed, priors, tuple(dict.fromkeys(constants)))
 
 
 def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
-    if name not in known and not _OF_THE_ROBOT.fullmatch(name):
+    if name not in known and _kind_of_the_robot(name) is None:
         raise _unknown(flag, name, known)
 
 
-def _check_new(flag: str, name: str, given: Collection[str]) -> None:
-    if name in given:
-        raise ConfigError(f"{flag} {name}: given twice", "name each parameter or constant once")
+def _kind_of_the_robot(name: str) -> str | None:
+    return next((kind for pattern, kind in _KIND_OF.items() if re.fullmatch(pattern, name)), None)
+
+
+def _in_range(flag: str, name: str, value: float) -> float:
+    """The value of one of the nine parameters, or the difference of a constant from its stated value.
+
+    Raises:
+        ConfigError: it is out of range.
+    """
+    if name in NINE:
+        return ranges.of_parameter(name).check(f"{flag} {name}", value)
+    named = (row.kind for row in nuisance.CONSTANTS if row.name == name)
+    kind = nuisance.kind(next(named, None) or _kind_of_the_robot(name) or "")
+    share = kind.unit == "1"
+    unit = ("of the image width" if kind.shown_unit != "%" else "of the stated value") if share else kind.unit
+    most = _MOST.get(kind.name, _MOST_SIGMAS * kind.sigma)
+    example = f"as a share (0.01 is 1 {kind.shown_unit})" if share else f"in {kind.unit}"
+    return ranges.Range(-most, most, unit).check(
+        f"{flag} {name}",
+        value,
+        f"give the difference of the {kind.meaning} from its stated value, {example}, not the value itself; "
+        "correct a stated value that is further off",
+    )
+
+
+def _check_new(flag: str, name: str, fixed: Collection[str], priors: Collection[str] = ()) -> None:
+    for other, names in (("--fix", fixed), ("--prior", priors)):
+        if name in names:
+            raise ConfigError(
+                f"{flag} {name}: given twice" + (f", also with {other}" if other != flag else ""),
+                "name each parameter or constant once",
+            )

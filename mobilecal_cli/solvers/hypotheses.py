@@ -34,7 +34,10 @@ SIDES = ("right", "left")
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes
 _LONGEST_DELAY_S, _DELAY_STEP_S, _DELAYS = 20.0, 0.25, 4  # delays that are tried, and how many of them
 _MOSTLY_STILL = 0.1  # share of stations that may be left out of a delay's stop
+_IMAGES = "images are"
 _AROUND_NS = 100_000_000  # before and after a station: at a stop, nothing moves by then
+_AT_REST = 0.2  # quantile of the changes around all times: noise, if the robot rests for at least so much of the time
+_NOISE = 6.0  # times this quantile: noise changes by more at no station
 _FREE_STATIONS = 40  # at which a free part is estimated: each has an unknown of its own, or three
 _FREE_STEPS = 30  # of this estimate
 _SPREAD = 0.01  # of the board's corners over the distance: stations beyond count less in this estimate
@@ -202,6 +205,10 @@ def _joints_earlier(readings: Readings, delay_ns: int) -> Readings:
     return replace(readings, joints=joints)
 
 
+def _all_earlier(readings: Readings, delay_ns: int) -> Readings:
+    return _wheels_earlier(_joints_earlier(readings, delay_ns), delay_ns, SIDES)
+
+
 def _delays(readings: Readings) -> Iterator[Hypothesis]:
     """Stamps that are late or early by so much that joints or wheels move while the images show a stop.
 
@@ -224,14 +231,21 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
         )
         for cause, sides in wheels
     ]
-    for cause, tracks, earlier in (*parts, ("joint readings are", readings.joint_tracks, _joints_earlier)):
+    every = [
+        (*joints, track.right, track.left)
+        for joints, track in zip(readings.joint_tracks, readings.wheels, strict=False)  # none without tracks
+    ]
+    parts += [("joint readings are", readings.joint_tracks, _joints_earlier), (_IMAGES, every, _all_earlier)]
+    for cause, tracks, earlier in parts:
         moving = np.array([_moving_share(readings, tracks, shift_s) for shift_s in shifts_s])
         if moving[most] < _MOSTLY_STILL:
             continue  # still as stamped
         stops_s = [(shifts_s[i] + shifts_s[j - 1]) / 2 for i, j in _runs(moving < _MOSTLY_STILL)]
         for delay_s in sorted(stops_s, key=abs)[:_DELAYS]:
+            late = delay_s < 0 if cause == _IMAGES else delay_s > 0  # late readings are early images
+            against = " against the joints and wheels" * (cause == _IMAGES)
             yield Hypothesis(
-                f"the {cause} about {abs(delay_s):.1f} s {'late' if delay_s > 0 else 'early'}",
+                f"the {cause} about {abs(delay_s):.1f} s {'late' if late else 'early'}{against}",
                 "correct the clock that stamps them, and record again",
                 partial(earlier, delay_ns=round(delay_s * 1e9)),
             )
@@ -242,10 +256,23 @@ def _moving_share(readings: Readings, tracks: Sequence[tuple[Track, ...]], shift
     moving = np.zeros(len(readings.log), dtype=np.bool_)
     for log, own in enumerate(tracks):
         mine = readings.log == log
+        if not own:
+            continue
         at_ns = readings.time_ns[mine] + round(shift_s * 1e9)
-        moved = np.abs(sampled(own, at_ns + _AROUND_NS) - sampled(own, at_ns - _AROUND_NS))
-        moving[mine] = np.any(moved > STILL, axis=1)
+        moving[mine] = np.any(_moved_around(own, at_ns) > _noise_at_rest(own), axis=1)
     return float(moving.mean())
+
+
+def _moved_around(tracks: tuple[Track, ...], at_ns: IntArray) -> FloatArray:
+    """Changes of K tracks around each of n times, (n, K)."""
+    return np.abs(sampled(tracks, at_ns + _AROUND_NS) - sampled(tracks, at_ns - _AROUND_NS))
+
+
+def _noise_at_rest(tracks: tuple[Track, ...]) -> FloatArray:
+    """(K,) Largest change that noise explains, if tracks rest for a good part of the time."""
+    first, last = (int(end) for end in tracks[0].time_ns[[0, -1]])
+    moved = _moved_around(tracks, np.arange(first, last, _AROUND_NS))
+    return np.maximum(STILL, _NOISE * np.quantile(moved, _AT_REST, axis=0))
 
 
 def _moved(readings: Readings, name: str, by: int) -> Readings:

@@ -272,8 +272,8 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
         "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
         f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
         f"reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
-        "joints and wheels; late readings; readings that stop, jump or change their scale; and readings of one joint "
-        "or of the wheels that do not belong to the recording",
+        "joints and wheels; late images, joints or wheels, if the robot stops; readings that stop, jump or "
+        "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
         "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
         "the board nor a cable moved",
     )

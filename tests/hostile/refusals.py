@@ -222,6 +222,8 @@ CASES = (
     ),
     Case("`--fix radius_left=0`", (*SOLVE, "--fix", "radius_left=0"), 2, "0 m is not possible (range 0.001 to 10 m)", extraction),
     Case("`--fix radius_left=-0.2`", (*SOLVE, "--fix", "radius_left=-0.2"), 2, "-0.2 m is not possible", extraction),
+    Case("`--fix square_scale=0.08`, the size in meters", (*SOLVE, "--fix", "square_scale=0.08"), 2, "0.08 of the stated value is not possible (range -0.02 to 0.02", extraction),
+    Case("`--fix pan_zero=5`, degrees", (*SOLVE, "--fix", "pan_zero=5"), 2, "5 looks like degrees: 0.08727 rad", extraction),
     Case("`--fix t_x=1e300`", (*SOLVE, "--fix", "t_x=1e300"), 2, "1e+300 m is not possible (range -20 to 20 m)", extraction),
     Case(
         "`--prior t_x=0.1±1e-300`", (*SOLVE, "--prior", "t_x=0.1±1e-300"), 2,
@@ -280,7 +282,11 @@ CASES = (
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
     Case("the output exists", (*SOLVE,), 7, "out: already exists", lambda folder: (extraction(folder), (folder / "out").mkdir(), None)[-1]),
     Case("the directory of the JUnit file does not exist", (*SOLVE, "--junit", "no/j.xml"), 7, "no is not a directory", extraction),
-    Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside the output", extraction),
+    Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside --output out", extraction),
+    Case("one file for JUnit and the summary", (*SOLVE, "--junit", "j.xml", "--summary", "./j.xml"), 7, "--junit j.xml: also the path of --summary", extraction),
+    Case("the summary is inside the output", (*SOLVE, "--summary", "out/j.md"), 7, "--summary out/j.md: inside --output out", extraction),
+    Case("JUnit in place of the table of all robots", ("batch", ".", "-o", "out", "--junit", "out/summary.csv"), 7, "--junit out/summary.csv: also the path of summary.csv"),
+    Case("`evaluate` without params.yaml", ("evaluate", "log.mcap"), 2, "log.mcap: the only path given; evaluate needs a recording and a params.yaml"),
     Case("a name of 300 bytes as the output", (*SOLVE[:2], "-o", "x" * 300), 7, "File name too long", extraction),
 )  # fmt: skip
 

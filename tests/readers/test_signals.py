@@ -115,6 +115,36 @@ def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
     )
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("most_s", [0.15, 1.0])
+def test_late_messages_are_put_in_order(tmp_path, most_s, seed):
+    """One message in four comes late; the log times are out of order, the stamps are right."""
+    rng = np.random.default_rng(seed)
+    delay_s = np.where(rng.random(60) < 0.25, rng.uniform(0, most_s, 60), 0) + rng.uniform(0, 2e-3, 60)
+    rows = sorted((0.1 * k + delay, at(0.1 * k), NAMES, [k, k, k]) for k, delay in enumerate(delay_s))
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(60))
+    assert any("samples are recorded after later ones, by up to 0." in note for note in signals.notes)
+
+
+def test_two_publishers_of_one_joint_are_named(tmp_path):
+    """`joint_state_publisher` beside the driver sends zeros; the robot then seemed to have no height."""
+    real = [(0.02 * k, at(0.02 * k), NAMES, [0.0, 0.1, 0.3 + 0.001 * k]) for k in range(100)]
+    zero = [(0.02 * k + 0.01, at(0.02 * k + 0.01), NAMES, [0.0, 0.0, 0.0]) for k in range(0, 100, 5)]
+    message = "joint wl on /j: the readings alternate between two values, such as 0.1 and 0, in 17 % of 120"
+    with pytest.raises(RecordingError, match=message) as caught:
+        signals_of(tmp_path, [*images(), *joints(sorted(real + zero))])
+    assert "joint_state_publisher" in caught.value.hint
+
+
+def test_noise_and_an_encoder_between_two_steps_are_one_publisher(tmp_path):
+    rng = np.random.default_rng(0)
+    t = 0.02 * np.arange(200)
+    values = np.stack([np.round(t * 40 + rng.normal(size=200)) / 40, t, 0.02 * (np.arange(200) % 2)], axis=1)
+    rows = [(s, at(s), NAMES, list(value)) for s, value in zip(t, values, strict=True)]
+    assert len(signals_of(tmp_path, [*images(), *joints(rows)]).joints["pan"].value) == 200
+
+
 def test_duplicate_stamps_keep_the_first(tmp_path):
     rows = [(0.1 * k, at(0.1 * (k // 2)), NAMES, [k, k, k]) for k in range(10)]
     signals = signals_of(tmp_path, [*images(), *joints(rows), *images()])

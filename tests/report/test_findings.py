@@ -160,8 +160,8 @@ def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
 
 def test_a_constant_is_compared_with_the_prior_of_the_user():
     _, extraction = drawn()
-    solution = solve(extraction, constraints=constraints_of([], ["pan_zero=1+-0.05"], []))
+    solution = solve(extraction, constraints=constraints_of([], ["pan_zero=0.17+-0.03"], []))
     (found,) = solution.contradictions
     what, cure = contradiction_sentences(found, solution, extraction)
-    assert "from --prior pan_zero (prior 2.9 deg)" in what
+    assert "from --prior pan_zero (prior 1.7 deg)" in what
     assert cure == "Correct --prior pan_zero, or leave it out."

@@ -38,6 +38,9 @@ AT_BASE = URDF.format(x=0)
 JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
 
 
+NO_P = np.zeros((3, 4))
+
+
 def info(side="left", baseline=0.12, **changes):
     values = {
         "frame_id": f"stereo_{side}_optical",
@@ -338,6 +341,12 @@ def test_what_is_missing_is_named(sections, changes, error, words_):
     ("left", "right", "words_"),
     [
         (info("left"), info("right", baseline=0.0), "no baseline"),
+        (
+            info("left", P=NO_P),
+            info("right", P=NO_P),
+            "no baseline: P is all zeros in the camera info of left and right",
+        ),
+        (info("left"), info("right", P=NO_P), "P is all zeros in the camera info of right"),
         (info("left"), info("right", baseline=-0.12), "120.0 mm to the left of the left camera"),
         (info("left", width=0), info("right"), "0 x 480"),
     ],
@@ -347,6 +356,19 @@ def test_bad_calibrations(left, right, words_):
     with pytest.raises(MobilecalError) as caught:
         resolve_rig(RigConfig(), description(infos=infos))
     assert words_ in caught.value.message
+    if "no baseline" in words_:
+        assert "or state cameras.right.pose" in caught.value.hint
+
+
+def test_a_raw_camera_that_was_calibrated_alone_needs_no_p():
+    def alone(topic):
+        info_topic = f"{topic.rsplit('/', 1)[0]}/camera_info"
+        poor = description(images=(topic,), infos={info_topic: info(P=NO_P)})
+        return resolve_rig(SQUARE, poor)[0].cameras
+
+    assert alone("/camera/image_raw").each[0].K[0, 0] == 550.0
+    with pytest.raises(RecordingError, match="the images are rectified, but P in the camera info of"):
+        alone("/camera/image_rect")
 
 
 def test_cameras_of_an_unknown_model_are_refused_and_drafted():

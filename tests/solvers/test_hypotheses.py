@@ -64,6 +64,20 @@ def said_of(extraction):
     return verdict.reason if verdict.level == "FAIL" else verdict.level
 
 
+def both_late(seconds):
+    """Joints and wheels with delayed stamps, and encoders of the joints that are never quite at rest."""
+    rng = np.random.default_rng(0)
+
+    def change(made):
+        moved = late_joints(seconds)(both(late(seconds))(made))
+        noisy = [
+            replace(t, value=t.value + 1e-3 * rng.normal(size=t.value.shape)) for t in moved.joint_tracks[0]
+        ]
+        return replace(moved, joint_tracks=(tuple(noisy),))
+
+    return change
+
+
 #: Wrong recordings of `hostile.meaning`, and what must be said about each.
 CAUSES = {
     "sign of pan": "the sign of joint pan_joint is reversed",
@@ -90,6 +104,8 @@ CAUSES = {
 }
 MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()} | {
     "left wheel 3 s late": (wheels(same, late(3.0)), "the readings of the left wheel are about 3.0 s late"),
+    "images 2 s early": (both_late(2.0), "the images are about 2.0 s early against the joints and wheels"),
+    "images 2 s late": (both_late(-2.0), "the images are about 2.0 s late against the joints and wheels"),
     "pan stuck": (stuck(PAN, 6), "the reading of joint pan_joint does not change between"),
     "right wheel stuck": (wheels(STUCK, same), "the reading of the right wheel does not change between"),
     "both wheels stuck": (both(STUCK), "the readings of both wheels do not change between"),
@@ -114,6 +130,7 @@ QUICK = (
     "both wheels stuck",
     "both images of the previous station",
     "left wheel 3 s late",
+    "images 2 s early",
     "both wheels frozen",
     "signs of both joints",
 )

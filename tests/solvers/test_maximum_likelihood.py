@@ -259,6 +259,17 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
         ([], [], ["t_x"], "already estimated, like all nine parameters"),
         (["focal_length"], [], [], "--set priors.focal_length=fixed"),
         ([], ["joint_zero=0±1"], [], "--set priors.joint_zero=NUMBER"),
+        (["square_scale=0.08"], [], [], "0.08 of the stated value is not possible (range -0.02 to 0.02"),
+        (["square_scale=0.08"], [], [], "as a share (0.01 is 1 %), not the value itself"),
+        (["focal_left=0.5"], [], [], "range -0.04 to 0.04 of the stated value"),
+        ([], ["principal_left_x=320±1"], [], "range -0.06 to 0.06 of the image width"),
+        (["pan_zero=5"], [], [], "range -0.174533 to 0.174533 rad); 5 looks like degrees: 0.08727 rad"),
+        ([], ["pan_position_x=1.5±0.1"], [], "1.5 looks like millimeters: 0.0015 m"),
+        (["baseline_x=1"], [], [], "1 looks like degrees"),
+        (["readout=30"], [], [], "30 looks like milliseconds: 0.03 s"),
+        (["r_x=5"], [], [], "5 looks like degrees: 0.08727 rad"),
+        (["separation=0.3,,t_x"], [], [], "--fix : no such parameter"),
+        (["t_x"], ["t_x=0.1±0.1"], [], "--prior t_x: given twice, also with --fix"),
     ],
 )
 def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
@@ -449,3 +460,10 @@ def test_corners_that_were_not_seen_have_no_say():
     # Fewer corners, larger standard deviations.
     all_seen = maximum_likelihood(whole)
     assert np.all(np.diag(found[0].covariance)[:6] > np.diag(all_seen.covariance)[:6])
+
+
+def test_commas_separate_several_constraints():
+    asked = constraints_of(["t_x=0.02, r_y", "readout=0.03"], ["t_y=0±0.1,t_z=0.1+-0.1"], ["stereo,clock"])
+    assert asked.fixed == {"t_x": 0.02, "r_y": None, "readout": 0.03}
+    assert asked.priors == {"t_y": (0.0, 0.1), "t_z": (0.1, 0.1)}
+    assert asked.constants[-1] == "clock"

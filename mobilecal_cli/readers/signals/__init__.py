@@ -249,6 +249,7 @@ class Subscriptions:
             )
         if not len(best):
             best = max(quantities, key=lambda series: series.not_finite)
+        best.check_alternation()
         return Quantity(best, _plain_track)
 
     def _check_wheel(self, side: Side, topic: str, joint: str, _: list[str]) -> None:
@@ -265,6 +266,7 @@ class Subscriptions:
                 f"{position.label}: neither positions nor velocities in its messages",
                 "set another source for the wheel in rig.yaml",
             )
+        position.check_alternation()
 
     def _present(self, topics: Sequence[str]) -> str:
         return listed(dict.fromkeys(name for topic in topics for name in self._joints[topic].present))
@@ -360,8 +362,9 @@ def read_signals(
         *notes,
     ]
 
-    def signals_of(samples: Mapping[Series, Samples]) -> Signals:
+    def signals_of(recorded: Mapping[Series, Samples]) -> Signals:
         some: list[str] = []
+        samples = {series: each.arranged(some) for series, each in recorded.items()}
         tracks = {name: _track(joint, samples, some) for name, joint in moving.items()}
         wheels = sides_of(
             {

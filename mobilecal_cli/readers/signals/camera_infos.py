@@ -69,7 +69,7 @@ def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the t
         topic: its topic, for error messages.
 
     Raises:
-        RecordingError: K or P is zero, a value is not finite or not possible, or the distortion model is unknown.
+        RecordingError: K is zero, a value is not finite or not possible, or the distortion model is unknown.
     """
     try:
         return _converted(message, topic)
@@ -82,6 +82,8 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
     P = _matrix(message, "P", (3, 4), topic)
     R = _matrix(message, "R", (3, 3), topic)
     for name, matrix in (("K", K), ("P", P)):
+        if name == "P" and not P.any():
+            continue  # a camera that was calibrated alone: its raw images need only K
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
             fact = "is all zeros" if not matrix.any() else "has no positive focal lengths"
             raise RecordingError(f"{topic}: {name} {fact}: the camera is not calibrated", _ADVICE)
@@ -118,17 +120,18 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     Args:
         camera: with the whole sensor.
         R: (3, 3) rectification.
-        P: (3, 4) projection of the rectified images.
+        P: (3, 4) projection of the rectified images, or zeros.
     """
     K = camera.K
     values = []
-    for name, matrix in (("K", K), ("P", P)):
+    for name, matrix in (("K", K), ("P", P)) if P.any() else (("K", K),):
         fx, fy = float(matrix[0, 0]), float(matrix[1, 1])
         values += [(f"{name}: fx", fx, FOCAL_LENGTH), (f"{name}: fy", fy, FOCAL_LENGTH)]
         values.append((f"{name}: fx / fy", fx / fy, _ASPECT))
     for k, (axis, length) in enumerate(zip("xy", (camera.width, camera.height), strict=True)):
-        ratio = float(P[k, k] / K[k, k])
-        values.append((f"focal length f{axis} in P over that in K", ratio, _RECTIFIED))
+        if P.any():
+            ratio = float(P[k, k] / K[k, k])
+            values.append((f"focal length f{axis} in P over that in K", ratio, _RECTIFIED))
         if length:
             share = float(K[k, 2]) / length
             values.append((f"K: principal point c{axis} over the image size {length}", share, _PRINCIPAL))

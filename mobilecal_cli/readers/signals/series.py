@@ -48,6 +48,21 @@ class Samples:
         stamp_ns, log_ns, value = self.stamp_ns[rows], self.log_ns[rows], self.value[rows]
         return replace(self, stamp_ns=stamp_ns, log_ns=log_ns, value=value, shift_ns=shift_ns)
 
+    def arranged(self, notes: list[str]) -> Samples:
+        """In order of their stamps, if they only arrived late; notes how many. Otherwise, as they are."""
+        if not came_late(self.stamp_ns, self.log_ns):
+            return self
+        late = self.stamp_ns < np.maximum.accumulate(self.stamp_ns)
+        behind_s = float((np.maximum.accumulate(self.stamp_ns) - self.stamp_ns).max()) * 1e-9
+        notes.append(
+            f"{self.label}: {int(late.sum())} of {len(self)} samples are recorded after later ones, by up to "
+            f"{behind_s:.3f} s; they are put in order of their stamps"
+        )
+        order = np.argsort(self.stamp_ns, kind="stable")
+        return replace(
+            self, stamp_ns=self.stamp_ns[order], log_ns=self.log_ns[order], value=self.value[order]
+        )
+
     def kept(self, notes: list[str]) -> BoolArray:
         """`in_order` of the stamps; notes what is dropped."""
         keep, duplicates, dropped, back_s = in_order(self.stamp_ns)
@@ -65,6 +80,13 @@ class Samples:
         """Strictly increasing times (n,), and values (n, width); notes what is dropped."""
         keep = self.kept(notes)
         return self.time_ns[keep], self.value[keep]
+
+
+#: Readings that jump to a value and return to the one before, as two publishers of one joint give: a jump of more than
+#: this, rad or m, and than this share of the range of all, is so many times as large as what remains of it.
+_JUMP, _JUMP_SHARE, _RETURNS = 0.03, 0.05, 20.0
+#: Share of such readings that noise and an encoder between two steps never have, and fewest readings that show it.
+_ALTERNATING_SHARE, _ALTERNATING = 0.05, 20
 
 
 class Series:
@@ -95,6 +117,29 @@ class Series:
         self._log_ns.append(log_ns)
         self._value.extend(value)
 
+    def check_alternation(self) -> None:
+        """Check that the readings of one number, rad or m, do not jump to and fro between two values.
+
+        Raises:
+            RecordingError: many do.
+        """
+        value = np.array(self._value, dtype=np.float64)
+        if self._width != 1 or len(value) < _ALTERNATING:
+            return
+        jump = np.minimum(np.abs(value[1:-1] - value[:-2]), np.abs(value[1:-1] - value[2:]))
+        back = _RETURNS * np.abs(value[2:] - value[:-2])
+        spikes = np.flatnonzero(jump > np.maximum(back, max(_JUMP, _JUMP_SHARE * float(np.ptp(value)))))
+        share = len(spikes) / len(jump)
+        if share > _ALTERNATING_SHARE:
+            k = int(spikes[len(spikes) // 2])
+            raise RecordingError(
+                f"{self.label}: the readings alternate between two values, such as {value[k]:.3g} and "
+                f"{value[k + 1]:.3g}, in {100 * share:.0f} % of {len(value)} messages (limit "
+                f"{100 * _ALTERNATING_SHARE:.0f} %): two publishers share the topic",
+                "stop the other one (often joint_state_publisher beside the driver; `ros2 topic info -v` lists them), "
+                "and record again",
+            )
+
     def samples(self, notes: list[str]) -> Samples:
         """All finite readings; notes how many are not.
 
@@ -114,6 +159,7 @@ class Series:
         return Samples(self.topic, self.label, stamp_ns, log_ns, value)
 
 
+_NS = 1_000_000_000
 #: Two topics whose lags between stamp and log time differ by more use different clocks.
 CLOCKS_DIFFER_S = 1.0
 #: Lags stored per topic, enough for a median.
@@ -177,6 +223,38 @@ def clock_notes(clocks: list[Clock]) -> list[str]:
     return notes
 
 
+#: Stamps are not of the future by more than this, or than so many times the usual lateness of others.
+_AHEAD_NS, _AHEAD = _NS // 10, 3.0
+#: In order of their stamps, samples are not nearer to each other than this share of their usual interval.
+_CROWDED, _USUAL_INTERVAL = 0.75, 0.05
+
+
+def came_late(stamp_ns: IntArray, log_ns: IntArray) -> bool:
+    """Whether samples out of order have right stamps, and only their recording was late.
+
+    A sample that comes late has a larger lag between stamp and log time than others before and after it, and it fills
+    a gap between the others. After a step of the clock, the lags of all samples differ from those before, and two
+    stretches of time lie in one another.
+
+    Args:
+        stamp_ns, log_ns: (n,) stamps and log times, in order of arrival.
+    """
+    steps = np.diff(stamp_ns)
+    if np.all(steps >= 0):
+        return False
+    lag = log_ns - stamp_ns
+    low, median, high = (float(value) for value in np.quantile(lag, [0.0, 0.5, 0.9]))
+    before, after = np.maximum.accumulate(lag)[:-1], np.minimum.accumulate(lag[::-1])[::-1][1:]
+    stepped = bool(np.any((steps < 0) & (before < after)))
+    usual_ns = float(np.quantile(np.abs(steps[steps != 0]), _USUAL_INTERVAL))
+    sorted_ns = np.diff(np.unique(stamp_ns))
+    return (
+        not stepped
+        and median - low <= _AHEAD_NS + _AHEAD * (high - median)
+        and float(sorted_ns.min()) >= _CROWDED * usual_ns
+    )
+
+
 def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
     """Which samples make time strictly increase.
 
@@ -227,7 +305,6 @@ def _longest_increasing(values: IntArray) -> IntArray:
     return np.array(chain[::-1], dtype=np.int64)
 
 
-_NS = 1_000_000_000
 #: A pause of all topics is this many times their usual interval.
 _LONG_PAUSE = 10
 #: Messages on each side that give its size.
