@@ -83,8 +83,9 @@ class Samples:
 
 
 #: Readings that jump to a value and return to the one before, as two publishers of one joint give: a jump of more than
-#: this, rad or m, and than this share of the range of all, is so many times as large as what remains of it.
-_JUMP, _JUMP_SHARE, _RETURNS = 0.03, 0.05, 20.0
+#: this, rad or m, and than this share of the range of all, is so many times as large as what remains of it, and faster
+#: than joints move, rad/s or m/s.
+_JUMP, _JUMP_SHARE, _RETURNS, _TOO_FAST = 0.03, 0.05, 20.0, 5.0
 #: Share of such readings that noise and an encoder between two steps never have, and fewest readings that show it.
 _ALTERNATING_SHARE, _ALTERNATING = 0.05, 20
 
@@ -128,7 +129,10 @@ class Series:
             return
         jump = np.minimum(np.abs(value[1:-1] - value[:-2]), np.abs(value[1:-1] - value[2:]))
         back = _RETURNS * np.abs(value[2:] - value[:-2])
-        spikes = np.flatnonzero(jump > np.maximum(back, max(_JUMP, _JUMP_SHARE * float(np.ptp(value)))))
+        time_s = 1e-9 * np.array(self._log_ns, dtype=np.float64)
+        reach = _TOO_FAST * np.abs(time_s[2:] - time_s[:-2]) / 2
+        least = max(_JUMP, _JUMP_SHARE * float(np.ptp(value)))
+        spikes = np.flatnonzero(jump > np.maximum(np.maximum(back, reach), least))
         share = len(spikes) / len(jump)
         if share > _ALTERNATING_SHARE:
             k = int(spikes[len(spikes) // 2])
