@@ -39,6 +39,13 @@ _KIND_OF = {
     r".+_position_[xyz]": "joint_position",
     r"backlash_.+": "backlash",
     r"baseline_[xyz]": "baseline_direction",
+    r"focal_aspect_.+": "focal_aspect",
+    r"focal_.+": "focal_length",
+    r"principal_.+_[xy]": "principal_point",
+    r"distortion_.+_(radial|tangential)_[12xy]": "distortion",
+    r"turn_.+_[xyz]": "camera_rotation",
+    r"shift_.+_[xyz]": "camera_position",
+    r"time_.+": "stereo_clock",
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 

@@ -23,7 +23,7 @@ from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction, joined
 from tests.extractions import Noise as Disturbance
 from tests.pairs import with_views
-from tests.robots import chain_of
+from tests.robots import chain_of, three_on_pan_tilt
 from tests.truth import nees
 
 ROBOT = paper_robot()
@@ -256,6 +256,7 @@ def test_a_prior_weighs_as_much_as_it_states(noisy):
         ([], [], ["pan_zeroo"], "did you mean pan_zero"),
         ([], [], ["tilt_zero"], "cannot be estimated separately"),
         (["neck_zero"], [], [], "no such parameter"),
+        (["focal_lft"], [], [], "did you mean focal_left"),
         ([], [], ["t_x"], "already estimated, like all nine parameters"),
         (["focal_length"], [], [], "--set priors.focal_length=fixed"),
         ([], ["joint_zero=0±1"], [], "--set priors.joint_zero=NUMBER"),
@@ -277,6 +278,16 @@ def test_what_cannot_be_asked_is_said(fix, prior, estimate, said):
     with pytest.raises(ConfigError) as caught:
         constraints_of(fix, prior, estimate).check([row.name for row in rows], Nominal())
     assert said in f"{caught.value.message} {caught.value.hint}"
+
+
+def test_each_constant_of_a_robot_can_be_asked_for():
+    """Whatever its cameras and joints are called."""
+    rows = nuisance.table(three_on_pan_tilt().rig_cameras, chain_of(ROBOT))
+    names = [row.name for row in rows]
+    assert any(row.kind == "camera_rotation" for row in rows)
+    for row in rows:
+        for asked in (([row.name], [], []), ([], [f"{row.name}=0±{row.sigma!r}"], []), ([], [], [row.name])):
+            constraints_of(*asked).check(names, Nominal())
 
 
 def test_bad_stations_and_a_slip_are_found_and_named(noisy):
