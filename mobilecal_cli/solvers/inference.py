@@ -317,7 +317,10 @@ class Inference:
         What looks like one is tested at the noise levels of the residuals without it. One that explains many outliers
         comes first.
         """
-        behind = self._behind_outliers(fit)
+        try:
+            behind = self._behind_outliers(fit)
+        except (SolveError, np.linalg.LinAlgError):
+            behind = None  # some are so far off that no derivative says anything about them
         if behind is not None:
             return behind
         jump = jumps.likeliest(fit.lin)

@@ -10,6 +10,7 @@ from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.inference import Inference
 from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction
 from tests.pairs import with_views
 
@@ -73,3 +74,11 @@ def test_stations_that_are_too_far_off_have_no_cause(monkeypatch):
 
     monkeypatch.setattr(jumps, "_Test", singular)
     assert jumps.cause(None, 3) == ""
+
+
+def test_outliers_that_are_too_far_off_for_any_derivative_have_no_jump_behind_them(monkeypatch, whole):
+    def singular(inference, fit):
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr(Inference, "_behind_outliers", singular)
+    assert solve(whole).jumps == ()
