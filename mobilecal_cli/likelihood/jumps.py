@@ -248,18 +248,19 @@ def _after(lin: Posterior, first: int) -> BoolArray:
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior) -> Jump | None:
+def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None:
     """The most probable jump, whether or not it is significant; None if nothing can be compared.
 
     Args:
         lin: an optimum.
+        each_side: fewest stations before and after it.
     """
     data = lin.data
     logs, starts = np.unique(data.log, return_index=True)
     moments = starts[len(logs) <= 2 :].tolist()  # of two recordings, either may be the one that differs
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
-        moments += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
+        moments += mine[each_side : len(mine) - each_side + 1].tolist()
     if not moments:
         return None
     test, parts = _Test(lin), dict(_parts(lin))

@@ -170,8 +170,8 @@ class Jump:
         log: index of the recording.
         station: index of the first observation after it; the first of a recording that differs from the others.
         time_ns: its time.
-        rejected: number of stations from there on whose images are not used; 0 if all are.
-        sigmas: its significance; infinite (math.inf) where the stations are rejected.
+        rejected: stations whose images, and legs whose wheels, are not used around it; (0, 0) if it is explained.
+        sigmas: its significance; infinite (math.inf) where some are rejected.
         shift_sigmas: how far it moves the result, or is itself, in standard deviations of the nine parameters.
         turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius.
     """
@@ -180,7 +180,7 @@ class Jump:
     log: int
     station: int
     time_ns: int
-    rejected: int
+    rejected: tuple[int, int]
     sigmas: float
     shift_sigmas: float
     turn_rad: float

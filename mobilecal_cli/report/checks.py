@@ -194,9 +194,16 @@ def jump(made: Calibration) -> Iterator[Check]:
         parts += [f"{math.degrees(change.turn_rad):.2g} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
         moved = "moved" if change.part in ("", "head mount", "board", "right camera") else "changed"
-        lost = f"The images of {change.rejected} stations are not used, because they do not fit those before."
+        images, wheels = change.rejected
+        unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
+        unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
+        lost = (
+            f" One after another, {' and '.join(unused)} do not fit the others, and are not used."
+            if unused
+            else ""
+        )
         station = f"station {names[change.station]} ({at_s:.1f} s)"
-        if change.rejected or change.station != first[change.log]:
+        if unused or change.station != first[change.log]:
             when, then, harmless = f"at {station}", "Then record again.", False
         else:
             when = f"between recording {change.log} and the other{'s' if len(first) > 2 else ''}"
@@ -206,9 +213,9 @@ def jump(made: Calibration) -> Iterator[Check]:
             "jump", change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "warning" if harmless else "fail",
             "changes inside the recording",
-            f"{what} {moved}{size} {when}" if change.part else f"the images do not fit from {station} on",
+            f"{what} {moved}{size} {when}" if change.part else f"images and wheels do not fit around {station}",
             f"moves the result by at most {limit:g} sigma",
-            f"{when[0].upper()}{when[1:]}, {what} {moved}{size}. {lost if change.rejected else ''}".rstrip(),
+            f"{when[0].upper()}{when[1:]}, {what} {moved}{size}.{lost}",
             f"{cure}. {then}",
         )  # fmt: skip
 

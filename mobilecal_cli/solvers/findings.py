@@ -18,17 +18,18 @@ from mobilecal_cli.model import (
     EstimatedConstant,
     Evidence,
     Extraction,
+    IntArray,
     Jump,
     Outlier,
     ScaleCheck,
 )
 from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.outliers import longest_stretch
 
 #: Data that contradict stated constants by more than this are evidence of a wrong description.
 CONTRADICTION_SIGMAS = 4.0
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
-_STRETCH = 3  # stations that are rejected one after another: something moved
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
@@ -85,50 +86,42 @@ def scale_of(
 def jumps_of(
     extraction: Extraction, fit: Fit, search: Callable[[Fit], tuple[jumps.Jump, Fit] | None]
 ) -> tuple[tuple[Jump, ...], Fit]:
-    """Where something moved: stretches of rejected stations, or else the most significant jump, if any.
+    """Where something moved: the most significant jump, or else a stretch of outliers.
 
     And the fit without what that jump explains: no evidence against the robot description.
     """
-    observations, data, joints = extraction.observations, fit.data, fit.data.chain
-    out = ~fit.inliers.views
-    stretches = []
-    for log in np.unique(data.log).tolist():
-        mine = np.flatnonzero(data.log == log)
-        edges = np.diff(np.concatenate([[False], out[mine], [False]]).astype(int))
-        pairs = zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
-        stretches += [(int(mine[i]), int(j - i)) for i, j in pairs if j - i >= _STRETCH]
-    if stretches:
-        first, count = max(stretches, key=lambda jump: jump[1])
-        within = np.isin(np.arange(data.stations), np.arange(first, first + count))
-        corners = fit.inliers.corners | (data.seen & within[:, None, None])
-        lin = fit.lin.with_inliers(replace(fit.inliers, views=fit.inliers.views | within, corners=corners))
-        part = jumps.cause(lin, first)
-        return (
-            Jump(
-                part,
-                observations[first].log,
-                first,
-                observations[first].time_ns,
-                count,
-                math.inf,
-                math.inf,
-                0.0,
-                0.0,
-            ),
-        ), fit
-    significant = search(fit)
+    significant, stretch = search(fit), longest_stretch(fit)
+    if significant is None and stretch is not None:
+        return (_unexplained(extraction, fit, stretch),), fit
     if significant is None or significant[0].shift_sigmas < _MATERIAL_SIGMAS:
         return (), fit
     jump, without = significant
     value = jump.value
     turns = jump.part != "" and not jump.part.endswith("wheel")
-    slides = jump.part.removeprefix("joint ") in joints.prismatic
+    slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
     move = float(np.linalg.norm(value[3:])) if len(value) == 6 else 0.0
     move = float(value[0]) if slides or not turns else move
-    o = observations[jump.station]
+    o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
-    return (Jump(jump.part, o.log, jump.station, o.time_ns, 0, *sizes),), without
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes),), without
+
+
+def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
+    """The moment at which something moved, for legs that nothing confirms: after them if they are the first ones."""
+    inliers, (i, j) = fit.inliers, fit.data.legs[stretch].T
+    stations = np.unique(np.concatenate([i, j]))
+    out = stations[~inliers.views[stations]]
+    o = extraction.observations
+    begins = i[0] == 0 or o[i[0] - 1].log != o[i[0]].log
+    first = int(j[-1] if begins and inliers.views[j[-1]] else j[0])
+    views, corners = inliers.views.copy(), inliers.corners.copy()
+    views[out], corners[out] = True, fit.data.seen[out]
+    lin = fit.lin.with_inliers(replace(inliers, views=views, corners=corners))
+    part = jumps.cause(lin, int(out[0])) if len(out) else ""
+    rejected = len(out), int(np.sum(~inliers.legs[stretch]))
+    at = o[first]
+    return Jump(part, at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
-from mobilecal_cli.model import BetweenLogs, FloatArray, Noise
+from mobilecal_cli.model import BetweenLogs, BoolArray, FloatArray, Noise
 from mobilecal_cli.solvers.noise import (
     Component,
     guess_worth,
@@ -62,6 +64,12 @@ class Fit:
     def noise(self) -> Noise:
         """The noise levels."""
         return self.lin.noise
+
+    @property
+    def sure_legs(self) -> BoolArray:
+        """(L,) legs whose wheels are used, and the images at both ends."""
+        i, j = self.data.legs.T
+        return np.asarray(self.inliers.legs & self.inliers.views[i] & self.inliers.views[j])
 
     @cached_property
     def tests(self) -> ResidualTests:

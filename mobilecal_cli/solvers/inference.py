@@ -45,8 +45,7 @@ _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
-# Outliers that may have one cause, and the share of their misfit that it explains to first order.
-_MANY_OUTLIERS, _EXPLAINED = 3, 0.5
+_SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -314,45 +313,49 @@ class Inference:
     def jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The jump that explains the residuals best, and the fit without it; None where none is significant.
 
-        What looks like one is tested at the noise levels of the residuals without it. One that explains many outliers
-        comes first.
+        One that explains several outliers comes first; an unexplained stretch of them leaves no other to be found.
+        What looks like one is tested at the noise levels of the residuals without it.
         """
-        try:
-            behind = self._behind_outliers(fit)
-        except (SolveError, np.linalg.LinAlgError):
-            behind = None  # some are so far off that no derivative says anything about them
-        if behind is not None:
+        behind = self._behind_outliers(fit)
+        if behind is not None or outliers.longest_stretch(fit) is not None:
             return behind
         jump = jumps.likeliest(fit.lin)
         if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
-        lin = jumps.without(fit.lin, jump)
-        lin = lin.predicted(proposed(lin)[0])
+        lin = _past(fit.lin, jump)
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
         jump = jumps.again(lin, jump)
         significant = jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)
         return (jump, replace(fit, lin=lin)) if significant else None
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump of a wheel with which most outliers fit the other measurements; None if there is none.
+        """The jump of a wheel with which several outliers fit the other measurements, and the fit without it.
 
-        All legs on one side of a large one look like slips. Jumps of other parts show in the images.
+        All legs on one side of a large one look like slips, or like stations between slips. Without the legs beside
+        them, the images agree; the jump then explains these legs. Jumps of other parts show in the images themselves.
         """
-        inliers = fit.inliers
-        views, legs = inliers.views | outliers.usable(fit), np.ones_like(inliers.legs)
-        restored = np.sum(views & ~inliers.views) + np.sum(~inliers.legs)
-        if restored < _MANY_OUTLIERS:
+        was = fit.inliers
+        images = replace(
+            was,
+            views=was.views | outliers.usable(fit),
+            readings=np.ones_like(was.readings),
+            legs=fit.sure_legs,
+        )
+        everything = replace(images, legs=np.ones_like(was.legs))
+        if sum(len(places) for places in outliers.restored(fit, everything).values()) < _SEVERAL:
             return None
-        lin = fit.lin.with_inliers(replace(inliers, views=views, legs=legs))
-        lin = lin.predicted(proposed(lin)[0])
-        jump = jumps.likeliest(lin)
-        if jump is None or not jump.part.endswith("wheel"):
-            return None
-        if jump.chi2 < _EXPLAINED * (lin.cost - fit.lin.cost):
-            return None
-        lin = jumps.without(lin, jump)
-        jump = jumps.again(lin, jump)
-        return (jump, replace(fit, lin=lin)) if jumps.lasts(lin, jump) else None
+        try:
+            lin = self.refit(fit, images).lin.with_inliers(everything)
+            lin = lin.predicted(proposed(lin)[0])
+            jump = jumps.likeliest(lin, each_side=_SEVERAL)
+            if jump is None or not jump.part.endswith("wheel"):
+                return None
+            lin = _past(lin, jump)
+            jump, without = jumps.again(lin, jump), replace(fit, lin=lin)
+        except (SolveError, np.linalg.LinAlgError):
+            return None  # the images alone do not fit, or do not determine all parameters
+        explained = outliers.agreeing(without, outliers.restored(fit, everything))
+        return (jump, without) if explained >= _SEVERAL and jumps.lasts(lin, jump) else None
 
     def _levels_near(
         self,
@@ -383,6 +386,12 @@ class Inference:
             lin = lin.predicted(proposed(lin)[0])
             shown = components(lin)
         return lin, shown, noise
+
+
+def _past(lin: Posterior, jump: jumps.Jump) -> Posterior:
+    """The optimum without a jump, to first order."""
+    lin = jumps.without(lin, jump)
+    return lin.predicted(proposed(lin)[0])
 
 
 def _same_space(a: FloatArray, b: FloatArray) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +28,7 @@ _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
 FEWEST_VIEWS = 4
+_STRETCH = 3  # longest run of legs that nothing confirms: beyond it, something moved
 _TOO_MANY = 1 / 3  # outliers among the measurements of a kind: that kind's noise is larger than supposed
 # Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
@@ -201,6 +204,46 @@ def external(fit: Fit, kind: str) -> FloatArray:
     statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
     beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
     return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
+
+
+def restored(fit: Fit, inliers: Inliers) -> dict[str, IntArray]:
+    """Stations and legs that are outliers of a fit, and inliers here: kind → indices."""
+    return {
+        kind: np.flatnonzero(getattr(inliers, kind) & ~getattr(fit.inliers, kind))
+        for kind in ("views", "legs")
+    }
+
+
+def agreeing(fit: Fit, places: Mapping[str, IntArray]) -> int:
+    """How many of some inliers, kind → indices, are not outliers."""
+    within = 0
+    for kind, mine in places.items():
+        bound = limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
+        within += int(np.sum(getattr(fit.tests, kind)[mine] < bound))
+    return within
+
+
+def longest_stretch(fit: Fit) -> IntArray | None:
+    """Legs one after another whose wheels and images confirm each other nowhere; None if no stretch is long.
+
+    Two used stations confirm the legs between them if all of these are used, and few stations between are rejected.
+    Nothing beyond the first or the last station confirms a stretch that reaches it: that counts like one more leg.
+    """
+    data, views, used = fit.data, fit.inliers.views, fit.inliers.legs
+    longest, size = None, _STRETCH
+    of_leg = data.log[data.legs[:, 0]]
+    for log in np.unique(of_leg).tolist():
+        legs = np.flatnonzero(of_leg == log)
+        stations = np.append(data.legs[legs, 0], data.legs[legs[-1], 1])
+        confirmed = np.zeros(len(legs), dtype=np.bool_)
+        for a, b in itertools.pairwise(np.flatnonzero(views[stations]).tolist()):
+            confirmed[a:b] = bool(used[legs[a:b]].all()) and b - a <= _STRETCH
+        for is_sure, run in itertools.groupby(range(len(legs)), key=confirmed.__getitem__):
+            mine = np.array(list(run))
+            at_end = mine[0] == 0 or mine[-1] == len(legs) - 1
+            if not is_sure and len(mine) + at_end > size:
+                longest, size = legs[mine], len(mine) + int(at_end)
+    return longest
 
 
 def known_by(fit: Fit, kind: str) -> float:

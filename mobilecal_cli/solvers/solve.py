@@ -125,8 +125,7 @@ def _by_likelihood(
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
     _require_positive(parameters.wheels)
-    i, j = data.legs.T
-    inliers = fit.inliers.legs & fit.inliers.views[i] & fit.inliers.views[j]
+    inliers = fit.sure_legs
     if not inliers.any():
         inliers[:] = True
     corrected_extraction, corrected = at_state(extraction, data, state)

@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
+from mobilecal_cli.model import WheelTrack
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -40,7 +41,7 @@ def test_nothing_jumps(whole):
 
 def test_a_mount_that_turns_is_found(whole):
     (jump,) = solve(spliced(whole, turned(np.radians(1.5)))).jumps
-    assert (jump.part, jump.station, jump.rejected) == ("head mount", HALF, 0)
+    assert (jump.part, jump.station, jump.rejected) == ("head mount", HALF, (0, 0))
     assert jump.turn_rad == pytest.approx(np.radians(1.5), rel=0.2)
     assert jump.shift_sigmas > 2
 
@@ -76,9 +77,50 @@ def test_stations_that_are_too_far_off_have_no_cause(monkeypatch):
     assert jumps.cause(None, 3) == ""
 
 
+@pytest.mark.parametrize(
+    ("seed", "first", "change"), [(3, 20, 1.08), (4, 19, 1.06), (6, 18, 1.04), (3, 4, 1.1)]
+)
+def test_a_wheel_that_changes_near_an_end_is_named(seed, first, change):
+    """Its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
+    stations = 24
+    route = plan_route(ROBOT, stations=stations, seed=seed)
+    whole = ideal_extraction(ROBOT, route, NOISE, seed)
+    track = whole.wheels[0]
+    rolled = np.diff(track.left_rad, prepend=track.left_rad[0])
+    rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
+    left = track.left_rad[0] + np.cumsum(rolled)
+    after = WheelTrack.at_same_times(track.time_ns, track.right_rad, left)
+    solution = solve(replace(whole, wheels=(after,)))
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("left wheel", first)
+    assert jump.move_m == pytest.approx((change - 1) * ROBOT.wheels.radius_left_m, rel=0.2)
+    assert solution.contradictions == ()
+
+
+def slipping(whole, legs):
+    """The left wheel of a recording turns by 2 rad without the robot on some legs."""
+    track, left = whole.wheels[0], whole.wheels[0].left_rad.copy()
+    for leg in legs:
+        start, end = (whole.observations[k].time_ns for k in (leg, leg + 1))
+        left += np.interp(track.time_ns, [start, end], [0.0, (-1) ** leg * 2.0])
+    return replace(whole, wheels=(WheelTrack.at_same_times(track.time_ns, track.right_rad, left),))
+
+
+def test_two_slips_one_after_another_are_no_jump(whole):
+    assert solve(slipping(whole, (6, 7))).jumps == ()
+
+
+def test_nothing_confirms_legs_that_slip_one_after_another(whole):
+    """Nor the values that the other legs had: the wheels differ for too long."""
+    (jump,) = solve(slipping(whole, (6, 7, 8, 9))).jumps
+    assert (jump.part, jump.station, sum(jump.rejected)) == ("", 7, 4)
+
+
 def test_outliers_that_are_too_far_off_for_any_derivative_have_no_jump_behind_them(monkeypatch, whole):
-    def singular(inference, fit):
+    def singular(lin):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(Inference, "_behind_outliers", singular)
-    assert solve(whole).jumps == ()
+    slips = slipping(whole, (6, 7))
+    monkeypatch.setattr(jumps, "_Test", singular)
+    monkeypatch.setattr(Inference, "jump", lambda inference, fit: None)
+    assert solve(slips).jumps == ()
