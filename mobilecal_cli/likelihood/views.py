@@ -125,6 +125,7 @@ def corner_residuals(
     T_c_k: FloatArray,
     stations: slice | IntArray = slice(None),
     rates: FloatArray | None = None,
+    by_constants: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted minus detected pixels of some stations' boards at T_c_k, (N, C, M, 2), and their derivatives.
 
@@ -133,14 +134,15 @@ def corner_residuals(
         T_c_k: (N, 4, 4) of these stations.
         stations: which.
         rates: (N, 6) see `view_rates`, of these stations; at rest if None.
+        by_constants: whether the derivatives by the direct constants are needed.
 
     Returns:
-        The residuals, and (N, Q, C, M, 2) derivatives by (delta, direct constants).
+        The residuals, and (N, Q, C, M, 2) derivatives by (delta, direct constants), or by delta alone.
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
     rig = change.apply(data.cameras)
     points_k = se3.act(T_c_k, points_at(data, state))
-    direct = data.layout.direct
+    direct = data.layout.direct if by_constants else ()
     rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
     velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
     cameras = len(rig.each)
@@ -158,9 +160,9 @@ def corner_residuals(
         points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
         at, terms, through = pixels, None, None
-        if direct:
+        shares = change.lens[k]
+        if direct or np.any(shares):
             terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
-            shares = change.lens[k]
             if np.any(shares):
                 at = pixels + shares @ terms
                 through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
@@ -176,7 +178,7 @@ def corner_residuals(
         J[:, 1, k] = z * by_x - x * by_z
         J[:, 2, k] = x * by_y - y * by_x
         J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
-        if terms is None:
+        if not direct or terms is None:
             continue
         motion = velocity_c, rows
         sight = Sight(k, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)

@@ -54,9 +54,9 @@ def _own_misfit(data: Dataset, state: State, stations: IntArray, detected: BoolA
     """(n, C, M) distance of the detected corners of some stations from the boards that fit each best, robustly."""
     T = data.T_c_k[stations]
     for _ in range(_LOCAL_STEPS):
-        residual, J = corner_residuals(data, state, T, stations)
+        residual, J = corner_residuals(data, state, T, stations, by_constants=False)
         W = data.whitening[stations]
-        residual, J = whitened(W, residual), whitened(W, J[:, :6])
+        residual, J = whitened(W, residual), whitened(W, J)
         size = np.linalg.norm(residual, axis=-1)
         scale = np.maximum(_median(size, detected), 1e-9)
         # Cauchy's weight, whose pull fades with distance.
@@ -68,7 +68,7 @@ def _own_misfit(data: Dataset, state: State, stations: IntArray, detected: BoolA
         T = se3.exp(step) @ T
         if np.abs(step).max() < _STILL:
             break
-    residual, _ = corner_residuals(data, state, T, stations)
+    residual, _ = corner_residuals(data, state, T, stations, by_constants=False)
     return np.asarray(np.linalg.norm(whitened(data.whitening[stations], residual), axis=-1))
 
 
@@ -86,8 +86,6 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
     """
     if data.posed.any():
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
-    if not state.constants:  # as stated: the derivatives by constants would only take time
-        data = data.with_constants(())
     size = np.zeros(data.seen.shape)
     numbers = np.arange(data.seen.shape[1])
     for together in numbers[None] if data.cameras.calibrated else numbers[:, None]:
