@@ -190,8 +190,8 @@ def jump(made: Calibration) -> Iterator[Check]:
         joint = visible(change.part.removeprefix("joint "))
         at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
         what, cure = _JUMPS.get(change.part, at_joint)
-        parts = [f"{1e3 * abs(change.move_m):.2g} mm"] if change.move_m else []
-        parts += [f"{math.degrees(change.turn_rad):.2g} degrees"] if change.turn_rad else []
+        parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
+        parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
         moved = "moved" if change.part in ("", "head mount", "board", "right camera") else "changed"
         images, wheels = change.rejected

@@ -24,12 +24,12 @@ from mobilecal_cli.model import (
     ScaleCheck,
 )
 from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.inference import MATERIAL_SIGMAS
 from mobilecal_cli.solvers.outliers import longest_stretch
 
 #: Data that contradict stated constants by more than this are evidence of a wrong description.
 CONTRADICTION_SIGMAS = 4.0
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
-_MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 
 
@@ -93,7 +93,7 @@ def jumps_of(
     significant, stretch = search(fit), longest_stretch(fit)
     if significant is None and stretch is not None:
         return (_unexplained(extraction, fit, stretch),), fit
-    if significant is None or significant[0].shift_sigmas < _MATERIAL_SIGMAS:
+    if significant is None or significant[0].shift_sigmas < MATERIAL_SIGMAS:
         return (), fit
     jump, without = significant
     value = jump.value

@@ -45,6 +45,8 @@ _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
+MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
+_MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
@@ -314,11 +316,23 @@ class Inference:
         """The jump that explains the residuals best, and the fit without it; None where none is significant.
 
         One that explains several outliers comes first; an unexplained stretch of them leaves no other to be found.
-        What looks like one is tested at the noise levels of the residuals without it.
+        What looks like one is tested at the noise levels of the residuals without it. One that does not move the
+        result, as of a board that is moved, conceals no other: the next is then searched for without it.
         """
         behind = self._behind_outliers(fit)
         if behind is not None or outliers.longest_stretch(fit) is not None:
             return behind
+        found = None
+        for _ in range(_MOST_JUMPS):
+            further = self._likeliest_jump(fit if found is None else found[1])
+            if further is None:
+                break
+            found = further
+            if found[0].shift_sigmas > MATERIAL_SIGMAS:
+                break
+        return found
+
+    def _likeliest_jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         jump = jumps.likeliest(fit.lin)
         if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None

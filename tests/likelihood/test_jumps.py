@@ -46,6 +46,23 @@ def test_a_mount_that_turns_is_found(whole):
     assert jump.shift_sigmas > 2
 
 
+def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
+    """A board that is moved, in a recording in which the mount turns too."""
+
+    def jump(part, station, shift_sigmas):
+        return jumps.Jump(part, station, 200.0, 6, 1, 10.0, shift_sigmas, np.full(6, 0.01))
+
+    left = [jump("board", 5, 0.7), jump("head mount", 11, 5.0), jump("joint pan_joint", 12, 9.0)]
+
+    def likeliest(inference, fit):
+        return (left.pop(0), fit) if left else None
+
+    monkeypatch.setattr(Inference, "_likeliest_jump", likeliest)
+    (found,) = solve(whole).jumps
+    assert (found.part, found.station) == ("head mount", 11)
+    assert [each.part for each in left] == ["joint pan_joint"]
+
+
 def test_what_a_moved_camera_explains_contradicts_nothing(whole):
     """The right camera turns by 0.4 degrees half-way: squares, baseline and lenses are as stated."""
     turns = dict(zip(("stereo_r_x", "stereo_r_y", "stereo_r_z"), np.radians([0.2, 0.28, 0.2]), strict=True))
