@@ -256,8 +256,9 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None
         each_side: fewest stations before and after it.
     """
     data = lin.data
-    logs, starts = np.unique(data.log, return_index=True)
-    moments = starts[len(logs) <= 2 :].tolist()  # of two recordings, either may be the one that differs
+    logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
+    # Of two recordings, either may be the one that differs; a shorter one is an outlier.
+    moments = starts[stations >= each_side][len(logs) <= 2 :].tolist()
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         moments += mine[each_side : len(mine) - each_side + 1].tolist()

@@ -343,7 +343,7 @@ class Inference:
         return (jump, replace(fit, lin=lin)) if significant else None
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump of a wheel with which several outliers fit the other measurements, and the fit without it.
+        """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
 
         All legs on one side of a large one look like slips, or like stations between slips. Without the legs beside
         them, the images agree; the jump then explains these legs. Jumps of other parts show in the images themselves.
@@ -355,11 +355,11 @@ class Inference:
             readings=np.ones_like(was.readings),
             legs=fit.sure_legs,
         )
-        everything = replace(images, legs=np.ones_like(was.legs))
-        if sum(len(places) for places in outliers.restored(fit, everything).values()) < _SEVERAL:
+        everything = fit.lin.with_inliers(replace(images, legs=np.ones_like(was.legs)))
+        if outliers.restored(was, replace(fit, lin=everything)).max() < _SEVERAL:
             return None
         try:
-            lin = self.refit(fit, images).lin.with_inliers(everything)
+            lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
             jump = jumps.likeliest(lin, each_side=_SEVERAL)
             if jump is None or not jump.part.endswith("wheel"):
@@ -368,7 +368,7 @@ class Inference:
             jump, without = jumps.again(lin, jump), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
-        explained = outliers.agreeing(without, outliers.restored(fit, everything))
+        explained = outliers.restored(was, without, agreeing=True)[self.data.log[jump.station]]
         return (jump, without) if explained >= _SEVERAL and jumps.lasts(lin, jump) else None
 
     def _levels_near(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -204,21 +203,21 @@ def external(fit: Fit, kind: str) -> FloatArray:
     return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
 
 
-def restored(fit: Fit, inliers: Inliers) -> dict[str, IntArray]:
-    """Stations and legs that are outliers of a fit, and inliers here: kind → indices."""
-    return {
-        kind: np.flatnonzero(getattr(inliers, kind) & ~getattr(fit.inliers, kind))
-        for kind in ("views", "legs")
-    }
+def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
+    """(logs,) number of former outliers of each recording, stations and legs, that this fit uses.
 
-
-def agreeing(fit: Fit, places: Mapping[str, IntArray]) -> int:
-    """How many of some inliers, kind → indices, are not outliers."""
-    within = 0
-    for kind, mine in places.items():
-        bound = limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
-        within += int(np.sum(getattr(fit.tests, kind)[mine] < bound))
-    return within
+    Args:
+        was: the former inliers.
+        agreeing: count only those that are no outliers of this fit either.
+    """
+    data, inliers = fit.data, fit.inliers
+    count = np.zeros(data.log.max() + 1, dtype=np.int64)
+    for kind, log in (("views", data.log), ("legs", data.log[data.legs[:, 0]])):
+        back = getattr(inliers, kind) & ~getattr(was, kind)
+        if agreeing and back.any():
+            back &= getattr(fit.tests, kind) < limit(data.stations, _DEGREES[kind], known_by(fit, kind))
+        count += np.bincount(log[back], minlength=len(count))
+    return count
 
 
 def longest_stretch(fit: Fit) -> IntArray | None:
