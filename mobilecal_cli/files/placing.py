@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.files.interruption import note_placed, uninterrupted
+from mobilecal_cli.files.interruption import Interrupted, note_placed, uninterrupted
 from mobilecal_cli.files.scratch import abandoned, locked
 
 #: Names of the files inside an output directory, () for a file; raises OutputError for anything else.
@@ -40,14 +40,22 @@ def partial_of(target: Path, recognize: Recognize) -> Iterator[Path]:
         try:
             yield folder / target.name
         finally:
-            with uninterrupted():
-                shutil.rmtree(folder, ignore_errors=True)
-                _remove_replaced(folder.with_suffix(".old"), recognize)
+            try:
+                _remove(folder, recognize)
+            except Interrupted:  # perhaps by a signal before its first step; another one does not count
+                _remove(folder, recognize)
+                raise
     if folder.with_suffix(".old").exists():
         raise OutputError(
             f"{target}: written, but the replaced output contains other files or cannot be removed",
             f"move away what you need from {folder.with_suffix('.old')}, and remove it",
         )
+
+
+def _remove(folder: Path, recognize: Recognize) -> None:
+    with uninterrupted():
+        shutil.rmtree(folder, ignore_errors=True)
+        _remove_replaced(folder.with_suffix(".old"), recognize)
 
 
 def _created(target: Path) -> Path:

@@ -85,6 +85,8 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
     """Signs, order and units of the head joints' readings."""
     chain = readings.rig.chain
     joints = chain.joints
+    if not joints:
+        return
     for column, name in enumerate(joints):
         yield Hypothesis(
             f"the sign of joint {name} is reversed",
@@ -243,7 +245,8 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
         stops_s = [(shifts_s[i] + shifts_s[j - 1]) / 2 for i, j in _runs(moving < _MOSTLY_STILL)]
         for delay_s in sorted(stops_s, key=abs)[:_DELAYS]:
             late = delay_s < 0 if cause == _IMAGES else delay_s > 0  # late readings are early images
-            against = " against the joints and wheels" * (cause == _IMAGES)
+            others = "joints and wheels" if readings.rig.chain.joints else "wheels"
+            against = f" against the {others}" * (cause == _IMAGES)
             yield Hypothesis(
                 f"the {cause} about {abs(delay_s):.1f} s {'late' if late else 'early'}{against}",
                 "correct the clock that stamps them, and record again",
@@ -282,10 +285,11 @@ def _moved(readings: Readings, name: str, by: int) -> Readings:
     return replace(readings.of(own), **{name: getattr(readings, name)[own + by]})
 
 
-def _neighbors(_: Readings) -> Iterator[Hypothesis]:
+def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
     """Images or joint readings that belong to the station before or after."""
+    both = (("images", "T_c_k"), ("joint readings", "joints"))
     for by, which in ((1, "previous"), (-1, "next")):
-        for what, name in (("images", "T_c_k"), ("joint readings", "joints")):
+        for what, name in both if readings.rig.chain.joints else both[:1]:
             yield Hypothesis(
                 f"the {what} are those of the {which} station",
                 "check the clock that stamps them, and that the driver sends each one at once, and record again",

@@ -281,13 +281,17 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
 def _diagnosis(
     solution: Solution, extraction: Extraction, constraints: Constraints, search: Search
 ) -> Diagnosis | None:
-    """The mistake in the description or in the readings in spite of which there is a solution."""
+    """The mistake in the description or in the readings in spite of which there is a solution.
+
+    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for.
+    """
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
     fits_badly = solution.point_rms_m > _BAD_SHARE * _board_distance_m(
         extraction
     ) or gross > _MANY_OUTLIERS * len(extraction.observations)
+    jumps = any(jump.part for jump in solution.jumps)
     if fits_badly and not extraction.motions:
-        diagnosis = search.diagnosis
+        diagnosis = search.of_whole if jumps else search.diagnosis
     else:
         diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)
     if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:

@@ -259,6 +259,35 @@ with ExitStack() as stack:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_signal_as_the_clean_up_of_a_replacement_begins(tmp_path):
+    """Before its first step: the replaced output was left beside the new one."""
+    code = """
+import os, signal
+from pathlib import Path
+import mobilecal_cli.files.placing as placing
+from mobilecal_cli.files.interruption import unwind_on_signals
+
+unwind_on_signals()
+deferred, seen = placing.uninterrupted, []
+
+def uninterrupted():
+    if not seen and placed:
+        seen.append(os.kill(os.getpid(), signal.SIGTERM))
+    return deferred()
+
+target, placed = Path("out"), []
+target.write_text("old")
+placing.uninterrupted = uninterrupted
+with placing.partial_of(target, lambda path: ()) as partial:
+    partial.write_text("new")
+    placing.place(partial, target, lambda path: (), force=True)
+    placed.append(target)
+"""
+    result = python("-c", code, cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (128 + TERM, "")
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("out", "new")]
+
+
 @pytest.mark.parametrize("end", ["work(task)", "task()"], ids=["worker", "main process"])
 def test_a_signal_while_nothing_is_responsible_for_a_temporary_directory(tmp_path, end):
     """A recording was unpacked, and its caller does not have it yet."""

@@ -1,5 +1,6 @@
 """A mistake in the description is named: every sign, exchanges, units, frozen joints."""
 
+import re
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -9,9 +10,11 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.robot import paper_robot, tick_robot
+from mobilecal_cli.simulate.robot import fixed_camera_robot, paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.hypotheses import FREE, WHOLE
+from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search
 from tests.extractions import Noise, ideal_extraction, joined
 from tests.hostile.meaning import (
@@ -53,6 +56,21 @@ def from_sixth(change):
 
 
 STUCK = from_sixth(lambda v: 0 * v)
+
+
+def test_a_robot_without_joints_has_no_mistake_in_their_readings():
+    """A changed wheel was "the joint readings are in degrees": without joints, any such correction changes nothing."""
+    robot = fixed_camera_robot()
+    readings = readings_of(ideal_extraction(robot, plan_route(robot, stations=12, seed=0), NOISE, 0))
+    rows = [
+        row.cause
+        for stages in (WHOLE, FREE)
+        for stage in stages
+        for family in stage
+        for row in family(readings)
+    ]
+    assert rows
+    assert not [cause for cause in rows if re.search(r"\bjoints?\b", cause)]
 
 
 def said_of(extraction):
