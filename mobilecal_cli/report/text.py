@@ -16,11 +16,12 @@ from mobilecal_cli.report.verdict import LEVELS
 
 _WIDTH = 80
 _LABEL = 22
+_MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
 
 
 def summary_text(report: ReportData, verbose: bool = False) -> str:
-    """The numbers, the stations used and what limits the result; with more, everything that the report knows.
+    """The numbers, the stations used, notes on the recording, and what limits the result; with more, everything.
 
     Names from the recording are escaped, so that they cannot control the terminal.
     """
@@ -32,6 +33,11 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
     wide = max(_LABEL, *(len(label) + 2 for label, _ in rows))
     lines += [f"  {label:<{wide}}{value}" for label, value in rows]
     lines += wrapped(f"Stations used: {report.quality.stations_text}", "", "  ", _WIDTH)
+    most = len(report.notes) if verbose else _MOST_NOTES
+    for note in report.notes[:most]:
+        lines += wrapped(visible(note), "Note: ", "  ", _WIDTH)
+    if len(report.notes) > most:
+        lines.append(f"Note: {len(report.notes) - most} more, see Input in the report")
     if budget is not None and budget.limiting:
         lines += wrapped(budget.limiting, "", "  ", _WIDTH)
     if verbose:

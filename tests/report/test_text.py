@@ -109,6 +109,21 @@ def test_the_table_shows_clock_offsets_and_two_digits_of_each_sigma(extraction):
     assert "clock" not in summary_text(made(solved, extraction))
 
 
+def test_what_is_noted_of_the_recording_is_on_the_terminal(extraction):
+    """A cable that was pulled half-way left a PASS of half the stations without a word."""
+    notes = tuple(f"{k} images are not used: no readings around them\x1b[2J" for k in (21, 22, 23, 24))
+    noted = replace(extraction, notes=notes)
+    report = made(make_solution(noted, "ml"), noted)
+    short, everything = (summary_text(report, verbose) for verbose in (False, True))
+    assert [line for line in short.splitlines() if line.startswith("Note")] == [
+        *(f"Note: {k} images are not used: no readings around them\\x1b[2J" for k in (21, 22, 23)),
+        "Note: 1 more, see Input in the report",
+    ]
+    assert "Note: 24 images" in everything
+    plain = replace(extraction, notes=())
+    assert "Note" not in summary_text(made(make_solution(plain, "ml"), plain))
+
+
 def test_the_terminal_has_at_most_twenty_lines(texts, extraction):
     solution = make_solution(extraction, "ml")
     verdict = made(solution, extraction).verdict
