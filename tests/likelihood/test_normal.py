@@ -9,6 +9,7 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
@@ -171,6 +172,18 @@ def test_elimination_is_exact(case):
     wrong, largest = np.abs((case.lin.normal.s - s) / scale), np.abs(s / scale).max()
     assert wrong.max() < 1e-4 * largest
     assert wrong[~clocks].max() < 1e-7 * largest
+
+
+def test_rounding_makes_no_information_negative():
+    """Corners of 0.006 px, a wheel that changes: a calibration ended with "do not determine all parameters"."""
+    rotation = np.linalg.qr(np.random.default_rng(3).normal(size=(4, 4)))[0]
+    size = np.sqrt([1e13, 1e10, 1e6, 1.0])
+    S = np.outer(size, size) * (rotation @ np.diag([1.0, 0.5, 0.1, -1e-7]) @ rotation.T)
+    before = size**2
+    kept = _none_negative(S, before) / np.outer(size, size)
+    expected = rotation @ np.diag([1.0, 0.5, 0.1, 0.0]) @ rotation.T
+    assert np.abs(kept - expected).max() < 1e-14
+    assert _none_negative(np.diag(before), before).tolist() == np.diag(before).tolist()
 
 
 def test_back_substitution_solves_the_dense_equations(case):
