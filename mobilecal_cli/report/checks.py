@@ -167,7 +167,7 @@ def legs(made: Calibration) -> Iterator[Check]:
 
 
 _JUMPS = {
-    "": ("something", "Check the mounts of head, cameras and board, and the cables"),
+    "": ("something", "Check the mounts of head, cameras and board, the wheels, and the cables"),
     "head mount": ("the camera on the head", "Fasten the camera to the head"),
     "board": ("the board", "Fasten the board"),
     "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
@@ -193,15 +193,12 @@ def jump(made: Calibration) -> Iterator[Check]:
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
-        moved = "moved" if change.part in ("", "head mount", "board", "right camera") else "changed"
+        moved = "moved" if change.part in ("head mount", "board", "right camera") else "changed"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
-        lost = (
-            f" One after another, {' and '.join(unused)} do not fit the others, and are not used."
-            if unused
-            else ""
-        )
+        rest = f" Around this time, {' and '.join(unused)} do not fit the others, and are not used."
+        lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
         if unused or change.station != first[change.log]:
             when, then, harmless = f"at {station}", "Then record again.", False
