@@ -86,6 +86,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         pixels=np.stack([[view.pixels for view in o.views] for o in observations]),
         seen=shown,
         whitening=_whitening(observations, claims / usual),
+        claimed_px=usual,
         pose_weight=np.stack([_pose_weight(o) for o in observations]),
         T_c_k=np.stack([o.T_c_k for o in observations]),
         T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),

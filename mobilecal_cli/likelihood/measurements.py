@@ -78,6 +78,7 @@ class Measurements:
         seen: (N, C, M) corners that were detected; the others are no measurements.
         whitening: (N, C, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
             the noise level: the claims of all stations' usual corners have rms 1.
+        claimed_px: rms of these claims, px.
         pose_weight: (N, 6, 6) inverse covariance of a measured board pose, left perturbation, as stated; 0 where
             corners were detected.
         T_c_k, T_c_k_cov: (N, 4, 4) and (N, 6, 6) board pose of each station by itself, left perturbation.
@@ -103,6 +104,7 @@ class Measurements:
     pixels: FloatArray
     seen: BoolArray
     whitening: FloatArray
+    claimed_px: float
     pose_weight: FloatArray
     T_c_k: FloatArray
     T_c_k_cov: FloatArray

@@ -76,6 +76,7 @@ from mobilecal_cli.model.signals import (
 from mobilecal_cli.model.solution import (
     EXACT,
     Drift,
+    ErrorPart,
     Evaluation,
     LinearEstimate,
     Method,

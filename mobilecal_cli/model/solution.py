@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -250,6 +250,7 @@ class Residuals(ReadOnly):
     Attributes:
         legs: (L, 2) indices of the two observations of each leg.
         leg_point_rms_m: (L,) square root of eq. 19 of that leg alone, m.
+        leg_corner_noise_m: (L,) what the noise of the triangulated corners alone makes of it, m.
         predicted_px: (C, L, M, 2) predicted corners projected into the first station's images, px.
         leg_reprojection_px: (L,) rms distance to the detected corners, both cameras, px.
         T_w_v: (N, 4, 4) base in the world (the base at the recording's first observation), by dead reckoning.
@@ -258,10 +259,23 @@ class Residuals(ReadOnly):
 
     legs: Annotated[IntArray, "L", 2]
     leg_point_rms_m: Annotated[FloatArray, "L"]
+    leg_corner_noise_m: Annotated[FloatArray, "L"]
     predicted_px: Annotated[FloatArray, "C", "L", "M", 2]
     leg_reprojection_px: Annotated[FloatArray, "L"]
     T_w_v: Annotated[FloatArray, "N", 4, 4]
     T_w_k: Annotated[FloatArray, "N", 4, 4]
+
+    @property
+    def corner_noise_m(self) -> float:
+        """Point error over all legs that the noise of the triangulated corners alone makes, m."""
+        return math.sqrt(float(np.mean(self.leg_corner_noise_m**2))) if len(self.legs) else 0.0
+
+
+class ErrorPart(NamedTuple):
+    """The error that one kind of noise alone causes, rms over the legs: in the first camera's images and in space."""
+
+    px: float
+    m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,6 +291,8 @@ class Solution:
         residuals: at `parameters`.
         point_rms_m: square root of eq. 19 at `parameters`, m.
         reprojection_rms_px: rms distance between predicted and detected corners over all legs, px.
+        error_parts: what each kind of noise ("corners", "joints", "floor", "wheels") contributes to both errors;
+            empty where the noise levels are not estimated.
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.
@@ -301,6 +317,7 @@ class Solution:
     point_rms_m: float
     reprojection_rms_px: float
     motion: Mapping[str, float]
+    error_parts: Mapping[str, ErrorPart] = field(default_factory=dict)
     uncertainty: Uncertainty | None = None
     outliers: tuple[Outlier, ...] = ()
     noisy: tuple[str, ...] = ()

@@ -23,14 +23,12 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion, enough, graded
-from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     board_distance_m,
     encoder_heading_rad,
     plain_names,
-    predicted_point_rms_m,
     rejection_counts,
     station_names,
     stations_looked_at,
@@ -712,18 +710,20 @@ _ERROR_CURES = {
 def errors(made: Calibration) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
-    That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
-    limits of their own. Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the
-    distance. 1.5 % is 0.9 degrees of heading, more than a wheel without slip loses on one leg.
+    That is the depth noise of the cameras, within three standard deviations of its own mean square, and what joints,
+    floor and wheels cause at their noise levels, which have limits of their own. Point error: encoders with 300 steps
+    per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a wheel
+    without slip loses on one leg.
     """
     solution, bad = made.solution, 1.5
     if not len(solution.residuals.legs):
         return
     error, distance = solution.point_rms_m, board_distance_m(made.extraction)
-    predicted = predicted_point_rms_m(made.extraction, solution)
-    every = error_parts(solution, made.extraction)
+    predicted, every = solution.residuals.corner_noise_m, solution.error_parts
     parts = [part for name, part in every.items() if name != "corners"]
-    explained = predicted**2 + sum(part.m**2 for part in parts)
+    corners = len(solution.residuals.legs) * len(made.extraction.board.grid())
+    depth_m2 = predicted**2 * (1 + 3 * math.sqrt(2 / corners))
+    explained = depth_m2 + sum(part.m**2 for part in parts)
     unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
     error_mm, depth = error * 1e3, f"(depth noise alone: {predicted * 1e3:.1f} mm)"
     cause = max(every, key=lambda name: every[name].px, default="")

@@ -262,13 +262,6 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
     )
 
 
-def predicted_point_rms_m(extraction: Extraction, solution: Solution) -> float:
-    """Point error (square root of eq. 19) predicted from the noise of the triangulated corners alone, m."""
-    traces = np.array([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in extraction.observations])
-    legs = solution.residuals.legs
-    return float(np.sqrt(np.mean(traces[legs].sum(axis=1)))) if len(legs) else 0.0
-
-
 def board_distance_m(extraction: Extraction) -> float:
     """Median distance from the camera to the corners, m; 0 without observations."""
     observations = extraction.observations

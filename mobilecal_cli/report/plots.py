@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import image_coverage, predicted_point_rms_m, station_names, std_text
+from mobilecal_cli.report.numbers import image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
 
@@ -339,7 +339,7 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
         return ""
-    point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, predicted_point_rms_m(extraction, solution) * 1e3
+    point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, residuals.corner_noise_m * 1e3
     legs = [(f"{names[i]}–{names[j]}", (i, j)) for i, j in residuals.legs.tolist()]
     canvas = Canvas(WIDE, 440.0, "point error and reprojection error of each leg")
     for top, title, values, unit, whole in (

@@ -30,7 +30,6 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.report.comparison import Change
-from mobilecal_cli.report.decomposition import error_parts
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_data
 from mobilecal_cli.report.findings import (
     SCALES,
@@ -61,7 +60,6 @@ from mobilecal_cli.report.numbers import (
     image_coverage,
     numbers_of,
     odometry_factors,
-    predicted_point_rms_m,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
@@ -580,7 +578,7 @@ def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None
 
 
 def _quality(solution: Solution, extraction: Extraction) -> QualityData:
-    parts = {name: part.px for name, part in error_parts(solution, extraction).items()}
+    parts = {name: part.px for name, part in solution.error_parts.items()}
     noise_px = 0.0 if solution.uncertainty is None else solution.uncertainty.noise.pixel_px
     return like(
         QualityData,
@@ -589,7 +587,7 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
         stations_found=stations_looked_at(extraction),
         stations_text=stations_text(extraction),
         point_rms_mm=solution.point_rms_m * 1e3,
-        point_rms_predicted_by_depth_noise_mm=predicted_point_rms_m(extraction, solution) * 1e3,
+        point_rms_predicted_by_depth_noise_mm=solution.residuals.corner_noise_m * 1e3,
         reprojection_parts_px=parts,
         reprojection_text=reprojection_sentence(parts, noise_px),
         board_distance_m=board_distance_m(extraction),

@@ -17,7 +17,6 @@ from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at
 from mobilecal_cli.likelihood.views import view_rates
 from mobilecal_cli.model import (
     BoolArray,
-    CameraRig,
     Extraction,
     FloatArray,
     Parameters,
@@ -27,15 +26,26 @@ from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
 _LEAST_DEPTH_M = 0.01  # of a point that a camera does not show
 _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels leaves 1e-6 px after three
+_STILL_M = 1e-9
 
 
-def at_state(extraction: Extraction, data: Dataset, state: State) -> tuple[Extraction, MotionPairs]:
-    """The cameras and the pairs with a state's constants applied: cameras, time offsets, head chain and joints."""
+def at_state(
+    extraction: Extraction, data: Dataset, state: State, noise_px: float | None = None
+) -> tuple[Extraction, MotionPairs]:
+    """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
+
+    Args:
+        extraction, data: the measurements.
+        state: gives the constants.
+        noise_px: of the corners, px; as stated if None.
+    """
     cameras, extraction = cameras_at(data, state), _at_stamps(extraction, data, state)
+    factor = 1.0 if noise_px is None else noise_px / data.claimed_px
+    extraction = triangulated_again(replace(extraction, rig=replace(extraction.rig, cameras=cameras)), factor)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    return replace(extraction, rig=replace(extraction.rig, cameras=cameras)), replace(
+    return extraction, replace(
         data.pairs,
-        points_c=triangulated_again(extraction, cameras),
+        points_c=np.stack([o.points_c for o in extraction.observations]),
         T_v_h=head_at(data, as_read),
         steps=data.steps(wheel_clock_s(data, state)),
     )
@@ -128,11 +138,13 @@ def residuals_of(
     gross: BoolArray = np.asarray(left_out.any(axis=0))
     counted = (measured[:, i] & ~left_out[:, i] & ~gross[j])[..., None]
     apart = np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1)
+    variance = np.stack([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in observations])
     good = ~(gross[i] | gross[j])
     T_w_v = dead_reckoned(pairs, parameters)
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.sum(apart, axis=-1, where=good) / np.maximum(good.sum(axis=-1), 1)),
+        leg_corner_noise_m=np.sqrt(variance[i] + variance[j]),
         predicted_px=predicted,
         leg_reprojection_px=np.sqrt(
             np.sum(squares, axis=(0, 2, 3), where=counted) / np.maximum(counted.sum(axis=(0, 2, 3)), 1)
@@ -142,20 +154,23 @@ def residuals_of(
     )
 
 
-def triangulated_again(extraction: Extraction, cameras: CameraRig) -> FloatArray:
-    """Corners triangulated with other cameras than stated, (N, M, 3), m, in the first camera.
+def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extraction:
+    """The same with corners triangulated anew and their covariances, of cameras that are not those of the recording.
 
-    Gauss-Newton steps from the points of the stated cameras, none of which changes a depth by more than half of it;
-    corners that only one camera sees stay as they are.
+    Gauss-Newton steps from the points as they are, none of which changes a depth by more than half of it; corners that
+    only one camera sees stay.
+
+    Args:
+        extraction: with these cameras.
+        factor: noise of the corners over the stated one.
     """
-    observations = extraction.observations
+    observations, cameras = extraction.observations, extraction.rig.cameras
     points = np.stack([o.points_c for o in observations])
     detected = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
     pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
+    covariance = np.stack([o.points_cov for o in observations])
     several = detected.sum(axis=0) > 1
-    if not several.any():
-        return points
-    for _ in range(_TRIANGULATION_STEPS):
+    for _ in range(_TRIANGULATION_STEPS if several.any() else 0):
         errors, by_point = [], []
         for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
             T_camera_c = se3.inverse(T_c_camera)
@@ -166,9 +181,18 @@ def triangulated_again(extraction: Extraction, cameras: CameraRig) -> FloatArray
             by_point.append(np.where(usable[..., None], J @ T_camera_c[:3, :3] if k else J, 0.0))
         A = np.concatenate(by_point, axis=-2)
         A = np.where(several[..., None, None], A, np.eye(A.shape[-2], 3))
-        transposed, error = np.swapaxes(A, -1, -2), np.concatenate(errors, axis=-1)
-        step = np.linalg.solve(transposed @ A, transposed @ error[..., None])[..., 0]
+        transposed = np.swapaxes(A, -1, -2)
+        by_pixel = np.linalg.solve(transposed @ A, transposed)  # (N, M, 3, 2 C)
+        step = (by_pixel @ np.concatenate(errors, axis=-1)[..., None])[..., 0]
         depth = points[..., 2:]
         step *= np.minimum(1.0, depth / 2 / np.maximum(np.abs(step[..., 2:]), 1e-12))
         points = np.where(several[..., None], points + step, points)
-    return points
+        if np.abs(step[several]).max() < _STILL_M:
+            break
+    if several.any():
+        of_pixels = np.stack([[view.cov_px2 for view in o.views] for o in observations])  # (N, C, M, 2, 2)
+        each = (by_pixel[..., 2 * k : 2 * k + 2] for k in range(len(cameras.each)))
+        parts = (G @ of_pixels[:, k] @ np.swapaxes(G, -1, -2) for k, G in enumerate(each))
+        covariance = np.where(several[..., None, None], sum(parts), covariance)
+    seen = zip(observations, points, factor**2 * covariance, strict=True)
+    return replace(extraction, observations=tuple(replace(o, points_c=p, points_cov=c) for o, p, c in seen))

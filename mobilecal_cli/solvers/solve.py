@@ -29,6 +29,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.decomposition import error_parts
 from mobilecal_cli.solvers.findings import (
     constants_of,
     contradictions_of,
@@ -48,8 +49,8 @@ from mobilecal_cli.solvers.search import FITS, Search, turned_around
 from mobilecal_cli.solvers.transfer import point_rms_m
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
-# A mistake is searched for where the point error is more than this share of the distance to the board, or where more
-# than this share of the stations have an outlier.
+# A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
+# distance to the board, or where more than this share of the stations have an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
@@ -128,7 +129,7 @@ def _by_likelihood(
     inliers = fit.sure_legs
     if not inliers.any():
         inliers[:] = True
-    corrected_extraction, corrected = at_state(extraction, data, state)
+    corrected_extraction, corrected = at_state(extraction, data, state, fit.noise.pixel_px)
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
@@ -145,6 +146,9 @@ def _by_likelihood(
         uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
+        error_parts=error_parts(
+            data, corrected_extraction, corrected, parameters, solution.residuals, fit.noise
+        ),
         constants=constants_of(fit),
         evidence=evidence(fit.lin),
         contradictions=contradictions,
@@ -286,9 +290,9 @@ def _diagnosis(
     A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for.
     """
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    fits_badly = solution.point_rms_m > _BAD_SHARE * _board_distance_m(
-        extraction
-    ) or gross > _MANY_OUTLIERS * len(extraction.observations)
+    unexplained_m2 = solution.point_rms_m**2 - solution.residuals.corner_noise_m**2
+    fits_badly = unexplained_m2 > (_BAD_SHARE * _board_distance_m(extraction)) ** 2
+    fits_badly |= gross > _MANY_OUTLIERS * len(extraction.observations)
     jumps = any(jump.part for jump in solution.jumps)
     if fits_badly and not extraction.motions:
         diagnosis = search.of_whole if jumps else search.diagnosis

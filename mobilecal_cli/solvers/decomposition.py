@@ -3,47 +3,47 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
-from mobilecal_cli.kinematics import encoder_steps_rad, head_jacobian, head_pose
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.kinematics import head_jacobian
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.model import Extraction, FloatArray, Solution
+from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.model import ErrorPart, Extraction, FloatArray, Noise, Parameters, Residuals
 
 
-class ErrorPart(NamedTuple):
-    """The error that one kind of noise alone causes, rms over the legs: in the left camera's images and in space."""
+def error_parts(
+    data: Dataset,
+    extraction: Extraction,
+    pairs: MotionPairs,
+    parameters: Parameters,
+    residuals: Residuals,
+    noise: Noise,
+) -> dict[str, ErrorPart]:
+    """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
 
-    px: float
-    m: float
-
-
-def error_parts(solution: Solution, extraction: Extraction) -> Mapping[str, ErrorPart]:
-    """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without noise levels or legs."""
-    uncertainty, legs = solution.uncertainty, solution.residuals.legs
-    if uncertainty is None or not len(legs):
+    Args:
+        data: the measurements.
+        extraction, pairs: with the estimated constants, see `residuals.at_state`.
+        parameters, residuals: of the estimate.
+        noise: its levels.
+    """
+    if not len(residuals.legs):
         return {}
-    observations, chain, noise = extraction.observations, extraction.rig.chain, uncertainty.noise
-    X = solution.parameters.T_h_c
-    joints, (i, j) = np.stack([o.joints for o in observations]), legs.T
-    T_v_c = head_pose(chain, joints) @ X
-    points_c = np.stack(
-        [se3.act(o.T_c_k, extraction.board.grid() * o.square_m) for o in observations]
-    )  # (N, M, 3) m
-    points_cov = np.stack([o.points_cov for o in observations])
-    _, by_point = project_with_jacobian(solution.cameras.first, points_c)  # (N, M, 2, 3) px/m
+    X, (i, j) = parameters.T_h_c, residuals.legs.T
+    T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
+    points_cov = np.stack([o.points_cov for o in extraction.observations])
+    _, by_point = project_with_jacobian(extraction.rig.cameras.first, points_c)  # (N, M, 2, 3) px/m
     base = np.zeros((6, 3))  # twists of the base by roll, pitch and height of the floor
     base[0, 0] = base[1, 1] = math.hypot(noise.floor_rad, noise.sway_rad)
     base[5, 2] = math.hypot(noise.floor_m, noise.sway_m)
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
-        @ head_jacobian(chain, joints)
-        * (noise.joint_rad * np.array(chain.joint_units)),
+        @ head_jacobian(data.chain, data.joints)
+        * (noise.joint_rad * np.array(data.chain.joint_units)),
         "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
     }
     by_twist = np.concatenate(
@@ -51,24 +51,23 @@ def error_parts(solution: Solution, extraction: Extraction) -> Mapping[str, Erro
     )
     own = {name: _mean_squares(by_twist @ twist[:, None], by_point) for name, twist in twists.items()}
     # Corners: detected at one station, triangulated at the other.
-    T_w_v = solution.residuals.T_w_v
+    T_w_v = residuals.T_w_v
     T_w_c = T_w_v @ T_v_c
     R = (se3.inverse(T_w_c[i]) @ T_w_c[j])[:, None, :3, :3]
     carried = R @ points_cov[j] @ np.swapaxes(R, -1, -2)
     in_image = by_point[i] @ carried @ np.swapaxes(by_point[i], -1, -2)
     corners_px = np.trace(in_image, axis1=-2, axis2=-1).mean(axis=1) + 2 * noise.pixel_px**2
-    corners_m = np.trace(points_cov[i] + carried, axis1=-2, axis2=-1).mean(axis=1)
     # Wheels: x, y and heading of the base at the end of the leg, seen from its start.
     end = (se3.inverse(T_w_v[i]) @ T_w_v[j])[:, None, :2, 3]
     lever = se3.act(T_v_c[i], points_c[i])[..., :2] - end
     by_pose = np.zeros((*lever.shape[:2], 3, 3))
     by_pose[..., 0, 0] = by_pose[..., 1, 1] = 1.0
     by_pose[..., 0, 2], by_pose[..., 1, 2] = -lever[..., 1], lever[..., 0]
-    values, vectors = np.linalg.eigh(_wheel_covariance(solution, extraction))
+    values, vectors = np.linalg.eigh(_wheel_covariance(data, parameters, residuals, noise))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     motion = np.swapaxes(T_v_c[i][:, None, :3, :3], -1, -2) @ by_pose @ root[:, None]
     squares = {
-        "corners": np.stack([corners_px, corners_m]),
+        "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
         **{name: square[:, i] + square[:, j] for name, square in own.items()},
         "wheels": _mean_squares(motion, by_point[i]),
     }
@@ -80,16 +79,16 @@ def _mean_squares(motion: FloatArray, by_point: FloatArray) -> FloatArray:
     return np.stack([np.sum(each**2, axis=(2, 3)).mean(axis=1) for each in (by_point @ motion, motion)])
 
 
-def _wheel_covariance(solution: Solution, extraction: Extraction) -> FloatArray:
+def _wheel_covariance(
+    data: Dataset, parameters: Parameters, residuals: Residuals, noise: Noise
+) -> FloatArray:
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
-    assert solution.uncertainty is not None
-    data, wheels = dataset_of(extraction), solution.parameters.wheels
-    noise = solution.uncertainty.noise
+    wheels = parameters.wheels
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
     number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
-    covariance = np.asarray(every)[[number[a, b] for a, b in solution.residuals.legs.tolist()]]
+    covariance = np.asarray(every)[[number[a, b] for a, b in residuals.legs.tolist()]]
     if noise.encoder_rad:
-        steps = encoder_steps_rad(extraction.wheels)
+        steps = data.encoder_step_rad
         path_m = noise.encoder_rad * steps / max(steps.max(), 1e-12) * wheels.vector[:2]
         square = 2 * float(np.sum(path_m**2))  # a reading at both ends
         covariance = covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2])
