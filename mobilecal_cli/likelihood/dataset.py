@@ -38,6 +38,10 @@ class Dataset(Measurements):
     def with_constants(self, constants: Sequence[Constant]) -> Dataset:
         """The same measurements with other constants estimated."""
         return replace(self, layout=Layout(tuple(constants)))
+# Joint readings are averaged where their noise moves a joint by more than the first within the second, over at most the
+# last; from so many readings on.
+_STILL_RAD, _OFFSET_S, _LONGEST_S, _FEWEST_READINGS = 1e-4, 0.02, 0.1, 20
+_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 
 
 def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Dataset:
@@ -92,7 +96,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
         points_c=np.stack([o.points_c for o in observations]),
         joints=joints,
-        joint_tracks=extraction.joint_tracks,
+        joint_tracks=_without_noise(extraction),
         moving=moving,
         approach_direction=approach_direction(extraction),
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
@@ -125,6 +129,39 @@ def between_readings(
             ways = (track.at(2 * end - begin) - track.at(end), track.at(begin) - track.at(2 * begin - end))
             sigma[mine, k] = _OFF_THE_LINE * np.abs(ways[0] - ways[1])
     return sigma
+
+
+def _without_noise(extraction: Extraction) -> tuple[tuple[Track, ...], ...]:
+    """The joints over time, averaged over so many readings that their noise does not look like motion.
+
+    The clocks' offsets move the stamps along these tracks. Readings and their times are averaged alike, so that a
+    steady motion stays as it is; the noise of the readings at the stations is a matter of the joint errors.
+    """
+    units = extraction.rig.chain.joint_units
+    return tuple(
+        tuple(_averaged(track, _STILL_RAD * unit) for track, unit in zip(tracks, units, strict=True))
+        for tracks in extraction.joint_tracks
+    )
+
+
+def _averaged(track: Track, still: float) -> Track:
+    """A track averaged over the fewest readings whose noise, as motion within a usual offset, is below `still`."""
+    offsets, value = (track.time_ns - track.time_ns[:1]).astype(np.float64), track.value
+    moving = np.flatnonzero(value[2:] != value[:-2]) + 1
+    if len(moving) < _FEWEST_READINGS:
+        return track
+    before, after = (offsets[moving + k] - offsets[moving] for k in (-1, 1))
+    line = (value[moving - 1] * after - value[moving + 1] * before) / (after - before)
+    # The deviation of a reading from the line between its neighbors: 3 / 2 of the noise's variance.
+    noise = float(np.median(np.abs(value[moving] - line))) / _MEDIAN / math.sqrt(1.5)
+    interval_s = float(np.median(np.diff(offsets))) * 1e-9
+    needed = math.ceil(math.sqrt(2) * noise / still * _OFFSET_S / interval_s)
+    count = min(needed, int(_LONGEST_S / interval_s) + 1)
+    if count < 2:
+        return track
+    at, mean = (np.convolve(part, np.full(count, 1 / count), mode="valid") for part in (offsets, value))
+    at, mean = (np.concatenate([all_[:1], part, all_[-1:]]) for all_, part in ((offsets, at), (value, mean)))
+    return Track(track.time_ns, np.interp(offsets, at, mean))
 
 
 def _pose_weight(o: Observation) -> FloatArray:
