@@ -19,7 +19,7 @@ _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever
 NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 _OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `between_readings`
-_MOVED_RAD = 0.002  # less is noise of a reading, not a motion
+_MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, not a motion
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
 _AROUND_NS = 150_000_000  # a joint that moves within this time of a station, but hardly there, turns back
@@ -38,6 +38,8 @@ class Dataset(Measurements):
     def with_constants(self, constants: Sequence[Constant]) -> Dataset:
         """The same measurements with other constants estimated."""
         return replace(self, layout=Layout(tuple(constants)))
+
+
 # Joint readings are averaged where their noise moves a joint by more than the first within the second, over at most the
 # last; from so many readings on.
 _STILL_RAD, _OFFSET_S, _LONGEST_S, _FEWEST_READINGS = 1e-4, 0.02, 0.1, 20
@@ -146,14 +148,10 @@ def _without_noise(extraction: Extraction) -> tuple[tuple[Track, ...], ...]:
 
 def _averaged(track: Track, still: float) -> Track:
     """A track averaged over the fewest readings whose noise, as motion within a usual offset, is below `still`."""
-    offsets, value = (track.time_ns - track.time_ns[:1]).astype(np.float64), track.value
-    moving = np.flatnonzero(value[2:] != value[:-2]) + 1
-    if len(moving) < _FEWEST_READINGS:
+    noise = _noise(track)
+    if not noise:
         return track
-    before, after = (offsets[moving + k] - offsets[moving] for k in (-1, 1))
-    line = (value[moving - 1] * after - value[moving + 1] * before) / (after - before)
-    # The deviation of a reading from the line between its neighbors: 3 / 2 of the noise's variance.
-    noise = float(np.median(np.abs(value[moving] - line))) / _MEDIAN / math.sqrt(1.5)
+    offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
     interval_s = float(np.median(np.diff(offsets))) * 1e-9
     needed = math.ceil(math.sqrt(2) * noise / still * _OFFSET_S / interval_s)
     count = min(needed, int(_LONGEST_S / interval_s) + 1)
@@ -162,6 +160,18 @@ def _averaged(track: Track, still: float) -> Track:
     at, mean = (np.convolve(part, np.full(count, 1 / count), mode="valid") for part in (offsets, value))
     at, mean = (np.concatenate([all_[:1], part, all_[-1:]]) for all_, part in ((offsets, at), (value, mean)))
     return Track(track.time_ns, np.interp(offsets, at, mean))
+
+
+def _noise(track: Track) -> float:
+    """Standard deviation of the readings of a track, from how far they are off the line between their neighbors."""
+    offsets, value = (track.time_ns - track.time_ns[:1]).astype(np.float64), track.value
+    changes = np.flatnonzero(value[2:] != value[:-2]) + 1
+    if len(changes) < _FEWEST_READINGS:
+        return 0.0
+    before, after = (offsets[changes + k] - offsets[changes] for k in (-1, 1))
+    line = (value[changes - 1] * after - value[changes + 1] * before) / (after - before)
+    # The variance of this distance is 3 / 2 of the noise's.
+    return float(np.median(np.abs(value[changes] - line))) / _MEDIAN / math.sqrt(1.5)
 
 
 def _pose_weight(o: Observation) -> FloatArray:
@@ -194,22 +204,28 @@ def approach_direction(extraction: Extraction) -> FloatArray:
     log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides = np.zeros(joints.shape)
-    for number, tracks in enumerate(extraction.joint_tracks):
+    for number, (raw, tracks) in enumerate(
+        zip(extraction.joint_tracks, _without_noise(extraction), strict=True)
+    ):
         mine = np.flatnonzero(log == number)
         for j, track in enumerate(tracks):
-            last = _last_motion(track, times_ns[mine], joints[mine, j])
+            moved = max(_MOVED_RAD, _NOISE_SIGMAS * _noise(raw[j]))
+            last = _last_motion(track, times_ns[mine], joints[mine, j], moved)
             at = times_ns[mine]
             before, here, after = (track.at(at + by) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))
             ends = [np.abs(track.at(at + by) - here) for by in (-_AROUND_NS, _AROUND_NS)]
             rate = (here - before) / (_INTERVAL_NS * 1e-9)
             own = np.clip((after - before) / (2e-9 * _INTERVAL_NS) / _MOVING_RADPS, -1, 1)
-            turns = np.minimum(*ends) > _MOVED_RAD
+            turns = np.minimum(*ends) > moved
             sides[mine, j] = np.where((np.abs(rate) > _MOVING_RADPS) | turns, own, last)
     return sides
 
 
-def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray) -> FloatArray:
-    """(n,) from which side a joint last came to its readings at some times: +1, -1, or 0 where it never moved."""
+def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray, moved: float) -> FloatArray:
+    """(n,) from which side a joint last came to its readings at some times: +1, -1, or 0 where it never moved.
+
+    A smaller difference than `moved` is no motion.
+    """
     stops = np.searchsorted(track.time_ns, times_ns)
     ends = np.unique(stops[stops > 0])
     side = np.zeros(len(stops))
@@ -225,10 +241,10 @@ def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray) -> Floa
         while not away.any() and looked < before:  # mostly the stretch just before; else twice as far back
             looked = min(2 * looked + 1, before)
             near = slice(before - looked, before)
-            away = np.maximum(greatest[near] - reading, reading - least[near]) > _MOVED_RAD
+            away = np.maximum(greatest[near] - reading, reading - least[near]) > moved
         if away.any():
             stretch = before - 1 - int(np.argmax(away[::-1]))
             values = track.value[starts[stretch] : ends[stretch]]
-            last = values[np.abs(values - reading) > _MOVED_RAD][-1]
+            last = values[np.abs(values - reading) > moved][-1]
             side[i] = np.sign(reading - last)
     return side

@@ -35,7 +35,7 @@ class Case:
         robot = paper_robot()
         constants = table(robot.rig_cameras, chain_of(robot)) if constants is None else constants
         route = plan_route(robot, motion, stations=STATIONS)
-        disturbed = extractions.Noise(0.2, 0.003, 0.0, np.radians(0.05))
+        disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives
         extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)
         seen = extraction.observations[:STATIONS]
         extraction = replace(
