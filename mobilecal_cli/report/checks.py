@@ -201,7 +201,7 @@ def jump(made: Calibration) -> Iterator[Check]:
         if unused or change.station != first[change.log]:
             when, then, harmless = f"at {station}", "Then record again.", False
         else:
-            when = f"between recording {change.log} and the other{'s' if len(first) > 2 else ''}"
+            when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
             harmless = all(use.within for use in uses(made.solution, made.gates))
         yield Check(

@@ -305,7 +305,9 @@ def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
     """Station of a rejection, as "log:station" if there are several recordings; "" if it has none."""
     if rejection.station < 0:
         return ""
-    return f"{rejection.log}:{rejection.station}" if len(extraction.wheels) > 1 else str(rejection.station)
+    return (
+        f"{rejection.log + 1}:{rejection.station}" if len(extraction.wheels) > 1 else str(rejection.station)
+    )
 
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
@@ -331,6 +333,6 @@ def plain_names(names: Sequence[str], extraction: Extraction) -> str:
 
 
 def station_names(extraction: Extraction) -> list[str]:
-    """Name of each observation's station: its index, as "log:station" if there are several recordings."""
+    """Name of each observation's station: its index, after the recording's number from 1 if there are several."""
     several = len({o.log for o in extraction.observations}) > 1
-    return [f"{o.log}:{o.station}" if several else str(o.station) for o in extraction.observations]
+    return [f"{o.log + 1}:{o.station}" if several else str(o.station) for o in extraction.observations]

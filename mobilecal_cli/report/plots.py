@@ -604,7 +604,7 @@ def thumbnails(solution: Solution, extraction: Extraction, snapshots: Sequence[S
         place = (each.log, each.station)
         i, reason = used.get(place, -1), rejected.get(place, "")
         if each.thumbnail and (i >= 0 or reason):
-            name = f"{each.log}:{each.station}" if several else str(each.station)
+            name = f"{each.log + 1}:{each.station}" if several else str(each.station)
             jpeg = base64.b64encode(each.thumbnail).decode("ascii")
             shown.append(Thumbnail(i, name, jpeg, reason if i < 0 else "outlier" if i in outliers else ""))
     return shown

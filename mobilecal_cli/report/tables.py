@@ -141,7 +141,7 @@ def separately(case: Case) -> Rows:
 
     rows = [
         (
-            f"recording {number}",
+            f"recording {number + 1}",
             *(
                 f"{value_text(s * u, d * u, 5, '+')} ± {std_text(d * u)}" if ok else otherwise
                 for u, s, d, ok, otherwise in zip(per_unit, shift, std, shown, without, strict=True)

@@ -155,7 +155,11 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
 
     def name(i: int) -> str:
-        return f"{observations[i].log}:{observations[i].station}" if several else str(observations[i].station)
+        return (
+            f"{observations[i].log + 1}:{observations[i].station}"
+            if several
+            else str(observations[i].station)
+        )
 
     def clock(i: int) -> str:
         return f"{(observations[i].time_ns - begin[observations[i].log]) / 1e9:.1f} s"

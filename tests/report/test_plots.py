@@ -73,7 +73,7 @@ def test_several_logs_have_a_path_each():
     assert "robot_1.mcap" in page.text
     labels = [attributes.get("aria-label") for _, attributes in page.tags]
     assert labels.count("top view of the base path with cameras and board") == 2
-    assert "1:0–1:1" in page.text
+    assert "2:0–2:1" in page.text
 
 
 def test_a_head_with_one_joint():

@@ -90,7 +90,7 @@ def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, 
         assert found.between.shown[poor].sum() == 9 - len(hidden)
 
     rows = rows_of(made(found, extraction), "limits", "Each recording separately")
-    said = dict(zip(NINE, rows[f"recording {poor}"], strict=True))
+    said = dict(zip(NINE, rows[f"recording {poor + 1}"], strict=True))
     assert all(said[name] == "unobservable" for name in hidden)
     assert "nan" not in str(rows)
     assert rows["spread between recordings"][NINE.index(hidden[0])] == "unobservable"
@@ -105,8 +105,8 @@ def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
     found = solve(extraction, constraints=constraints_of(["t_x"], [], []))
     assert found.between.shown.tolist() == [[name not in ("separation", "t_x") for name in NINE]] * 2
     rows = rows_of(made(found, extraction), "limits", "Each recording separately")
-    assert rows["recording 0"][NINE.index("separation")] == "unobservable"
-    assert rows["recording 1"][NINE.index("t_x")] == "fixed"
+    assert rows["recording 1"][NINE.index("separation")] == "unobservable"
+    assert rows["recording 2"][NINE.index("t_x")] == "fixed"
 
 
 @pytest.mark.long
@@ -140,7 +140,7 @@ def test_a_wheel_that_differs_between_two_recordings_is_named(apart):
     verdict = judge(found, extraction)
     assert verdict.level == "FAIL"
     assert re.match(
-        r"Between recording 1 and the other, the size of the (left|right) wheel changed by", verdict.reason
+        r"Between recording 2 and the other, the size of the (left|right) wheel changed by", verdict.reason
     )
     assert "calibrate each recording alone" in verdict.next_step
     camera = found.uncertainty.budget.at_work["along_m_per_m"]
@@ -158,7 +158,7 @@ def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn
     verdict = judge(solve(extraction), extraction)
     assert verdict.level == level
     size = re.search(
-        rf"Between recording {odd} and the others, the camera on the head moved by .* and ([\d.]+) degrees",
+        rf"Between recording {odd + 1} and the others, the camera on the head moved by .* and ([\d.]+) degrees",
         verdict.reason if level == "FAIL" else verdict.next_step,
     )
     assert float(size[1]) == pytest.approx(np.degrees(turn_rad), rel=0.3)

@@ -20,7 +20,7 @@
   let picked = -1, log = stations[0].log, yaw = -0.9, pitch = 0.5, zoom = 1, close = false;
 
   const several = new Set(stations.map((s) => s.log)).size > 1;
-  const name = (k) => (several ? `${stations[k].log}:${stations[k].station}` : `${stations[k].station}`);
+  const name = (k) => (several ? `${stations[k].log + 1}:${stations[k].station}` : `${stations[k].station}`);
   stations.forEach((_, k) => list.append(new Option(`station ${name(k)}`, k)));
 
   // -- selection ------------------------------------------------------------------------------------
