@@ -500,7 +500,7 @@ def plan_stations(
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
-            f"The robot rests {rests} times with images ({because}). {picked} of {moving} images "
+            f"The robot rests {rests} time{'s' * (rests != 1)} with images ({because}). {picked} of {moving} images "
             "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
             "and lm)."
         )

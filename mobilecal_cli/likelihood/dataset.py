@@ -23,6 +23,10 @@ _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, 
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
 _AROUND_NS = 150_000_000  # a joint that moves within this time of a station, but hardly there, turns back
+# Joint readings are averaged where their noise moves a joint by more than the first within the second, over at most the
+# third; tracks with fewer changes than the last stay as they are.
+_STILL_RAD, _OFFSET_S, _LONGEST_S, _FEWEST_CHANGES = 1e-4, 0.02, 0.1, 20
+_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +42,6 @@ class Dataset(Measurements):
     def with_constants(self, constants: Sequence[Constant]) -> Dataset:
         """The same measurements with other constants estimated."""
         return replace(self, layout=Layout(tuple(constants)))
-
-
-# Joint readings are averaged where their noise moves a joint by more than the first within the second, over at most the
-# last; from so many readings on.
-_STILL_RAD, _OFFSET_S, _LONGEST_S, _FEWEST_READINGS = 1e-4, 0.02, 0.1, 20
-_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 
 
 def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Dataset:
@@ -78,6 +76,16 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
             )
             for t in tracks
         )
+    # The clocks' offsets move stamps along the tracks; the noise of a reading at a station is a matter of its error.
+    units = extraction.rig.chain.joint_units
+    joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
+    joint_tracks = tuple(
+        tuple(
+            _averaged(track, noise, _STILL_RAD * unit)
+            for track, noise, unit in zip(of_log, noises, units, strict=True)
+        )
+        for of_log, noises in zip(extraction.joint_tracks, joint_noise, strict=True)
+    )
     motions = None
     if extraction.motions:
         measured = [(m.motion, m.covariance) for m in extraction.motions]
@@ -98,9 +106,9 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
         points_c=np.stack([o.points_c for o in observations]),
         joints=joints,
-        joint_tracks=_without_noise(extraction),
+        joint_tracks=joint_tracks,
         moving=moving,
-        approach_direction=approach_direction(extraction),
+        approach_direction=_approach_direction(extraction, joint_tracks, joint_noise),
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
         joints_between=between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1]),
         log=log,
@@ -133,45 +141,41 @@ def between_readings(
     return sigma
 
 
-def _without_noise(extraction: Extraction) -> tuple[tuple[Track, ...], ...]:
-    """The joints over time, averaged over so many readings that their noise does not look like motion.
+def _noise(track: Track) -> float:
+    """Standard deviation of the readings of a track, from their third differences: steady acceleration is no noise."""
+    offsets, value = (track.time_ns - track.time_ns[:1]).astype(np.float64), track.value
+    if np.count_nonzero(np.diff(value)) < _FEWEST_CHANGES:
+        return 0.0
+    before, after = offsets[1:-1] - offsets[:-2], offsets[2:] - offsets[1:-1]
+    off_line = value[1:-1] - (value[:-2] * after + value[2:] * before) / (before + after)
+    thirds = np.diff(off_line)[np.diff(value)[1:-1] != 0]
+    # The variance of this difference is 5 times the noise's.
+    return float(np.median(np.abs(thirds))) / _MEDIAN / math.sqrt(5) if len(thirds) else 0.0
 
-    The clocks' offsets move the stamps along these tracks. Readings and their times are averaged alike, so that a
-    steady motion stays as it is; the noise of the readings at the stations is a matter of the joint errors.
+
+def _averaged(track: Track, noise: float, still: float) -> Track:
+    """A track averaged over the fewest readings whose noise does not look like motion.
+
+    Readings and their times are averaged alike, so that a steady motion stays as it is.
+
+    Args:
+        track: readings.
+        noise: their standard deviation.
+        still: motion within a usual offset of the clocks that may be noise.
     """
-    units = extraction.rig.chain.joint_units
-    return tuple(
-        tuple(_averaged(track, _STILL_RAD * unit) for track, unit in zip(tracks, units, strict=True))
-        for tracks in extraction.joint_tracks
-    )
-
-
-def _averaged(track: Track, still: float) -> Track:
-    """A track averaged over the fewest readings whose noise, as motion within a usual offset, is below `still`."""
-    noise = _noise(track)
     if not noise:
         return track
     offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
     interval_s = float(np.median(np.diff(offsets))) * 1e-9
     needed = math.ceil(math.sqrt(2) * noise / still * _OFFSET_S / interval_s)
-    count = min(needed, int(_LONGEST_S / interval_s) + 1)
+    count = min(needed, int(_LONGEST_S / interval_s) + 1, len(value))
     if count < 2:
         return track
-    at, mean = (np.convolve(part, np.full(count, 1 / count), mode="valid") for part in (offsets, value))
-    at, mean = (np.concatenate([all_[:1], part, all_[-1:]]) for all_, part in ((offsets, at), (value, mean)))
+    at, mean = (
+        np.concatenate([part[:1], np.convolve(part, np.full(count, 1 / count), mode="valid"), part[-1:]])
+        for part in (offsets, value)
+    )
     return Track(track.time_ns, np.interp(offsets, at, mean))
-
-
-def _noise(track: Track) -> float:
-    """Standard deviation of the readings of a track, from how far they are off the line between their neighbors."""
-    offsets, value = (track.time_ns - track.time_ns[:1]).astype(np.float64), track.value
-    changes = np.flatnonzero(value[2:] != value[:-2]) + 1
-    if len(changes) < _FEWEST_READINGS:
-        return 0.0
-    before, after = (offsets[changes + k] - offsets[changes] for k in (-1, 1))
-    line = (value[changes - 1] * after - value[changes + 1] * before) / (after - before)
-    # The variance of this distance is 3 / 2 of the noise's.
-    return float(np.median(np.abs(value[changes] - line))) / _MEDIAN / math.sqrt(1.5)
 
 
 def _pose_weight(o: Observation) -> FloatArray:
@@ -195,21 +199,25 @@ def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) 
     return W
 
 
-def approach_direction(extraction: Extraction) -> FloatArray:
+def _approach_direction(
+    extraction: Extraction, joint_tracks: Sequence[Sequence[Track]], joint_noise: Sequence[Sequence[float]]
+) -> FloatArray:
     """(N, J) the direction of each joint's last motion before each station, from -1 to 1.
 
     Where a joint turns back, its play is on neither side: there the direction changes in proportion to the rate.
+
+    Args:
+        extraction: the stations.
+        joint_tracks, joint_noise: the joints of each recording without noise, and the noise of one reading.
     """
     observations = extraction.observations
     log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides = np.zeros(joints.shape)
-    for number, (raw, tracks) in enumerate(
-        zip(extraction.joint_tracks, _without_noise(extraction), strict=True)
-    ):
+    for number, of_log in enumerate(zip(joint_tracks, joint_noise, strict=True)):
         mine = np.flatnonzero(log == number)
-        for j, track in enumerate(tracks):
-            moved = max(_MOVED_RAD, _NOISE_SIGMAS * _noise(raw[j]))
+        for j, (track, noise) in enumerate(zip(*of_log, strict=True)):
+            moved = max(_MOVED_RAD, _NOISE_SIGMAS * noise)
             last = _last_motion(track, times_ns[mine], joints[mine, j], moved)
             at = times_ns[mine]
             before, here, after = (track.at(at + by) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))

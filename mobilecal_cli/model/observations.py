@@ -202,6 +202,10 @@ class Extraction:
             return tuple(log.path for log in self.logs)
         return tuple(f"recording {number}" for number in range(1, len(self.wheels) + 1))
 
+    def station_name(self, log: int, station: int) -> str:
+        """A station in words: its index, behind the number of its recording, from 1, if there are several."""
+        return f"{log + 1}:{station}" if len(self.wheels) > 1 else str(station)
+
     @property
     def measured(self) -> bool:
         """Whether poses were measured in place of corners."""

@@ -93,7 +93,7 @@ def stations(made: Calibration) -> Iterator[Check]:
     for (_, reason), count in rejection_counts(made.extraction).items():
         details = {item.detail for item in made.extraction.rejections if item.reason == reason}
         of = f" ({details.pop()})" if len(details) == 1 else ""
-        causes.append(visible(f"Not used, {count} times: {reason}{of}."))
+        causes.append(visible(f"Not used, {count} time{'s' * (count != 1)}: {reason}{of}."))
     lost = f" {causes[0]}" if causes else ""
     again = "Remove this cause, and record again" if causes else "Record again"
     yield Check(

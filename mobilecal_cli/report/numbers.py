@@ -302,12 +302,8 @@ def stations_looked_at(extraction: Extraction) -> int:
 
 
 def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
-    """Station of a rejection, as "log:station" if there are several recordings; "" if it has none."""
-    if rejection.station < 0:
-        return ""
-    return (
-        f"{rejection.log + 1}:{rejection.station}" if len(extraction.wheels) > 1 else str(rejection.station)
-    )
+    """Station of a rejection, see `Extraction.station_name`; "" if it has none."""
+    return "" if rejection.station < 0 else extraction.station_name(rejection.log, rejection.station)
 
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
@@ -333,6 +329,5 @@ def plain_names(names: Sequence[str], extraction: Extraction) -> str:
 
 
 def station_names(extraction: Extraction) -> list[str]:
-    """Name of each observation's station: its index, after the recording's number from 1 if there are several."""
-    several = len({o.log for o in extraction.observations}) > 1
-    return [f"{o.log + 1}:{o.station}" if several else str(o.station) for o in extraction.observations]
+    """Name of each observation's station."""
+    return [extraction.station_name(o.log, o.station) for o in extraction.observations]

@@ -599,12 +599,12 @@ def thumbnails(solution: Solution, extraction: Extraction, snapshots: Sequence[S
         i for each in solution.outliers if each.kind in ("station", "corners") for i in each.observations
     }
     rejected = {(r.log, r.station): r.reason for r in extraction.rejections}
-    several, shown = len(extraction.wheels) > 1, []
+    shown = []
     for each in snapshots:
         place = (each.log, each.station)
         i, reason = used.get(place, -1), rejected.get(place, "")
         if each.thumbnail and (i >= 0 or reason):
-            name = f"{each.log + 1}:{each.station}" if several else str(each.station)
+            name = extraction.station_name(each.log, each.station)
             jpeg = base64.b64encode(each.thumbnail).decode("ascii")
             shown.append(Thumbnail(i, name, jpeg, reason if i < 0 else "outlier" if i in outliers else ""))
     return shown

@@ -151,15 +151,10 @@ def pool_recordings(fit: Fit) -> Fit:
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     """Description of each outlier of a fit, in order of time."""
     observations, inliers, state = extraction.observations, fit.inliers, fit.lin.state
-    several = len(extraction.wheels) > 1
     begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
 
     def name(i: int) -> str:
-        return (
-            f"{observations[i].log + 1}:{observations[i].station}"
-            if several
-            else str(observations[i].station)
-        )
+        return extraction.station_name(observations[i].log, observations[i].station)
 
     def clock(i: int) -> str:
         return f"{(observations[i].time_ns - begin[observations[i].log]) / 1e9:.1f} s"

@@ -6,11 +6,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mobilecal_cli.likelihood.dataset import approach_direction
+from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.extractions import ideal_extraction
+
+
+def approach_direction(extraction):
+    return dataset_of(extraction).approach_direction
+
 
 ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
 EXTRACTION = ideal_extraction(paper_robot(), ROUTE)
