@@ -212,9 +212,10 @@ def _wheel_track(
     return WheelTrack.at_same_times(nanoseconds(moments), angles[:, 0], angles[:, 1])
 
 
-def _joint_tracks(actual: OutsideRobot, route: Route) -> tuple[Track, ...]:
+def _joint_tracks(actual: OutsideRobot, route: Route, noise: Noise, seed: int) -> tuple[Track, ...]:
     moments = np.arange(0, route.duration_s, _TRACK_STEP_S)
     values = actual.readings(route, moments)
+    values = values + noise.joint_rad * np.random.default_rng([seed, 9]).normal(size=values.shape)
     return tuple(Track(nanoseconds(moments), values[:, j]) for j in range(values.shape[1]))
 
 
@@ -424,5 +425,5 @@ def extraction_of(
         notes=(),
         logs=(),
         counts={"stations": len(observations), "observations": len(observations)},
-        joint_tracks=(_joint_tracks(actual, route),),
+        joint_tracks=(_joint_tracks(actual, route, noise, seed),),
     )

@@ -83,16 +83,20 @@ def judge(
     else:
         reason = use_sentence(solution.uncertainty.at_work, made.gates)
         next_step = "Use params.yaml on the robot."
+    return Verdict("PASS", reason, next_step + _first(checks), checks)
+
+
+def _first(checks: Checks) -> str:
+    """What to look at before the next step: the first warning."""
     look = next((check for check in checks if check.outcome == "warning"), None)
-    if look is not None:
-        next_step += f" Check first: {look.why} {look.next_step}"
-    return Verdict("PASS", reason, next_step, checks)
+    return "" if look is None else f" Check first: {look.why} {look.next_step}"
 
 
 def decided_by(check: Check, checks: Checks) -> Verdict:
     """The verdict where one check decides."""
     level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
-    return Verdict(level, check.why, check.next_step, checks)
+    first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
+    return Verdict(level, check.why, check.next_step + first, checks)
 
 
 def reasons_of(verdict: Verdict) -> tuple[str, ...]:
