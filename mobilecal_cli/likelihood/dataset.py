@@ -23,9 +23,10 @@ _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, 
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
 _AROUND_NS = 150_000_000  # a joint that moves within this time of a station, but hardly there, turns back
-# Joint readings are averaged where their noise moves a joint by more than the first within the second, over at most the
-# third; tracks with fewer changes than the last stay as they are.
-_STILL_RAD, _OFFSET_S, _LONGEST_S, _FEWEST_CHANGES = 1e-4, 0.02, 0.1, 20
+# The motion of a joint is taken over the first interval, or over so long a one that noise moves the joint by less than
+# `_STILL_RAD` within a usual offset of the clocks, but at most the second. Fewer changes show no noise.
+_LEAST_WIDTH_S, _MOST_WIDTH_S = 0.04, 0.1
+_STILL_RAD, _OFFSET_S, _FEWEST_CHANGES = 1e-4, 0.02, 20
 _MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 
 
@@ -76,15 +77,11 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
             )
             for t in tracks
         )
-    # The clocks' offsets move stamps along the tracks; the noise of a reading at a station is a matter of its error.
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
-    joint_tracks = tuple(
-        tuple(
-            _averaged(track, noise, _STILL_RAD * unit)
-            for track, noise, unit in zip(of_log, noises, units, strict=True)
-        )
-        for of_log, noises in zip(extraction.joint_tracks, joint_noise, strict=True)
+    widths_ns = tuple(
+        tuple(_width_ns(noise, _STILL_RAD * unit) for noise, unit in zip(noises, units, strict=True))
+        for noises in joint_noise
     )
     motions = None
     if extraction.motions:
@@ -106,9 +103,10 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
         points_c=np.stack([o.points_c for o in observations]),
         joints=joints,
-        joint_tracks=joint_tracks,
+        joint_tracks=extraction.joint_tracks,
+        joint_widths_ns=widths_ns,
         moving=moving,
-        approach_direction=_approach_direction(extraction, joint_tracks, joint_noise),
+        approach_direction=_approach_direction(extraction, widths_ns, joint_noise),
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
         joints_between=between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1]),
         log=log,
@@ -153,29 +151,14 @@ def _noise(track: Track) -> float:
     return float(np.median(np.abs(thirds))) / _MEDIAN / math.sqrt(5) if len(thirds) else 0.0
 
 
-def _averaged(track: Track, noise: float, still: float) -> Track:
-    """A track averaged over the fewest readings whose noise does not look like motion.
-
-    Readings and their times are averaged alike, so that a steady motion stays as it is.
+def _width_ns(noise: float, still: float) -> int:
+    """Interval over which the motion of a joint with noisy readings is taken.
 
     Args:
-        track: readings.
-        noise: their standard deviation.
+        noise: standard deviation of one reading, rad or m.
         still: motion within a usual offset of the clocks that may be noise.
     """
-    if not noise:
-        return track
-    offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
-    interval_s = float(np.median(np.diff(offsets))) * 1e-9
-    needed = math.ceil(math.sqrt(2) * noise / still * _OFFSET_S / interval_s)
-    count = min(needed, int(_LONGEST_S / interval_s) + 1, len(value))
-    if count < 2:
-        return track
-    at, mean = (
-        np.concatenate([part[:1], np.convolve(part, np.full(count, 1 / count), mode="valid"), part[-1:]])
-        for part in (offsets, value)
-    )
-    return Track(track.time_ns, np.interp(offsets, at, mean))
+    return round(min(max(math.sqrt(2) * noise / still * _OFFSET_S, _LEAST_WIDTH_S), _MOST_WIDTH_S) * 1e9)
 
 
 def _pose_weight(o: Observation) -> FloatArray:
@@ -200,7 +183,7 @@ def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) 
 
 
 def _approach_direction(
-    extraction: Extraction, joint_tracks: Sequence[Sequence[Track]], joint_noise: Sequence[Sequence[float]]
+    extraction: Extraction, widths_ns: Sequence[Sequence[int]], joint_noise: Sequence[Sequence[float]]
 ) -> FloatArray:
     """(N, J) the direction of each joint's last motion before each station, from -1 to 1.
 
@@ -208,20 +191,20 @@ def _approach_direction(
 
     Args:
         extraction: the stations.
-        joint_tracks, joint_noise: the joints of each recording without noise, and the noise of one reading.
+        widths_ns, joint_noise: of each recording's joints, see `Measurements`, and the noise of one reading.
     """
     observations = extraction.observations
     log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides = np.zeros(joints.shape)
-    for number, of_log in enumerate(zip(joint_tracks, joint_noise, strict=True)):
+    for number, of_log in enumerate(zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)):
         mine = np.flatnonzero(log == number)
-        for j, (track, noise) in enumerate(zip(*of_log, strict=True)):
+        for j, (track, width_ns, noise) in enumerate(zip(*of_log, strict=True)):
             moved = max(_MOVED_RAD, _NOISE_SIGMAS * noise)
             last = _last_motion(track, times_ns[mine], joints[mine, j], moved)
             at = times_ns[mine]
-            before, here, after = (track.at(at + by) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))
-            ends = [np.abs(track.at(at + by) - here) for by in (-_AROUND_NS, _AROUND_NS)]
+            before, here, after = (track.mean(at + by, width_ns) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))
+            ends = [np.abs(track.mean(at + by, width_ns) - here) for by in (-_AROUND_NS, _AROUND_NS)]
             rate = (here - before) / (_INTERVAL_NS * 1e-9)
             own = np.clip((after - before) / (2e-9 * _INTERVAL_NS) / _MOVING_RADPS, -1, 1)
             turns = np.minimum(*ends) > moved

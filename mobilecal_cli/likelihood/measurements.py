@@ -85,6 +85,7 @@ class Measurements:
         points_c: (N, M, 3) triangulated corners, m.
         joints: (N, J) readings.
         joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
+        joint_widths_ns: intervals over which the motion of each of them is taken; longer for noisy readings.
         moving: (N,) stations that are not at rest: there, the offset of a clock matters.
         approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
         wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m;
@@ -111,6 +112,7 @@ class Measurements:
     points_c: FloatArray
     joints: FloatArray
     joint_tracks: tuple[tuple[Track, ...], ...]
+    joint_widths_ns: tuple[tuple[int, ...], ...]
     moving: BoolArray
     approach_direction: FloatArray
     wheels_between: FloatArray
@@ -184,17 +186,23 @@ class Measurements:
     def joint_shift(self, time_offset_s: float) -> FloatArray:
         """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
         shift = np.zeros_like(self.joints)
-        for number, tracks in enumerate(self.joint_tracks):
+        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
             mine = self.log == number
             before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
-            for j, track in enumerate(tracks):
-                shift[mine, j] = track.at(after) - track.at(before)
+            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
+                shift[mine, j] = track.mean(after, width_ns) - track.mean(before, width_ns)
         return shift
 
     def joint_rates(self, time_offset_s: float) -> FloatArray:
         """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
-        late, early = time_offset_s + _RATE_INTERVAL_S / 2, time_offset_s - _RATE_INTERVAL_S / 2
-        return np.asarray((self.joint_shift(late) - self.joint_shift(early)) / _RATE_INTERVAL_S)
+        rates = np.zeros_like(self.joints)
+        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
+            mine = np.flatnonzero((self.log == number) & self.moving)
+            at = self.stamps_ns(time_offset_s)[mine]
+            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
+                half = width_ns // 2
+                rates[mine, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
+        return rates
 
     def wheel_rates(self, time_offset_s: float) -> FloatArray:
         """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
@@ -248,6 +256,7 @@ class Measurements:
             self,
             **{name: getattr(self, name)[mine] for name in _BY_STATION},
             joint_tracks=self.joint_tracks[log : log + 1],
+            joint_widths_ns=self.joint_widths_ns[log : log + 1],
             log=np.zeros(int(mine.sum()), dtype=np.int64),
             legs=number[self.legs[legs]],
             motions=self.motions and SensorMotions(self.motions.motion[legs], self.motions.covariance[legs]),

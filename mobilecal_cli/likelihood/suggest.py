@@ -149,6 +149,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         whitening=np.broadcast_to(np.eye(2), (count + 1, *data.whitening.shape[1:])),
         joints=np.concatenate([data.joints[-1:], stops.joints]),
         joint_tracks=(),
+        joint_widths_ns=(),
         moving=np.zeros(count + 1, dtype=np.bool_),
         approach_direction=np.zeros((count + 1, J)),
         wheels_between=np.zeros((count + 1, 2)),

@@ -38,6 +38,21 @@ class Track(ReadOnly):
         offsets, samples = (times_ns - start).astype(np.float64), (stamps - start).astype(np.float64)
         return np.asarray(np.interp(offsets, samples, self.value[begin:end]), dtype=np.float64)
 
+    def mean(self, times_ns: IntArray, width_ns: int) -> FloatArray:
+        """Mean of the interpolated values over an interval of a width around some times, (n,) → (n,).
+
+        Its derivative by the time is the difference of `at` at both ends over the width, without the kinks of `at`.
+        """
+        if not len(times_ns):
+            return np.zeros(0)
+        start, ends_ns = times_ns.min() - width_ns, times_ns + np.array([[-1], [1]]) * (width_ns // 2)
+        inside = (self.time_ns > ends_ns.min()) & (self.time_ns < ends_ns.max())
+        knots_ns = np.union1d(self.time_ns[inside], ends_ns)
+        knots, values = (knots_ns - start).astype(np.float64), self.at(knots_ns)
+        integral = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (values[1:] + values[:-1]) / 2)])
+        first, last = integral[np.searchsorted(knots_ns, ends_ns)]
+        return np.asarray((last - first) / (2 * (width_ns // 2)), dtype=np.float64)
+
 
 def sampled(tracks: Sequence[Track], times_ns: IntArray) -> FloatArray:
     """Values of several tracks (or none) at some times, (n, J)."""

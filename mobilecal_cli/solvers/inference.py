@@ -333,10 +333,12 @@ class Inference:
         return found
 
     def _likeliest_jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        jump = jumps.likeliest(fit.lin)
+        # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
+        optimum = fit.lin.predicted(proposed(fit.lin)[0])
+        jump = jumps.likeliest(optimum)
         if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
             return None
-        lin = _past(fit.lin, jump)
+        lin = _past(optimum, jump)
         lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
         jump = jumps.again(lin, jump)
         significant = jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)

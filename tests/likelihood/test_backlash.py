@@ -21,15 +21,23 @@ ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
 EXTRACTION = ideal_extraction(paper_robot(), ROUTE)
 
 
+def mean(track, at):
+    """Over 40 ms."""
+    ends = at - 20_000_000, at + 20_000_000
+    inside = track.time_ns[(track.time_ns > ends[0]) & (track.time_ns < ends[1])]
+    knots = np.array([ends[0], *inside, ends[1]])
+    values = track.at(knots)
+    return np.sum(np.diff(knots) * (values[1:] + values[:-1]) / 2) / 40_000_000
+
+
 def plain(extraction):
     sides = []
     for o in extraction.observations:
         for j, track in enumerate(extraction.joint_tracks[o.log]):
             earlier = track.value[track.time_ns < o.time_ns]
             away = earlier[np.abs(earlier - o.joints[j]) > 0.002]
-            long_ago, before, here, after, later = track.at(
-                o.time_ns + np.array([-150, -50, 0, 50, 150]) * 1_000_000
-            )
+            moments = o.time_ns + np.array([-150, -50, 0, 50, 150]) * 1_000_000
+            long_ago, before, here, after, later = (mean(track, at) for at in moments)
             last = np.sign(o.joints[j] - away[-1]) if len(away) else 0.0
             turns = min(abs(long_ago - here), abs(later - here)) > 0.002
             own = np.clip((after - before) / 0.1 / 0.03, -1, 1)
