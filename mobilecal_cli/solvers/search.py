@@ -110,10 +110,12 @@ class Search:
     @cached_property
     def diagnosis(self) -> Diagnosis | None:
         """The mistake in all readings, or else in some: of one recording, from a station on, or of one sensor."""
-        if self.of_whole is not None or self._fits:
+        if self.of_whole is not None:
             return self.of_whole
-        if len(self._readings.wheels) > 1:
+        if len(self._readings.wheels) > 1:  # most legs may fit without those of a short recording
             return self._of_one_log()
+        if self._fits:
+            return None
         free = FREE if self._readings.consistent else ()
         return self._from_a_station_on() or self._named(self._readings, free, _FITS_FREE)
 

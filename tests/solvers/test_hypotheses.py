@@ -231,6 +231,19 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
 
 
+def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
+    """Most legs fit without those of the short one."""
+    long, short = (
+        ideal_extraction(ROBOT, plan_route(ROBOT, stations=count, seed=seed), NOISE, seed)
+        for count, seed in ((40, 4), (8, 5))
+    )
+    tilt = short.rig.chain.joints.index(short.rig.chain.tilt)
+    sign = np.where(np.arange(len(short.rig.chain.joints)) == tilt, -1, 1)
+    spoilt = tuple(replace(o, joints=sign * o.joints) for o in short.observations)
+    found = solve(joined(long, replace(short, observations=spoilt))).diagnosis
+    assert found.cause == "recording 2 of 2: the sign of joint tilt_joint is reversed"
+
+
 @pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 3.0)])
 def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left_s):
     """A delay longer than the recording left no time that both wheels cover, and an IndexError."""
