@@ -1,7 +1,5 @@
 """`draft_rig`: what is filled in, from where, and what is left to the user."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import replace
@@ -19,9 +17,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig, likely_square_m
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import resolve_rig
-from tests.rig.test_resolve import AT_BASE, CAMERA, URDF, description
-
-HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description
 
 
 def loaded(draft):
@@ -49,11 +45,8 @@ def test_a_draft_loads_and_settles_the_same_rig():
     assert again.chain.joints == first.chain.joints
     assert again.nominal.wheels == first.nominal.wheels
     np.testing.assert_allclose(again.nominal.T_h_reference, first.nominal.T_h_reference, atol=1e-9)
-    assert (loaded(draft).board.columns, loaded(draft).board.rows, loaded(draft).board.square_m) == (
-        9,
-        6,
-        None,
-    )
+    size = loaded(draft).board
+    assert (size.columns, size.rows, size.square_m) == (9, 6, None)
     assert todo(draft) == {}
     assert set(todo(draft, needed=False)) == {"board.square_m"}
     assert all(f"#   {name}: {limit:g}\n" in draft.text for name, limit in ACCURACY.items())
@@ -63,19 +56,13 @@ def test_a_draft_loads_and_settles_the_same_rig():
         assert one.key.rsplit(".", 1)[-1] in draft.text
 
 
-def test_a_draft_of_a_poor_log_asks():
-    draft = draft_rig(
-        description(images=("/camera/image: #odd\n", "/other/image"), urdf=None, joint_names={}), "log"
-    )
+def test_a_draft_of_a_poor_log_asks_with_templates_that_can_be_uncommented():
+    images = ("/camera/image: #odd\n", "/other/image")
+    draft = draft_rig(description(images=images, urdf=None, joint_names={}), "log")
     assert set(todo(draft)) == {"cameras", "wheels", "head"}
     assert "# TODO cameras: several cameras" in draft.text
     assert draft.filled == ()
     loaded(draft)
-
-
-def test_templates_can_be_uncommented():
-    """Each template of a poor log is valid where it stands."""
-    draft = draft_rig(description(images=("/one/image", "/two/image"), urdf=None, joint_names={}), "log")
     for name in ("cameras", "wheels", "nominal"):
         block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]
         lines = [line for line in block.splitlines() if re.match(rf"# (  |{name}:)", line)]
@@ -121,10 +108,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     [
         (board(seen=2), "2 of 12 images show a whole board of 9 x 6;"),
         (board(other_sizes=1), "show a whole board of 9 x 6, 1 one of another size;"),
-        (
-            board(seen=0, size=None, squares_m=(), square_m=None),
-            "0 of 12 images show a whole checkerboard of one size;",
-        ),
+        (board(seen=0, size=None, squares_m=(), square_m=None), "0 of 12 images show a whole checkerboard"),
     ],
 )
 def test_a_board_that_is_not_certain_is_asked_for(seen, words):
@@ -136,15 +120,7 @@ def test_a_board_that_is_not_certain_is_asked_for(seen, words):
 
 @pytest.mark.parametrize(
     ("measured_m", "likely_m"),
-    [
-        (0.0799, 0.08),
-        (0.0702, 0.07),
-        (0.0251, 0.025),
-        (0.1083, None),
-        (0.0247, None),
-        (0.0731, None),
-        (0.2476, None),
-    ],
+    [(0.0799, 0.08), (0.0702, 0.07), (0.0251, 0.025), *((m, None) for m in (0.1083, 0.0247, 0.0731, 0.2476))],
 )
 def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     assert likely_square_m(measured_m) == (None if likely_m is None else pytest.approx(likely_m))
@@ -152,11 +128,8 @@ def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     draft = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
     assert f"# square_m: {likely_m or round(measured_m, 4):g}\n" in draft.text
     assert loaded(draft).board.square_m is None
-    scattered = draft_rig(
-        description(),
-        "log",
-        board=board(square_m=measured_m, squares_m=(measured_m, measured_m * 1.05, measured_m)),
-    )
+    sides = (measured_m, measured_m * 1.05, measured_m)
+    scattered = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
     assert "Suggestion" not in scattered.text
 
 
@@ -191,8 +164,7 @@ def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
         [
             counter("left"),
             counter("right"),
-            NumberField("/encoder/left", "n", True),
-            NumberField("/encoder/right", "n", True),
+            *(NumberField(f"/encoder/{s}", "n", True) for s in ("left", "right")),
         ],
         [NumberField("/ticks/left", "data", False), NumberField("/ticks/right", "data", False)],
         [counter("left", jump=4095), counter("right", jump=4095)],
@@ -201,20 +173,16 @@ def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
 )
 def test_counters_with_two_answers_are_asked_for(fields):
     draft = draft_rig(bare(numbers=tuple(fields)), "log")
-    assert any(
-        said in todo(draft)["wheels"]
-        for said in ("several numbers", "unknown unit", "look like tick counters")
-    )
+    assert re.search("several numbers|unknown unit|look like tick counters", todo(draft)["wheels"])
     assert not any(one.key.startswith("wheels") for one in draft.filled)
     assert len(re.findall("# candidate: topic", draft.text)) == (len(fields) if len(fields) > 1 else 0)
     loaded(draft)
 
 
 def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
-    names = {"/joint_states": tuple(n for n in ("wheel_left_joint", "wheel_right_joint", "head_pan_joint"))}
-    draft = draft_rig(
-        description(joint_names=names, numbers=(NumberField("/tilt_servo", "angle", False),)), "log"
-    )
+    names = {"/joint_states": ("wheel_left_joint", "wheel_right_joint", "head_pan_joint")}
+    numbers = (NumberField("/tilt_servo", "angle", False),)
+    draft = draft_rig(description(joint_names=names, numbers=numbers), "log")
     assert "no joint state for 'head_tilt_joint'" in todo(draft)["joints.fields"]
     assert '# candidate: topic "/tilt_servo", field "angle" (number, unit unknown)' in draft.text
     loaded(draft)
@@ -248,8 +216,7 @@ def test_a_chain_of_transforms_is_drafted():
     T = np.stack([se3.transform(se3.rotation_z(a), np.array([0.1, 0, 1])) for a in np.linspace(0, 1, 5)])
     fixed = np.stack([se3.transform(np.eye(3), np.array([0, 0.06, 0.1]))] * 5)
     transforms = {("base_link", "neck"): T, ("neck", "stereo_left_optical"): fixed}
-    tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
-    log = replace(description(urdf=None, extra=(tf,)), transforms=transforms)
+    log = replace(description(urdf=None, extra=(TF,)), transforms=transforms)
     draft = draft_rig(log, "log")
     assert keys(draft)["head.head_frame"] == "neck"
     again, first = (resolve_rig(config, log)[0] for config in (loaded(draft), RigConfig()))

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import re
 
@@ -20,11 +18,7 @@ CAMERAS = ROBOTS["paper"]().rig_cameras
 CHAIN = HeadChain(
     "base",
     "head",
-    (
-        JointLink("lift", [0, 0, 1], "prismatic"),
-        JointLink("neck", [0, 0, 1]),
-        JointLink("nod", [0, 1, 0]),
-    ),
+    (JointLink("lift", [0, 0, 1], "prismatic"), JointLink("neck", [0, 0, 1]), JointLink("nod", [0, 1, 0])),
     pan="neck",
     tilt="nod",
 )
@@ -35,11 +29,8 @@ def sigmas(**entries):
     return prior_sigmas(entries, CAMERAS, CHAIN)
 
 
-def test_without_entries_all_priors_are_the_defaults():
-    assert sigmas() == {}
-
-
 def test_units_are_those_of_the_kinds():
+    assert sigmas() == {}
     found = sigmas(focal_length=0.5, joint_zero=2, board_bend=3, clock=10, distortion=0.2)
     assert found["focal_left"] == found["focal_right"] == pytest.approx(0.005)
     assert found["pan_zero"] == pytest.approx(math.radians(2))
@@ -68,12 +59,8 @@ def test_one_constant_overrides_its_kind_and_that_overrides_all():
 def test_entries_come_back_for_the_provenance():
     found = sigmas(all="fixed", focal_length=0.7, lift_zero=0.3, square_scale="free")
     shown = shown_priors(found, CAMERAS, CHAIN)
-    assert (shown["focal_left"], shown["lift_zero"], shown["square_scale"], shown["stereo_r_x"]) == (
-        0.7,
-        0.3,
-        "free",
-        "fixed",
-    )
+    stated = {"focal_left": 0.7, "lift_zero": 0.3, "square_scale": "free", "stereo_r_x": "fixed"}
+    assert {name: shown[name] for name in stated} == stated
     assert prior_sigmas(shown, CAMERAS, CHAIN) == pytest.approx(found, rel=1e-12)
 
 

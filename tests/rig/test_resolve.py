@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 
@@ -36,6 +34,8 @@ URDF = """<robot name="r">
 </robot>"""
 AT_BASE = URDF.format(x=0)
 JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
+HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+TF = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
 
 
 NO_P = np.zeros((3, 4))
@@ -112,14 +112,10 @@ def test_rectified_images_use_the_projection_matrices():
 
 def test_raw_comes_before_rectified_and_full_before_compressed():
     names = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in ("image_rect", "image_raw")]
-    compressed = [
-        TopicInfo(f"/stereo/{side}/image_raw/compressed", "sensor_msgs/msg/CompressedImage", 1)
-        for side in ("left", "right")
-    ]
-    assert (
-        resolve_rig(RigConfig(), description(names, compressed))[0].sources.image["left"]
-        == "/stereo/left/image_raw"
-    )
+    kind = "sensor_msgs/msg/CompressedImage"
+    compressed = [TopicInfo(f"/stereo/{side}/image_raw/compressed", kind, 1) for side in ("left", "right")]
+    rig = resolve_rig(RigConfig(), description(names, compressed))[0]
+    assert rig.sources.image["left"] == "/stereo/left/image_raw"
     rectified = resolve_rig(config(cameras={"rectified": True}), description(names, compressed))[0]
     assert rectified.sources.image["left"] == "/stereo/left/image_rect"
     only = resolve_rig(RigConfig(), description((), compressed))[0]
@@ -130,10 +126,8 @@ def test_raw_comes_before_rectified_and_full_before_compressed():
 def test_topics_without_messages_are_no_cameras():
     """A recorder lists the raw images of a driver that publishes compressed ones alone."""
     empty = [TopicInfo(f"/stereo/{side}/image_raw", "sensor_msgs/msg/Image", 0) for side in ("left", "right")]
-    compressed = [
-        TopicInfo(f"{topic.name}/compressed", "sensor_msgs/msg/CompressedImage", 9) for topic in empty
-    ]
-    log = description((), [*empty, *compressed])
+    kind = "sensor_msgs/msg/CompressedImage"
+    log = description((), [*empty, *(TopicInfo(f"{topic.name}/compressed", kind, 9) for topic in empty)])
     assert resolve_rig(RigConfig(), log)[0].sources.image["left"] == "/stereo/left/image_raw/compressed"
     named = config(cameras={side: {"image": f"/stereo/{side}/image_raw"} for side in ("left", "right")})
     with pytest.raises(RecordingError, match="the topic /stereo/left/image_raw contains no images"):
@@ -173,9 +167,8 @@ def test_commands_are_no_readings():
     rig, _ = resolve_rig(RigConfig(), log)
     assert rig.sources.joints == ("/joint_states",)
     assert rig.sources.wheels["left"].topic == "/joint_states"
-    assert resolve_rig(config(joints={"topic": "/joint_commands"}), log)[0].sources.joints == (
-        "/joint_commands",
-    )
+    named = resolve_rig(config(joints={"topic": "/joint_commands"}), log)[0]
+    assert named.sources.joints == ("/joint_commands",)
 
 
 def test_base_link_off_the_axle_is_taken_out():
@@ -189,11 +182,8 @@ def test_base_link_off_the_axle_is_taken_out():
 def test_exchanged_readings_leave_the_wheels_where_they_are():
     """An encoder's cable in the other socket: the axle of the URDF does not turn around with the names."""
     crossed = {"left": {"joint": JOINTS[1]}, "right": {"joint": JOINTS[0]}}
-    T_v_h = [
-        head_pose(resolve_rig(made, description())[0].chain, np.zeros(2))
-        for made in (RigConfig(), config(wheels=crossed))
-    ]
-    np.testing.assert_array_equal(*T_v_h)
+    rigs = (resolve_rig(made, description())[0] for made in (RigConfig(), config(wheels=crossed)))
+    np.testing.assert_array_equal(*(head_pose(rig.chain, np.zeros(2)) for rig in rigs))
 
 
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
@@ -225,11 +215,6 @@ def test_the_camera_may_be_beside_the_head_link():
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.03, 0.06, -0.05])
 
 
-def test_known_noise_is_settled():
-    rig = resolve_rig(config(noise={"joint_rad": 0.001}), description())[0]
-    assert rig.noise.given == {"joint_rad": 0.001}
-
-
 def test_flag_file_and_log_are_told_apart(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("joints: {pan: head_pan_joint}", encoding="utf-8")
@@ -238,6 +223,9 @@ def test_flag_file_and_log_are_told_apart(tmp_path):
     assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
     assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
     assert rig.setting_sources["reference camera left"] == "default"
+    assert resolve_rig(config(noise={"joint_rad": 0.001}), description())[0].noise.given == {
+        "joint_rad": 0.001
+    }
 
 
 def test_two_stereo_cameras_are_not_guessed():
@@ -253,15 +241,11 @@ def test_two_stereo_cameras_are_not_guessed():
 
 
 def test_wheels_on_a_moving_part_are_noted():
-    steered = AT_BASE.replace(
-        '<joint name="head_pan',
-        '<joint name="roll" type="revolute"><parent link="base_link"/><child link="axle"/></joint>\n<joint name="head_pan',
+    wheel = 'type="continuous"><parent link="{}"/>'
+    steered = AT_BASE.replace(wheel.format("base_link"), wheel.format("axle")).replace(
+        "</robot>",
+        '<joint name="roll" type="revolute"><parent link="base_link"/><child link="axle"/></joint>\n</robot>',
     )
-    for side in ("left", "right"):
-        steered = steered.replace(
-            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="base_link"/>',
-            f'<joint name="wheel_{side}_joint" type="continuous"><parent link="axle"/>',
-        )
     _, (note,) = resolve_rig(RigConfig(), description(urdf=steered))
     assert "the wheels move against base_link with roll" in note
     assert resolve_rig(RigConfig(), description())[1] == ()
@@ -269,21 +253,16 @@ def test_wheels_on_a_moving_part_are_noted():
 
 def test_tick_counters():
     ticks = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
-    head_only = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
     wheel = {"field": "data", "ticks_per_revolution": 4096, "bits": 16}
-    rig = resolve_rig(
-        config(
-            wheels={
-                "left": {"topic": "/ticks/left", **wheel},
-                "right": {"topic": "/ticks/right", **wheel, "sign": -1},
-            }
-        ),
-        description(extra=ticks, joint_names=head_only),
-    )[0]
+    wheels = {
+        "left": {"topic": "/ticks/left", **wheel},
+        "right": {"topic": "/ticks/right", **wheel, "sign": -1},
+    }
+    rig = resolve_rig(config(wheels=wheels), description(extra=ticks, joint_names=HEAD_ONLY))[0]
     assert rig.sources.wheels["right"].sign == -1
     assert rig.sources.wheels["left"].ticks_per_revolution == 4096
     with pytest.raises(RecordingError, match="look like tick counters") as caught:
-        resolve_rig(RigConfig(), description(extra=ticks, joint_names=head_only))
+        resolve_rig(RigConfig(), description(extra=ticks, joint_names=HEAD_ONLY))
     assert "/ticks/left" in caught.value.message
 
 
@@ -306,12 +285,7 @@ def test_explicit_chain_needs_no_urdf():
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
         ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
         ({}, {"urdf": "<robot"}, ConfigError, "not valid XML"),
-        (
-            {},
-            {"joint_names": {"/joint_states": JOINTS[:3]}},
-            RecordingError,
-            "no joint state for 'head_tilt_joint'",
-        ),
+        ({}, {"joint_names": {"/joint_states": JOINTS[:3]}}, RecordingError, "no joint state for 'head_tilt"),
         ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
         ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
         ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
@@ -319,7 +293,7 @@ def test_explicit_chain_needs_no_urdf():
             {},
             {"joint_names": {"/joint_states": JOINTS[2:]}},
             RecordingError,
-            "no joints are named as left and right wheel",
+            "no joints are named as left and",
         ),
         (
             {},
@@ -342,7 +316,7 @@ def test_what_is_missing_is_named(sections, changes, error, words_):
     [
         (info("left"), info("right", baseline=0.0), "no baseline"),
         (
-            info("left", P=NO_P),
+            info(P=NO_P),
             info("right", P=NO_P),
             "no baseline: P is all zeros in the camera info of left and right",
         ),
@@ -419,9 +393,6 @@ def test_joints_in_other_messages_than_joint_states():
         resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), description(extra=[topic]))
 
 
-HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
-
-
 def odometry(*topics):
     return [TopicInfo(topic, "nav_msgs/msg/Odometry", 100) for topic in topics]
 
@@ -448,11 +419,7 @@ def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
     ("topics", "frames", "chosen"),
     [
         (("/odom", "/odometry/filtered"), {}, "/odom"),
-        (
-            ("/husky_velocity_controller/odom", "/odometry/filtered", "/zed/odom"),
-            {},
-            "/husky_velocity_controller/odom",
-        ),
+        (("/husky_base/odom", "/odometry/filtered", "/zed/odom"), {}, "/husky_base/odom"),
         (("/odom", "/wheel_odom"), {}, "/wheel_odom"),
         (("/odom", "/t265"), {"/t265": ("odom", "camera_pose_frame")}, "/odom"),
         (("/odom", "/where"), {"/where": ("map", "base_link")}, "/odom"),
@@ -471,16 +438,8 @@ def test_odometry_of_the_wheels_is_preferred(topics, frames, chosen):
             "several topics could be the wheel odometry: /base/odom, /odom",
             "odometry: /",
         ),
-        (
-            ("/odometry/filtered",),
-            "named as fused with other sensors",
-            "wheels: {odometry: /odometry/filtered}",
-        ),
-        (
-            ("/camera/odom/sample",),
-            "is not named as that of wheels",
-            "wheels: {odometry: /camera/odom/sample}",
-        ),
+        (("/odometry/filtered",), "named as fused with other sensors", "{odometry: /odometry/filtered}"),
+        (("/camera/odom/sample",), "is not named as that of wheels", "{odometry: /camera/odom/sample}"),
     ],
 )
 def test_other_odometry_is_a_choice(topics, said, cure):
@@ -504,13 +463,7 @@ FOUR = {
 
 @pytest.mark.parametrize("names", FOUR.values(), ids=FOUR)
 def test_four_wheels_by_their_names(names):
-    others = (
-        "head_pan_joint",
-        "head_tilt_joint",
-        "left_caster_wheel_joint",
-        "right_caster_wheel_joint",
-        "arm_wheel_l",
-    )
+    others = (*JOINTS[2:4], "left_caster_wheel_joint", "right_caster_wheel_joint", "arm_wheel_l")
     rig = resolve_rig(RigConfig(), description(joint_names={"/joint_states": (*others, *names)}))[0]
     found = {side: {one.joint for one in source.every} for side, source in rig.sources.wheels.items()}
     assert found == {"left": {names[0], names[2]}, "right": {names[1], names[3]}}
@@ -540,7 +493,7 @@ def test_counters_of_a_side_wrap_alike():
     numbers = (replace(number, wraps=16 if number.path == "rl.ticks" else None) for number in log.numbers)
     stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
     sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
-    assert [part.bits for part in sources["left"].every] == [16, 16]
+    assert {part.field: part.bits for part in sources["left"].every} == {"fl.ticks": 16, "rl.ticks": 16}
     assert [part.bits for part in sources["right"].every] == [None, None]
 
 
@@ -550,16 +503,15 @@ def test_counters_of_a_side_wrap_alike():
         (
             ("front_left_steer_joint", "rear_left_wheel", "rear_right_wheel"),
             "/odom",
-            "joints that steer: front_left",
+            "that steer: front_left",
         ),
         (("left_wheel", "right_wheel"), "/ackermann_cmd", "Ackermann drive"),
         (("fl_wheel", "fr_wheel", "rl_wheel", "rr_wheel"), "/mecanum_drive_controller/odom", "mecanum drive"),
     ],
 )
 def test_other_drives_are_refused(joints, topic, said):
-    log = description(
-        extra=odometry(topic), joint_names={"/joint_states": (*HEAD_ONLY["/joint_states"], *joints)}
-    )
+    names = {"/joint_states": (*HEAD_ONLY["/joint_states"], *joints)}
+    log = description(extra=odometry(topic), joint_names=names)
     with pytest.raises(RecordingError, match=said) as told:
         resolve_rig(RigConfig(), log)
     assert "mobilecal serves robots with differential drive or skid steering" in told.value.hint
@@ -575,7 +527,7 @@ def counted(*numbers, kind="my_msgs/msg/Base", topic="/core"):
 def test_counters_are_found_and_their_resolution_is_asked_for():
     log = counted("left_encoder", "right_encoder", "left_pwm", "right_pwm")
     with pytest.raises(
-        RecordingError, match="left_encoder on /core, right_encoder on /core: tick counters"
+        RecordingError, match="left_encoder on /core, right_encoder on /core: tick co"
     ) as told:
         resolve_rig(RigConfig(), log)
     assert "ticks_per_revolution: N" in told.value.hint
@@ -589,17 +541,8 @@ def test_counters_are_found_and_their_resolution_is_asked_for():
     [("turtlebot3_msgs/msg/SensorState", 4096, None), ("kobuki_msgs/msg/SensorState", 2578.33, 16)],
 )
 def test_counters_of_known_drivers(kind, ticks, bits):
-    right = resolve_rig(RigConfig(), counted("left_encoder", "right_encoder", kind=kind))[0].sources.wheels[
-        "right"
-    ]
-    assert right == WheelSource("/core", None, "right_encoder", ticks, bits)
-
-
-def test_four_counters():
-    log = counted("fl.ticks", "fr.ticks", "rl.ticks", "rr.ticks")
-    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
-    left = resolve_rig(config(wheels=stated), log)[0].sources.wheels["left"]
-    assert {one.field for one in left.every} == {"fl.ticks", "rl.ticks"}
+    rig = resolve_rig(RigConfig(), counted("left_encoder", "right_encoder", kind=kind))[0]
+    assert rig.sources.wheels["right"] == WheelSource("/core", None, "right_encoder", ticks, bits)
 
 
 def test_both_cameras_in_one_topic():
@@ -615,14 +558,13 @@ def test_both_cameras_in_one_topic():
 
 
 def test_joints_that_only_tf_tells():
-    tf = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
-    rig = resolve_rig(RigConfig(), description(extra=[tf], joint_names=states))[0]
+    rig = resolve_rig(RigConfig(), description(extra=[TF], joint_names=states))[0]
     assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.
-    assert resolve_rig(RigConfig(), description(extra=[tf]))[0].sources.elsewhere == {}
+    assert resolve_rig(RigConfig(), description(extra=[TF]))[0].sources.elsewhere == {}
     with pytest.raises(RecordingError, match="no joint state for 'head_pan_joint'"):
         resolve_rig(RigConfig(), description(joint_names=states))
 
@@ -636,9 +578,6 @@ def moving(axis, angles, origin=(0.1, 0.2, 0.3), slides=False):
         for a in angles
     ]
     return np.stack([T0 @ step for step in steps])
-
-
-TF = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
 
 
 def test_joints_out_of_transforms():
@@ -683,26 +622,24 @@ def test_transforms_in_a_circle_come_to_an_end():
     np.testing.assert_array_equal(fixed_pose(urdf, "a", "c"), np.eye(4))
 
 
-SQUARE = RigConfig.model_validate({"board": {"square_m": 0.08}})
+SQUARE = config(board={"square_m": 0.08})
 
 
-def calibration(frame, baseline_m=0.0):
+def calibration(frame):
     K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
-    P = np.hstack([K, [[-500 * baseline_m], [0], [0]]])
-    return CameraInfo(frame, 640, 480, K, np.zeros(5), "plumb_bob", np.eye(3), P)
+    return CameraInfo(
+        frame, 640, 480, K, np.zeros(5), "plumb_bob", np.eye(3), np.hstack([K, np.zeros((3, 1))])
+    )
 
 
 def recorded(*topics, baseline_m=0.0):
     """A recording of images, each with a camera info of its own; those with a 2 or _1 are right cameras."""
-    infos = {
-        f"{topic.rsplit('/', 1)[0]}/camera_info": info(
-            topic, baseline_m * bool(re.search("2/|_1/|right", topic))
-        )
-        for topic in topics
-    }
-    return RobotDescription(
-        tuple(TopicInfo(topic, "sensor_msgs/msg/Image", 9) for topic in topics), infos, {}, {}, {}
-    )
+    infos = {}
+    for topic in topics:
+        is_right = bool(re.search("2/|_1/|right", topic))
+        infos[f"{topic.rsplit('/', 1)[0]}/camera_info"] = info(topic, baseline_m * is_right)
+    images = tuple(TopicInfo(topic, "sensor_msgs/msg/Image", 9) for topic in topics)
+    return RobotDescription(images, infos, {}, {}, {})
 
 
 @pytest.mark.parametrize(
@@ -770,17 +707,15 @@ def test_named_cameras_stand_where_they_are_configured_or_drawn():
     names = {"front": {"image": "/front/image_raw"}, "side": {"image": "/side/image_raw"}}
     T = se3.transform(se3.from_rpy(np.array([0.0, 0.4, 0.0])), np.array([0.1, 0.2, 0.3]))
     infos = {"front": calibration("front_frame"), "side": calibration("side_frame")}
-    config = RigConfig.model_validate({"board": {"square_m": 0.08}, "cameras": names})
-    rig = camera_rig(infos, False, config, lambda frame, other: T)
+    square = {"square_m": 0.08}
+    rig = camera_rig(infos, False, config(board=square, cameras=names), lambda frame, other: T)
     np.testing.assert_array_equal(rig.T_c_each[1], T)
     assert (rig.names, rig.reference, rig.calibrated) == (("front", "side"), "front", False)
     with pytest.raises(RecordingError, match="the pose of camera side"):
-        camera_rig(infos, False, config, lambda frame, other: None)
+        camera_rig(infos, False, config(board=square, cameras=names), lambda frame, other: None)
     names["side"]["pose"] = {"translation_m": [0, 0, 0.5], "quaternion_xyzw": [0, 0, 0, 1]}
-    config = RigConfig.model_validate(
-        {"board": {"square_m": 0.08}, "cameras": {**names, "reference": "side"}}
-    )
-    rig = camera_rig(infos, False, config, lambda frame, other: None)
+    referred = config(board=square, cameras={**names, "reference": "side"})
+    rig = camera_rig(infos, False, referred, lambda frame, other: None)
     assert rig.T_c_reference[:3, 3] == pytest.approx([0, 0, 0.5])
     with pytest.raises(ConfigError, match="not show the size of the board's squares"):
-        camera_rig(infos, False, RigConfig.model_validate({"cameras": names}), lambda frame, other: T)
+        camera_rig(infos, False, config(cameras=names), lambda frame, other: T)
