@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate import detect as detecting
-from mobilecal_cli.calibrate import detect as detection_workers
 from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.errors import RecordingError
@@ -48,9 +47,6 @@ def test_segments_hold_all_stations_in_order():
     assert shown == list(range(20))
     many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
     assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
-
-
-def test_a_station_of_more_shots_than_a_segment_stands_alone():
     segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
@@ -63,10 +59,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def everything(log: Path, jobs: int):
-    extraction, snapshots = extract(
-        [log], load_rig(None, {"stations": "all", "board.columns": 9, "board.rows": 6}), jobs=jobs
-    )
-    return extraction, snapshots
+    settings = {"stations": "all", "board.columns": 9, "board.rows": 6}
+    return extract([log], load_rig(None, settings), jobs=jobs)
 
 
 def same(a, b) -> bool:
@@ -92,7 +86,7 @@ def alone(log):
 def segmented(request, monkeypatch) -> None:
     """A short log is split into several segments; the workers start before or after the planning."""
     monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
-    monkeypatch.setattr(detection_workers, "_MEASURED_AT_ONCE", 7)
+    monkeypatch.setattr(detecting, "_MEASURED_AT_ONCE", 7)
     monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
@@ -103,10 +97,8 @@ def test_processes_see_what_one_sees(log, alone, segmented):
     assert alone.counts["pictures"] == 2 * alone.counts["stations"]
     together, shown_together = everything(log, 2)
     assert same(alone, together)
-    pictures, pictures_together = (
-        [(s.station, s.jpegs, s.thumbnail) for s in each] for each in (shown, shown_together)
-    )
-    assert pictures == pictures_together
+    pictures = [[(s.station, s.jpegs, s.thumbnail) for s in each] for each in (shown, shown_together)]
+    assert pictures[0] == pictures[1]
     assert sum(bool(s.jpegs) for s in shown) > 20
     assert 30 < sum(bool(s.thumbnail) for s in shown) <= THUMBNAILS
 

@@ -1,7 +1,5 @@
 """Several recordings of one robot: camera infos that differ, and errors in one of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -47,7 +45,6 @@ def test_rounding_is_not_told():
 
 def test_the_recording_with_the_error_is_named(sample_logs):
     logs = [sample_logs / "tick_robot.mcap", sample_logs / "imperfect_robot.mcap"]
-    with pytest.raises(
-        RecordingError, match=r"imperfect_robot\.mcap: wheels\.left: no topic /wheel_ticks/left"
-    ):
+    said = r"imperfect_robot\.mcap: wheels\.left: no topic /wheel_ticks/left"
+    with pytest.raises(RecordingError, match=said):
         extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))

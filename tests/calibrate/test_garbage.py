@@ -55,86 +55,39 @@ def calls():
     """(function, argument, value): everything else is right."""
     yield from (("extract", "logs", value) for value in [*NOTHING, ["x", 3], "\0", [[]], "/", "."])
     yield from (("extract", "config", value) for value in [*but(NOTHING, None), "\0", "/"])
-    settings = [
-        *but(NOTHING, None),
-        {"board.square_m": "wide"},
-        {"board.square_m": object()},
-        {"board.square_m": np.array([1, 2])},
-        {"board": 5},
-        {"board..x": 1},
-        {"": 1},
-        {"noise.pixel_px": NAN},
-        {"noise.pixel_px": -1},
-        {"head": []},
-    ]
+    squares = ({"board.square_m": value} for value in ("wide", object(), np.array([1, 2])))
+    pixels = ({"noise.pixel_px": value} for value in (NAN, -1))
+    settings = [*but(NOTHING, None), *squares, *pixels, {"board": 5}, {"board..x": 1}, {"": 1}, {"head": []}]
     yield from (("extract", "settings", value) for value in but(settings, {}, (), [], ""))
     yield from (("extract", "progress", value) for value in NOTHING)
     yield from (("extract", "jobs", value) for value in [None, -1, 0, 2.5, NAN, "2", [], {}, object()])
     yield from (("solve", "data", value) for value in NOTHING)
     yield from (("solve", "method", value) for value in [*NOTHING, "mll", "ML", ["ml"]])
+    separations = ("0.5", NAN, INF, -1, True, [0.5], np.zeros(2), 1j, object())
     fixes = [
         *but(NOTHING, None, []),
-        [None],
-        [[]],
-        {5: 5},
-        object(),
-        np.zeros(3),
-        {"separation": "0.5"},
-        {"separation": NAN},
-        {"separation": INF},
-        {"separation": -1},
-        {"separation": True},
-        {"separation": [0.5]},
-        {"separation": np.zeros(2)},
-        {"separation": 1j},
-        {"separation": object()},
-        {"wheels": 0.5},
-        {None: 0.5},
-        {"": None},
+        *([None], [[]], {5: 5}, object(), np.zeros(3), {"wheels": 0.5}, {None: 0.5}, {"": None}),
+        *({"separation": value} for value in separations),
     ]
     yield from (("solve", "fix", value) for value in but(fixes, ""))
+    pairs = ((), (0.5,), (0.5, -1), (0.5, 0), (0.5, NAN), (NAN, 1), ("0.5", "0.1"), (1, 2, 3))
     priors = [
         *but(NOTHING, None, []),
-        [None],
-        {5: 5},
-        "separation=0.5±0.1",
-        {"separation": 0.5},
-        {"separation": ()},
-        {"separation": (0.5,)},
-        {"separation": (0.5, -1)},
-        {"separation": (0.5, 0)},
-        {"separation": (0.5, NAN)},
-        {"separation": (NAN, 1)},
-        {"separation": ("0.5", "0.1")},
-        {"separation": "ab"},
-        {"separation": (1, 2, 3)},
-        {"separation": None},
-        {"separation": {}},
-        {"seperation": (0.5, 0.1)},
+        *([None], {5: 5}, "separation=0.5±0.1", {"seperation": (0.5, 0.1)}),
+        *({"separation": value} for value in (0.5, "ab", None, {}, *pairs)),
     ]
     yield from (("solve", "prior", value) for value in but(priors, ""))
-    yield from (
-        ("solve", "estimate", value) for value in [*but(NOTHING, []), [None], [5], [[]], [""], ",,,", "streo"]
-    )
-    yield from (
-        ("solve", "hold_out", value) for value in [NAN, INF, -1, 0, 1, 5, "0.3", [], [0.3], {}, True, 1j]
-    )
+    estimates = [*but(NOTHING, []), [None], [5], [[]], [""], ",,,", "streo"]
+    yield from (("solve", "estimate", value) for value in estimates)
+    shares = [NAN, INF, -1, 0, 1, 5, "0.3", [], [0.3], {}, True, 1j]
+    yield from (("solve", "hold_out", value) for value in shares)
     yield from (("solve", "progress", value) for value in NOTHING)
     yield from (("Report", "data", value) for value in NOTHING)
     yield from (("Report", "fit", value) for value in NOTHING)
     gates = [
         *but(NOTHING, []),
-        [None],
-        ["stations"],
-        "stations=5",
-        {5: 5},
-        {"stations": "5"},
-        {"stations": None},
-        {"stations": NAN},
-        {"stations": []},
-        {"nope": 1},
-        {"hold_out.stations": 1},
-        object(),
+        *([None], ["stations"], "stations=5", {5: 5}, {"nope": 1}, {"hold_out.stations": 1}, object()),
+        *({"stations": value} for value in ("5", None, NAN, [])),
     ]
     yield from (("Report", "gates", value) for value in but(gates, "", None))
     yield from (("Report", "last", value) for value in [*but(NOTHING, None), "\0", "/"])

@@ -1,7 +1,5 @@
 """Extractions as input: their own settings, and those that may replace them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -64,6 +62,8 @@ def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, fla
     assert "priors, noise, gates, nominal, cameras.reference, wheels.left.sign" in told.value.hint
     with pytest.raises(ConfigError, match="stations cannot be changed in an extraction"):
         loaded(npz, stations="all")
+    with pytest.raises(ConfigError, match=r"priors\.pan_zer: this robot has no such constant"):
+        loaded(npz, priors__pan_zer=1)
 
 
 def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
@@ -96,16 +96,12 @@ def test_nominal_values_and_the_reference_camera(npz):
     rig = loaded(npz, nominal__head_eye=head_eye, nominal__wheels=wheels).rig
     assert rig.nominal.wheels == WheelGeometry(0.08, 0.08, 0.35)
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
-    assert (rig.setting_sources["nominal wheels"], rig.setting_sources["nominal head_eye"]) == (
-        "flag",
-        "flag",
-    )
+    assert rig.setting_sources["nominal wheels"] == rig.setting_sources["nominal head_eye"] == "flag"
     again = replace(loaded(npz), rig=rig)
     turned = with_settings(again, load_rig(None, {"cameras.reference": "right"})).rig
     assert turned.cameras.reference == "right"
-    np.testing.assert_allclose(
-        turned.nominal.T_h_reference, rig.nominal.T_h_reference @ rig.cameras.T_c_each[1], atol=1e-12
-    )
+    expected = rig.nominal.T_h_reference @ rig.cameras.T_c_each[1]
+    np.testing.assert_allclose(turned.nominal.T_h_reference, expected, atol=1e-12)
     assert turned.nominal.wheels == rig.nominal.wheels
 
 
@@ -122,8 +118,3 @@ def test_wheels_from_odometry_keep_their_sizes(npz):
     ):
         with pytest.raises(ConfigError, match=words):
             with_settings(extraction, load_rig(None, flags))
-
-
-def test_unknown_constants_are_refused(npz):
-    with pytest.raises(ConfigError, match=r"priors\.pan_zer: this robot has no such constant"):
-        loaded(npz, priors__pan_zer=1)

@@ -60,10 +60,8 @@ def picture(topic, t, lag_ns):
 
 def log(motion=rests, lag=lambda topic, t: LAG_NS[topic], hz=10):
     joints = [joint(t, motion) for t in np.arange(0, 24, 0.02)]
-    pictures = [
-        picture(topic, t, lag(topic, t)) for t in np.arange(0.1, 23.8, 1 / hz) for topic in ("/l", "/r")
-    ]
-    return joints, pictures
+    times_s = np.arange(0.1, 23.8, 1 / hz)
+    return joints, [picture(topic, t, lag(topic, t)) for t in times_s for topic in ("/l", "/r")]
 
 
 def in_stretches(folder, joints, pictures):
@@ -115,19 +113,14 @@ def planned(paths, joints_first, read=()):
     ):
         (plan,), notes = one_plan(recording)
         counts = dict(decoded)
-        wanted = {
-            "left": {pair.times_ns[0] for station in plan.stations for pair in station.shots},
-            "right": {pair.times_ns[1] for station in plan.stations for pair in station.shots},
-        }
+        pairs = [pair.times_ns for station in plan.stations for pair in station.shots]
+        wanted = {"left": {left for left, _ in pairs}, "right": {right for _, right in pairs}}
         assert {side: set(index.stamp_ns.tolist()) for side, index in plan.images.items()} == wanted
         found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, plan.images)}
         assert recording.damage == ()
     # Each image shows its own time, so that the chosen ones can be checked.
-    assert found == {
-        (side, ns): round((ns - r.START_NS) / S * 10) % 256
-        for side, stamps in wanted.items()
-        for ns in stamps
-    }
+    keys = [(side, ns) for side, stamps in wanted.items() for ns in stamps]
+    assert found == {(side, ns): round((ns - r.START_NS) / S * 10) % 256 for side, ns in keys}
     return plan, notes, counts
 
 
@@ -158,13 +151,10 @@ def test_the_plan_is_that_of_one_pass(tmp_path, write):
     assert decoded["/l"] == decoded["/r"] == 80 + 17
 
 
-def test_one_pass_where_chunks_hold_both(tmp_path):
+def test_one_pass_is_enough(tmp_path):
     paths = bag(tmp_path, *log())
     _, _, decoded = planned(paths, joints_first=True)
     assert decoded["/l"] == 237
-
-
-def test_one_pass_where_the_pictures_are_few(tmp_path):
     paths = sqlite(tmp_path, *log())
     with mock.patch.object(planning, "find_pictures") as find, open_recording(paths) as recording:
         plan_recording(recording, RIG)
@@ -220,9 +210,8 @@ def test_a_lag_that_the_few_pictures_do_not_show(tmp_path):
     paths = sqlite(tmp_path, *log(lag=lag))
     plan, _, decoded = planned(paths, joints_first=True)
     expected, _, _ = planned(paths, joints_first=False)
-    assert [station.joints.round(9).tolist() for station in plan.stations] == [
-        station.joints.round(9).tolist() for station in expected.stations
-    ]
+    joints = [[station.joints.round(9).tolist() for station in each.stations] for each in (plan, expected)]
+    assert joints[0] == joints[1]
     for station in plan.stations:
         times_s = np.array([(pair.time_ns - r.START_NS) / S for pair in station.shots])
         assert np.all(np.abs(rests(times_s - 0.14) - rests(times_s + 0.14)) < 0.01)
@@ -257,10 +246,8 @@ def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
     data = bytes(r.ROS2.serialize_cdr(r.number("UInt16", 1)(r.ROS2), "std_msgs/msg/UInt16"))
     log_ns = r.START_NS + 300 * MS + LAG_NS["/l"]
     of_topic = "(SELECT id FROM topics WHERE name = '/l')"
-    r.in_sqlite(
-        file,
-        f"UPDATE messages SET data = x'{data.hex()}' WHERE timestamp = {log_ns} AND topic_id = {of_topic}",
-    )
+    where = f"timestamp = {log_ns} AND topic_id = {of_topic}"
+    r.in_sqlite(file, f"UPDATE messages SET data = x'{data.hex()}' WHERE {where}")
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording([file]) as recording:
         (plan,), notes = one_plan(recording)
     assert len(plan.stations[0].shots) == 9
@@ -269,9 +256,8 @@ def test_pictures_that_cannot_be_decoded_are_counted(tmp_path):
 
 def test_what_cannot_be_planned_is_told_as_in_one_pass(tmp_path):
     joints, _ = log()
-    pictures = [
-        picture(topic, k + apart, 0) for k in range(20) for topic, apart in (("/l", 0.2), ("/r", 0.7))
-    ]
+    offsets = (("/l", 0.2), ("/r", 0.7))
+    pictures = [picture(topic, k + offset_s, 0) for k in range(20) for topic, offset_s in offsets]
     paths = sqlite(tmp_path, joints, pictures)
     messages = []
     for worth in (0, 2**62):
@@ -323,9 +309,8 @@ def test_repeated_images_need_one_pass(tmp_path, count):
     for start in starts:
         for k, item in enumerate(left[start : start + count]):
             stamp = item.log_ns - LAG_NS["/l"]
-            left[start + k] = replace(
-                item, make=r.image(np.full((48, 64), start % 256, np.uint8), "mono8", stamp)
-            )
+            image = r.image(np.full((48, 64), start % 256, np.uint8), "mono8", stamp)
+            left[start + k] = replace(item, make=image)
     paths = sqlite(tmp_path, joints, [*left, *(item for item in pictures if item.topic == "/r")])
     with mock.patch.object(planning, "WORTH_BYTES", 0), open_recording(paths) as recording:
         (plan,), notes = one_plan(recording)

@@ -64,9 +64,6 @@ def test_an_error_comes_back():
         some.start(1, int)
         with pytest.raises(ValueError, match="invalid literal"):
             some.submit(int, "one")()
-
-
-def test_without_processes_nothing_is_taken():
     with Processes() as some, pytest.raises(OSError, match="no worker processes"):
         some.submit(int)
 

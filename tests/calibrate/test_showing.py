@@ -1,7 +1,5 @@
 """The scene for Foxglove: read by Foxglove's and MCAP's own packages, and its frames against the calibration."""
 
-from __future__ import annotations
-
 import io
 import json
 import shutil
@@ -78,10 +76,9 @@ def frames_at(messages, time_ns):
     for topic in ("/tf_static", "/tf", "/tf_board"):
         for time, value in messages[topic]:
             if time <= time_ns:
-                found |= {
-                    (one.parent_frame_id, one.child_frame_id): matrix(one.translation, one.rotation)
-                    for one in value.transforms
-                }
+                for one in value.transforms:
+                    T = matrix(one.translation, one.rotation)
+                    found[one.parent_frame_id, one.child_frame_id] = T
     return found
 
 
@@ -126,9 +123,8 @@ def test_the_frames_compose_to_the_parameters(result, messages, extraction):
             apart = np.linalg.inv(base) @ T_w_v
             turned.append(np.arctan2(apart[1, 0], apart[0, 0]))
             track = extraction.wheels[0]
-            rolled.append(
-                [wheel.at(np.array([before, o.time_ns])) @ [-1, 1] for wheel in (track.right, track.left)]
-            )
+            times_ns = np.array([before, o.time_ns])
+            rolled.append([wheel.at(times_ns) @ [-1, 1] for wheel in (track.right, track.left)])
         last = o.time_ns, T_w_v
     right, left = np.array(rolled).T
     wheels = robot.wheels
@@ -159,10 +155,8 @@ def test_the_marks_are_on_the_corners_of_the_images(messages, extraction):
 def test_the_residuals_are_those_of_the_report(result, messages):
     legs = json.loads((result / "report.json").read_text())["legs"]
     shown = [value for _, value in messages["/residuals"]]
-    assert [one["reprojection_px"] for one in shown] == pytest.approx(
-        [leg["reprojection_px"] for leg in legs]
-    )
-    assert [one["point_mm"] for one in shown] == pytest.approx([leg["point_rms_mm"] for leg in legs])
+    for name, of_leg in (("reprojection_px", "reprojection_px"), ("point_mm", "point_rms_mm")):
+        assert [one[name] for one in shown] == pytest.approx([leg[of_leg] for leg in legs])
     drawn = [corners for _, corners in messages["/camera/left/corners"] if len(corners.points) == 3]
     assert len(drawn) == len(legs)
     lines = np.array([[p.x, p.y] for p in drawn[0].points[1].points]).reshape(-1, 2, 2)
@@ -207,9 +201,8 @@ def test_outliers_and_rejections_are_shown_with_their_interval(result, extractio
     shutil.copytree(result, copy)
     report = json.loads((copy / "report.json").read_text())
     first, second = extraction.observations[4:6]
-    report["outliers"] = [
-        {"kind": "slip", "log": 0, "observations": [4, 5], "time_ns": first.time_ns, "text": "A wheel slips."}
-    ]
+    slip = {"kind": "slip", "log": 0, "observations": [4, 5], "time_ns": first.time_ns}
+    report["outliers"] = [slip | {"text": "A wheel slips."}]
     report["legs"] = [leg for leg in report["legs"] if leg["from_observation"] != 4]
     (copy / "report.json").write_text(json.dumps(report))
     rejected = Rejection("vision", "no board found", "no grid", first.time_ns + 10**8, -1, 0)
@@ -228,16 +221,13 @@ def test_outliers_and_rejections_are_shown_with_their_interval(result, extractio
     assert "/camera/left/image" not in found
 
 
-def test_the_command_writes_both_files(result, tmp_path):
+def test_the_command_writes_both_files_and_refuses_what_does_not_belong(result, tmp_path, sample_logs):
     out = tmp_path / "scene.mcap"
     arguments = ["export", str(result / "params.yaml"), "--to", "foxglove", "--output", str(out)]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     assert out.read_bytes()[:5] == b"\x89MCAP"
     assert "configById" in json.loads((tmp_path / "scene.layout.json").read_text())
     assert CliRunner().invoke(app, arguments).exception.exit_code == 7  # both exist
-
-
-def test_refusals(result, sample_logs, tmp_path):
     params = result / "params.yaml"
     with pytest.raises(ConfigError, match="not a recording of this calibration"):
         mc.export_to(params, "foxglove", logs=sample_logs / "paper_robot.mcap")

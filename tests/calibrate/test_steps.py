@@ -1,7 +1,5 @@
 """The Python surface: its documentation page runs, and it writes what the command writes."""
 
-from __future__ import annotations
-
 import doctest
 from decimal import Decimal
 from fractions import Fraction
@@ -49,11 +47,6 @@ def test_the_command_writes_the_same_files(workplace, monkeypatch):
         assert one.read_bytes() == other.read_bytes(), name
 
 
-def test_a_name_that_does_not_exist_is_refused():
-    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
-        _ = mc.calibrat
-
-
 def test_a_group_stands_for_its_kinds_of_constants():
     kinds = ("stereo_rotation", "baseline_direction", "baseline_length")
     assert constraints_of([], [], ["stereo"]).constants == kinds
@@ -77,31 +70,21 @@ def report(data):
 )
 def test_numbers_of_any_kind(data, monkeypatch, number):
     monkeypatch.setattr(steps, "fitted", lambda _, method, constraints, *rest: constraints)
-    asked = mc.solve(
-        data,
-        fix={"separation": number},
-        prior={"t_x": (number, np.float32(0.5)), "t_y": np.array([float(number), 0.01])},
-    )
+    prior = {"t_x": (number, np.float32(0.5)), "t_y": np.array([float(number), 0.01])}
+    asked = mc.solve(data, fix={"separation": number}, prior=prior)
     assert asked.fixed == {"separation": pytest.approx(0.34, abs=1e-7)}
     assert asked.priors == {"t_x": (pytest.approx(0.34, abs=1e-7), 0.5), "t_y": (float(number), 0.01)}
-    assert {
-        type(value) for value in (asked.fixed["separation"], *asked.priors["t_x"], *asked.priors["t_y"])
-    } == {float}
+    values = (asked.fixed["separation"], *asked.priors["t_x"], *asked.priors["t_y"])
+    assert {type(value) for value in values} == {float}
 
 
-def test_a_numpy_number_fixes(data):
-    fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
-    assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
-
-
-def test_one_name_needs_no_list(data):
+def test_one_name_needs_no_list_and_numbers_may_be_numpys(data, tmp_path):
     with pytest.raises(ConfigError, match="--fix separation: relative to nominal"):
         mc.solve(data, fix="separation")
     wide = mc.solve(data, estimate="pan_zero").solution.constants["pan_zero"]
     assert wide.prior > mc.solve(data).solution.constants["pan_zero"].prior
-
-
-def test_a_settings_number_may_be_numpys(data, tmp_path):
+    fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
+    assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
     (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
     found = mc.extract(tmp_path / "e.npz", settings={"noise.pixel_px": np.float64(0.2)}, jobs=np.int64(1))
     assert found.extraction.rig.noise.pixel_px == 0.2
@@ -146,14 +129,13 @@ def test_a_report_is_exported_as_its_file(report, tmp_path, target):
     assert mc.export_to(report, target).content == from_file.content
 
 
-def test_the_report_is_named_where_its_export_is_refused(report):
+def test_what_cannot_be_exported_is_refused(report):
     with pytest.raises(ConfigError, match="--to urdf changes"):
         mc.export_to(report, "urdf")
     linear = mc.Report(report.data, mc.solve(report.data, method="linear"))
     with pytest.raises(ConfigError, match=r"^the report: the stereo pair was not estimated"):
         mc.export_to(linear, "camera_info_left")
-
-
-def test_an_unknown_format_is_refused():
     with pytest.raises(ConfigError, match="export to xarco: no such format"):
         mc.export_to("params.yaml", "xarco")
+    with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
+        _ = mc.calibrat
