@@ -92,13 +92,8 @@ def header(store: Typestore, stamp_ns: int, frame: str = "") -> Any:
 
 def joint_state(names: list[str], position: Iterable[float], velocity=(), stamp_ns=START_NS):
     def make(store: Typestore) -> Any:
-        return store.types["sensor_msgs/msg/JointState"](
-            header(store, stamp_ns),
-            names,
-            np.array(position, dtype=np.float64),
-            np.array(velocity, dtype=np.float64),
-            np.zeros(0),
-        )
+        numbers = np.array(position, dtype=np.float64), np.array(velocity, dtype=np.float64), np.zeros(0)
+        return store.types["sensor_msgs/msg/JointState"](header(store, stamp_ns), names, *numbers)
 
     return make
 
@@ -110,15 +105,9 @@ def number(kind: str, value: float):
 def image(pixels, encoding: str, stamp_ns=START_NS, frame="left_optical", **changes):
     def make(store: Typestore) -> Any:
         data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
-        fields = {
-            "header": header(store, stamp_ns, frame),
-            "height": pixels.shape[0],
-            "width": pixels.shape[1],
-            "encoding": encoding,
-            "is_bigendian": 0,
-            "step": data.size // pixels.shape[0],
-            "data": data,
-        }
+        height, width = pixels.shape[:2]
+        fields = {"header": header(store, stamp_ns, frame), "height": height, "width": width}
+        fields |= {"encoding": encoding, "is_bigendian": 0, "step": data.size // height, "data": data}
         return store.types["sensor_msgs/msg/Image"](**{**fields, **changes})
 
     return make
@@ -128,9 +117,8 @@ def compressed(pixels, extension: str, stamp_ns=START_NS, frame="right_optical")
     data = cv2.imencode(extension, pixels)[1].ravel()
 
     def make(store: Typestore) -> Any:
-        return store.types["sensor_msgs/msg/CompressedImage"](
-            header(store, stamp_ns, frame), extension[1:], data
-        )
+        kind = store.types["sensor_msgs/msg/CompressedImage"]
+        return kind(header(store, stamp_ns, frame), extension[1:], data)
 
     return make
 
@@ -148,18 +136,10 @@ def info(
 ):
     def make(store: Typestore) -> Any:
         region = store.types["sensor_msgs/msg/RegionOfInterest"](roi[0], roi[1], roi[3], roi[2], False)
-        projection = np.hstack([K, np.zeros((3, 1))]) if P is None else P
-        matrices = (np.array(D, float), np.ravel(K), np.ravel(np.eye(3) if R is None else R))
-        return store.types["sensor_msgs/msg/CameraInfo"](
-            header(store, stamp_ns, "left_optical"),
-            size[1],
-            size[0],
-            model,
-            *matrices,
-            np.ravel(projection),
-            *binning,
-            region,
-        )
+        rectified = np.eye(3) if R is None else R, np.hstack([K, np.zeros((3, 1))]) if P is None else P
+        matrices = (np.array(D, float), *map(np.ravel, (K, *rectified)))
+        kind, head = store.types["sensor_msgs/msg/CameraInfo"], header(store, stamp_ns, "left_optical")
+        return kind(head, size[1], size[0], model, *matrices, *binning, region)
 
     return make
 
@@ -186,25 +166,14 @@ def world(messages: int = 60) -> list[Item]:
         names, values = ["pan", "tilt", "wheel_left"], [0.01 * k, -0.02 * k, 0.1 * k]
         if k % 3 == 1:
             names, values = names[::-1], values[::-1]
-        items.append(
-            Item(
-                "/joint_states", "sensor_msgs/msg/JointState", log, joint_state(names, values, stamp_ns=stamp)
-            )
-        )
+        state = joint_state(names, values, stamp_ns=stamp)
+        items.append(Item("/joint_states", "sensor_msgs/msg/JointState", log, state))
         ticks = (65_500 + 16 * k) % 2**16
         items.append(Item("/ticks", "std_msgs/msg/UInt16", log + 1, number("UInt16", ticks)))
         if k % 10 == 0:
-            items.append(
-                Item("/left/image_raw", "sensor_msgs/msg/Image", log + 2, image(picture(k), "mono8", stamp))
-            )
-            items.append(
-                Item(
-                    "/right/image/compressed",
-                    "sensor_msgs/msg/CompressedImage",
-                    log + 3,
-                    compressed(picture(k + 1), ".png", stamp),
-                )
-            )
+            left, right = image(picture(k), "mono8", stamp), compressed(picture(k + 1), ".png", stamp)
+            items.append(Item("/left/image_raw", "sensor_msgs/msg/Image", log + 2, left))
+            items.append(Item("/right/image/compressed", "sensor_msgs/msg/CompressedImage", log + 3, right))
     return items
 
 
@@ -314,12 +283,8 @@ def _misnamed(path: Path, items: list[Item]) -> Path:
 
 
 NO_REPEATS = {"repeat_channels": False, "repeat_schemas": False}
-NO_SUMMARY = {
-    **NO_REPEATS,
-    "use_statistics": False,
-    "use_summary_offsets": False,
-    "index_types": IndexType.MESSAGE,
-}
+NO_SUMMARY = {**NO_REPEATS, "use_statistics": False, "use_summary_offsets": False}
+NO_SUMMARY["index_types"] = IndexType.MESSAGE
 CONTAINERS: dict[str, Callable[[Path, list[Item]], Path]] = {
     "bag": lambda p, i: write_bag(p.with_suffix(".bag"), i),
     "bag-bz2": lambda p, i: write_bag(p.with_suffix(".bag"), i, "BZ2"),

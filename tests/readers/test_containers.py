@@ -42,45 +42,29 @@ def check_contents(recording) -> None:
     assert signals.notes == ("/ticks: messages have no header stamp; the log time is used",)
     assert recording.damage == ()
 
-    wanted = {
-        "left": {int(signals.images["left"].time_ns[2])},
-        "right": {int(signals.images["right"].time_ns[k]) for k in (0, 5)},
-    }
-    got = {
-        (side, (ns - r.START_NS) // r.STEP_NS): gray
-        for side, ns, gray in r.read_images(recording, r.SOURCES.image, wanted)
-    }
+    places = {"left": [2], "right": [0, 5]}
+    wanted = {side: set(signals.images[side].time_ns[at].tolist()) for side, at in places.items()}
+    images = r.read_images(recording, r.SOURCES.image, wanted)
+    got = {(side, (ns - r.START_NS) // r.STEP_NS): gray for side, ns, gray in images}
     assert set(got) == {("left", 20), ("right", 0), ("right", 50)}
     np.testing.assert_array_equal(got["left", 20], r.picture(20))
     np.testing.assert_array_equal(got["right", 50], r.picture(51))
 
 
 def test_same_contents_from_every_container(path):
+    counts = {"/joint_states": 60, "/ticks": 60, "/left/image_raw": 6, "/right/image/compressed": 6}
+    counts |= {"/left/camera_info": 1, "/right/camera_info": 1, "/robot_description": 1}
     with open_recording([path]) as recording:
-        assert {t.name: t.count for t in recording.topics} == {
-            "/joint_states": 60,
-            "/ticks": 60,
-            "/left/image_raw": 6,
-            "/right/image/compressed": 6,
-            "/left/camera_info": 1,
-            "/right/camera_info": 1,
-            "/robot_description": 1,
-        }
+        assert {t.name: t.count for t in recording.topics} == counts
         assert {t.type for t in recording.topics if t.name == "/ticks"} == {"std_msgs/msg/UInt16"}
         assert recording.start_ns == r.START_NS
         assert recording.end_ns == ITEMS[-1].log_ns
         check_contents(recording)
-
-
-def test_same_description_from_every_container(path):
-    with open_recording([path]) as recording:
         description = read_description(recording)
     assert description.urdfs == {"/robot_description": r.URDF}
     assert description.joint_names == {"/joint_states": ("pan", "tilt", "wheel_left")}
-    assert description.image_frames == {
-        "/left/image_raw": "left_optical",
-        "/right/image/compressed": "right_optical",
-    }
+    frames = {"/left/image_raw": "left_optical", "/right/image/compressed": "right_optical"}
+    assert description.image_frames == frames
     np.testing.assert_array_equal(description.infos["/left/camera_info"].K, r.K_LEFT)
     np.testing.assert_array_equal(description.infos["/left/camera_info"].D, [0.1, 0, 0, 0, 0])
     assert description.infos["/right/camera_info"].distortion == "none"
@@ -100,23 +84,16 @@ def test_parts_in_any_order_are_one_recording(tmp_path, name):
 
 def test_separate_recordings_are_not_joined(tmp_path):
     later = [r.Item(i.topic, i.type, i.log_ns + 20 * 10**9, i.make) for i in ITEMS]
-    same_time = ITEMS
     first = r.write_mcap(tmp_path / "first.mcap", ITEMS)
-    paths = [
-        r.write_mcap(tmp_path / "later.mcap", later),
-        first,
-        r.write_bag(tmp_path / "again.bag", same_time),
-    ]
+    again = r.write_bag(tmp_path / "again.bag", ITEMS)  # at the same time
+    paths = [r.write_mcap(tmp_path / "later.mcap", later), first, again]
     assert join_splits(paths) == [[paths[0]], [paths[1]], [paths[2]]]
 
 
 def test_two_recorders_side_by_side_are_one_recording(tmp_path):
-    cameras = r.write_bag(
-        tmp_path / "cameras.bag", [i for i in ITEMS if "/left" in i.topic or "/right" in i.topic]
-    )
-    rest = r.write_bag(
-        tmp_path / "rest.bag", [i for i in ITEMS if not ("/left" in i.topic or "/right" in i.topic)]
-    )
+    of_cameras = [i for i in ITEMS if i.topic.startswith(("/left", "/right"))]
+    cameras = r.write_bag(tmp_path / "cameras.bag", of_cameras)
+    rest = r.write_bag(tmp_path / "rest.bag", [i for i in ITEMS if i not in of_cameras])
     assert [set(group) for group in join_splits([cameras, rest])] == [{cameras, rest}]
     with open_recording([cameras, rest]) as recording:
         check_contents(recording)
@@ -150,9 +127,8 @@ def test_an_unpacked_copy_is_no_other_recording(tmp_path):
     """The player of rosbag2 unpacks a compressed file next to it."""
     bag = r.write_bag2(tmp_path / "bag", ITEMS, "SQLITE3", "FILE")
     (packed,) = bag.glob("*.zstd")
-    packed.with_suffix("").write_bytes(
-        zstandard.ZstdDecompressor().decompressobj().decompress(packed.read_bytes())
-    )
+    unpacked = zstandard.ZstdDecompressor().decompressobj().decompress(packed.read_bytes())
+    packed.with_suffix("").write_bytes(unpacked)
     (bag / "notes.txt").write_text("monday")
     with open_recording([bag]) as recording:
         check_contents(recording)
@@ -168,15 +144,11 @@ def test_messages_come_in_log_order_although_chunks_overlap(tmp_path):
         assert times == sorted(i.log_ns for i in ITEMS), name
 
 
-def test_a_file_with_a_summary_is_not_scanned(tmp_path, monkeypatch):
+def test_only_what_is_asked_for_is_read(tmp_path, monkeypatch):
     path = r.write_mcap(tmp_path / "log.mcap", ITEMS)
     monkeypatch.setattr(Reindex, "run", lambda *_: pytest.fail("scanned"))
     with open_recording([path]) as recording:
         check_contents(recording)
-
-
-def test_unasked_chunks_are_not_read(tmp_path, monkeypatch):
-    path = r.write_mcap(tmp_path / "log.mcap", ITEMS)
     with open_recording([path]) as recording:
         part = recording.parts[0]
         loaded = []
@@ -185,6 +157,11 @@ def test_unasked_chunks_are_not_read(tmp_path, monkeypatch):
         list(recording.messages(["/robot_description"]))
         assert len(part.blocks) > 5
         assert len(loaded) == 1
+    with (
+        open_recording([r.write_mcap(tmp_path / "log.mcap", ITEMS)]) as recording,
+        pytest.raises(RecordingError, match=r"no topic /nope; topics present: /joint_states \(sensor_msgs"),
+    ):
+        recording.messages(["/nope"])
 
 
 @pytest.mark.parametrize("encoding", ["cbor", "protobuf"])
@@ -196,14 +173,6 @@ def test_other_encodings_fail_only_when_asked_for(tmp_path, encoding):
         check_contents(recording)
         with pytest.raises(RecordingError, match=f"/odd.*{encoding}"):
             recording.messages(["/odd"])
-
-
-def test_missing_topic_lists_those_present(tmp_path):
-    with (
-        open_recording([r.write_mcap(tmp_path / "log.mcap", ITEMS)]) as recording,
-        pytest.raises(RecordingError, match=r"no topic /nope; topics present: /joint_states \(sensor_msgs"),
-    ):
-        recording.messages(["/nope"])
 
 
 def test_hash_of_file_and_directory(tmp_path):

@@ -1,7 +1,5 @@
 """Encoder messages of well-known robots, by field path; their definitions stand in the recording."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -70,10 +68,10 @@ def test_wheels_by_field_path(driver, tmp_path):
         data = bytes(store.serialize_cdr(value(kind, store, types, left, right, stamp), kind))
         messages.append(r.Raw("/sensors", stamp + 5, data, r.schema_of(store, kind)))
     r.write_raw(tmp_path / "log.mcap", messages)
-    wheels = {
-        side: WheelSource("/sensors", field=path, ticks_per_revolution=per_turn, bits=bits)
-        for side, path in zip(("left", "right"), paths, strict=True)
-    }
+    counters = (
+        WheelSource("/sensors", field=path, ticks_per_revolution=per_turn, bits=bits) for path in paths
+    )
+    wheels = dict(zip(("left", "right"), counters, strict=True))
     with open_recording([tmp_path / "log.mcap"]) as recording:
         signals = r.one_log(recording, Sources({}, {}, (), wheels), ())
     np.testing.assert_array_equal(signals.wheels["left"].time_ns, START_NS + np.arange(60) * STEP_NS)

@@ -50,11 +50,8 @@ def in_json(message):
         return "foxglove.CameraCalibration", {**frame, **size, **model, **matrices}
     if hasattr(message, "position"):
         header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""}
-        return "sensor_msgs/JointState", {
-            "header": header,
-            "name": message.name,
-            "position": message.position.tolist(),
-        }
+        fields = {"header": header, "name": message.name, "position": message.position.tolist()}
+        return "sensor_msgs/JointState", fields
     data = base64.b64encode(bytes(message.data)).decode()
     return "foxglove.CompressedImage", {**frame, "format": "jpeg", "data": data}
 
@@ -114,54 +111,36 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
         assert np.array_equal(signals[0].images[side].time_ns, signals[1].images[side].time_ns)
 
     wanted = {side: signals[0].images[side].time_ns[:2].tolist() for side in ("left", "right")}
-    pictures = [
-        {
-            (side, time): picture
-            for side, time, picture in r.read_images(recording, rigs[0].sources.image, wanted)
-        }
-        for recording in (original, other)
-    ]
+    found = (r.read_images(each, rigs[0].sources.image, wanted) for each in (original, other))
+    pictures = [{(side, time): picture for side, time, picture in images} for images in found]
     assert pictures[0].keys() == pictures[1].keys()
     assert len(pictures[0]) == 4
     assert all(np.array_equal(picture, pictures[1][key]) for key, picture in pictures[0].items())
 
 
+EYE = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
+
+
 def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     """Degrees in nested JSON, and a joint that some messages lack."""
-    messages = [
-        (
-            "/head",
-            START_NS + i * STEP_NS,
-            "my.Head",
-            {
-                "timestamp": {"sec": 7, "nsec": i},
-                "pan": {"angle": 90.0 + i},
-                "tilts": [0.1 * i] if i != 3 else [],
-                "odometer": {"left": 10 * i, "right": 20 * i},
-            },
-        )
-        for i in range(6)
-    ]
+
+    def head(i):
+        counters = {"left": 10 * i, "right": 20 * i}
+        angles = {"pan": {"angle": 90.0 + i}, "tilts": [0.1 * i] if i != 3 else []}
+        return {"timestamp": {"sec": 7, "nsec": i}, "odometer": counters, **angles}
+
+    messages = [("/head", START_NS + i * STEP_NS, "my.Head", head(i)) for i in range(6)]
     path = written_in_json(tmp_path / "log.mcap", messages)
-    wheels = {
-        side: WheelSource("/head", field=f"odometer.{side}", ticks_per_revolution=100)
-        for side in ("left", "right")
-    }
-    joints = {
-        "pan": JointField("/head", "pan.angle", np.radians(1)),
-        "tilt": JointField("/head", "tilts[0]"),
-    }
+    fields = {side: f"odometer.{side}" for side in ("left", "right")}
+    wheels = {side: WheelSource("/head", field=at, ticks_per_revolution=100) for side, at in fields.items()}
+    pan = JointField("/head", "pan.angle", np.radians(1))
+    joints = {"pan": pan, "tilt": JointField("/head", "tilts[0]")}
     images = {"left": "/eye", "right": "/eye"}
-    pictures = [
-        ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
-    ]
-    eyes = written_in_json(tmp_path / "eyes.mcap", pictures)
-    with open_recording([path, eyes]) as recording:
+    with open_recording([path, written_in_json(tmp_path / "eyes.mcap", [EYE])]) as recording:
         signals = r.one_log(recording, Sources(images, {}, (), wheels, joints), ("pan", "tilt"))
         wrong = {"pan": JointField("/head", "pan.angel")}
-        with pytest.raises(
-            RecordingError, match=r"/head: no field pan\.angel .*fields present: .*pan\.angle"
-        ):
+        said = r"/head: no field pan\.angel .*fields present: .*pan\.angle"
+        with pytest.raises(RecordingError, match=said):
             r.one_log(recording, Sources(images, {}, (), wheels, wrong), ("pan",))
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
@@ -176,24 +155,17 @@ def test_dynamic_joint_states(tmp_path):
     def joint(**values):
         return {"interface_names": list(values), "values": list(values.values())}
 
-    messages = [
-        (
-            "/dynamic_joint_states",
-            START_NS + i * STEP_NS,
-            "control_msgs/DynamicJointState",
-            {
-                "header": {"stamp": {"sec": 5, "nanosec": i}, "frame_id": ""},
-                "joint_names": ["wheel", "pan"],
-                "interface_values": [joint(velocity=2.0, effort=9.0), joint(effort=1.0, position=0.1 * i)],
-            },
-        )
-        for i in range(4)
-    ]
-    eyes = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
-    images, wheel = {"left": "/eye", "right": "/eye"}, WheelSource("/dynamic_joint_states", joint="wheel")
-    with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, eyes])]) as recording:
-        assert read_description(recording).joint_names == {"/dynamic_joint_states": ("wheel", "pan")}
-        sources = Sources(images, {}, ("/dynamic_joint_states",), {"left": wheel, "right": wheel})
+    def state(i):
+        interfaces = [joint(velocity=2.0, effort=9.0), joint(effort=1.0, position=0.1 * i)]
+        header = {"stamp": {"sec": 5, "nanosec": i}, "frame_id": ""}
+        return {"header": header, "joint_names": ["wheel", "pan"], "interface_values": interfaces}
+
+    topic, kind = "/dynamic_joint_states", "control_msgs/DynamicJointState"
+    messages = [(topic, START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
+    images, wheel = {"left": "/eye", "right": "/eye"}, WheelSource(topic, joint="wheel")
+    with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, EYE])]) as recording:
+        assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
+        sources = Sources(images, {}, (topic,), {"left": wheel, "right": wheel})
         signals = r.one_log(recording, sources, ("pan",))
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
     assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)
@@ -202,9 +174,8 @@ def test_dynamic_joint_states(tmp_path):
 def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
     time = Timestamp(seconds=START_NS // 10**9, nanos=7)
-    raw = RawImage(
-        timestamp=time, frame_id="eye", width=8, height=6, encoding="mono8", step=8, data=pixels.tobytes()
-    )
+    size = {"width": 8, "height": 6, "step": 8}
+    raw = RawImage(timestamp=time, frame_id="eye", encoding="mono8", data=pixels.tobytes(), **size)
     with (tmp_path / "log.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
         writer.write_message("/eye", raw, START_NS)
     with open_recording([tmp_path / "log.mcap"]) as recording:

@@ -1,7 +1,5 @@
 """What can be had of a recording without reading all of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -23,14 +21,7 @@ def recording(request, tmp_path):
         yield opened
 
 
-def test_log_times_are_those_that_were_written(recording):
-    times = recording.log_times()
-    assert set(times) == TOPICS
-    for topic, found in times.items():
-        assert found.tolist() == [item.log_ns for item in ITEMS if item.topic == topic]
-
-
-def test_first_message_from_a_moment_on(recording):
+def test_messages_near_moments_and_the_share_that_an_extent_leaves(recording):
     moments = [r.START_NS + k * r.STEP_NS for k in (0, 17, 41)]
     found = [(m.topic, m.log_time_ns) for m in recording.near(["/joint_states", "/left/image_raw"], moments)]
     log = {"/joint_states": 3_000_000, "/left/image_raw": 3_000_002}
@@ -40,12 +31,18 @@ def test_first_message_from_a_moment_on(recording):
         for topic, k in (("/joint_states", joint), ("/left/image_raw", image))
     ]
     assert sorted(found) == sorted(expected)
-
-
-def test_pictures_near(recording):
     sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
     found = list(pictures_near(recording, sources, [r.START_NS + 25 * r.STEP_NS]))
     assert {picture.tobytes() for picture in found} == {r.picture(30).tobytes(), r.picture(31).tobytes()}
+    times = recording.log_times()
+    assert set(times) == TOPICS
+    for topic, found in times.items():
+        assert found.tolist() == [item.log_ns for item in ITEMS if item.topic == topic]
+    topics = ["/joint_states"]
+    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    assert recording.share(topics, Extent()) == recording.share(topics, Extent(2**30)) == 1
+    if len(blocks) > 5 and all(block.is_chunk for block in blocks):
+        assert 0 < recording.share(topics, Extent(20_000)) < 1
 
 
 def test_a_part_is_read_where_blocks_are_large(recording):
@@ -66,18 +63,10 @@ def test_a_part_is_read_where_blocks_are_large(recording):
         assert got == known
 
 
-def test_times_of_a_large_file_without_an_index_stay_unknown(tmp_path, monkeypatch):
-    path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
-    monkeypatch.setattr("mobilecal_cli.readers.containers.blocks.UNINDEXED_BYTES", 10_000)
-    with open_recording([path]) as recording:
-        assert recording.log_times() == {}
-
-
 def test_times_of_several_parts_are_joined(tmp_path):
     half = len(ITEMS) // 2
-    paths = [
-        r.write_mcap(tmp_path / f"{k}.mcap", part) for k, part in enumerate((ITEMS[:half], ITEMS[half:]))
-    ]
+    parts = ITEMS[:half], ITEMS[half:]
+    paths = [r.write_mcap(tmp_path / f"{k}.mcap", part) for k, part in enumerate(parts)]
     with open_recording(paths[::-1]) as recording:
         times = recording.log_times()["/joint_states"]
         assert times.tolist() == [item.log_ns for item in ITEMS if item.topic == "/joint_states"]
@@ -113,11 +102,3 @@ def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
     found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, signals.images)]
     expected = {side: index.time_ns.tolist() for side, index in signals.images.items()}
     assert sorted(found) == sorted((side, ns) for side, stamps in expected.items() for ns in stamps)
-
-
-def test_share_of_a_recording_that_an_extent_leaves(recording):
-    topics = ["/joint_states"]
-    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
-    assert recording.share(topics, Extent()) == recording.share(topics, Extent(2**30)) == 1
-    if len(blocks) > 5 and all(block.is_chunk for block in blocks):
-        assert 0 < recording.share(topics, Extent(20_000)) < 1

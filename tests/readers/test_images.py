@@ -1,7 +1,5 @@
 """Every picture encoding, honest sizes, and dishonest ones."""
 
-from __future__ import annotations
-
 import io
 
 import cv2
@@ -64,8 +62,7 @@ def test_colours_are_weighted(encoding, pixels):
 )
 def test_the_gray_image_of_yuv(encodings, pixels):
     for encoding in encodings:
-        step = pixels.strides[0]
-        found = decoded(pixels, encoding, height=48, width=64, step=step)
+        found = decoded(pixels, encoding, height=48, width=64, step=pixels.strides[0])
         np.testing.assert_array_equal(found, GRAY)
 
 
@@ -120,11 +117,6 @@ def test_bayer_patterns(pattern, bits):
     pixels = mosaic if bits == 8 else mosaic.astype(np.uint16) << 8
     gray = decoded(pixels, f"bayer_{pattern}{bits}")
     assert np.abs(gray[2:-2, 2:-2] - (color @ [0.299, 0.587, 0.114])).max() <= 1
-
-
-@pytest.mark.parametrize("bits", [8, 16])
-@pytest.mark.parametrize("pattern", PATTERNS)
-def test_a_bayer_mosaic_in_a_png_is_converted_like_a_raw_one(pattern, bits):
     mosaic = GRAY if bits == 8 else GRAY.astype(np.uint16) << 8
     message = r.compressed(mosaic, ".png")(r.ROS2)
     message.format = f"bayer_{pattern}{bits}; png compressed "
@@ -142,9 +134,6 @@ def test_rows_with_padding():
     padded = np.pad(COLOR.reshape(48, -1), ((0, 0), (0, 13)), constant_values=99)
     gray = decoded(padded, "rgb8", width=64, step=64 * 3 + 13)
     assert np.abs(gray.astype(float) - LUMA).max() <= 1
-
-
-def test_last_row_needs_no_padding():
     padded = np.pad(GRAY, ((0, 0), (0, 6))).ravel()[:-6].reshape(1, -1)
     np.testing.assert_array_equal(decoded(padded, "mono8", height=48, width=64, step=70), GRAY)
 
@@ -175,7 +164,14 @@ def test_dishonest_pictures_are_refused(changes, message):
         decoded(GRAY, changes.pop("encoding", "mono8"), **changes)
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xd8\xff\xe0 not a jpeg", b"\x89PNG\r\n\x1a\n" + bytes(30)])
+PNG = cv2.imencode(".png", GRAY)[1].tobytes()
+LARGEST = (2**31 - 1).to_bytes(4, "big")
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"\xff\xd8\xff\xe0 not a jpeg", PNG[:8] + bytes(30), PNG[:16] + LARGEST + LARGEST + PNG[24:]],
+)
 def test_damaged_compressed_pictures_are_refused(data):
     message = r.compressed(GRAY, ".png")(r.ROS2)
     message.data = np.frombuffer(data, dtype=np.uint8)
@@ -190,26 +186,14 @@ def test_undecodable_picture_is_a_rejection_in_its_place(tmp_path):
     ]
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
         wanted = {"left": [r.START_NS + k for k in range(3)]}
-        found = [
-            (s, ns - r.START_NS, p)
-            for s, ns, p in r.read_images(recording, {"left": "/l", "right": "/r"}, wanted)
-        ]
-    assert [(s, k) for s, k, _ in found] == [("left", 0), ("left", 1), ("left", 2)]
+        found = list(r.read_images(recording, {"left": "/l", "right": "/r"}, wanted))
+    assert [(s, ns - r.START_NS) for s, ns, _ in found] == [("left", 0), ("left", 1), ("left", 2)]
     rejection = found[1][2]
     assert isinstance(rejection, Rejection)
     assert (rejection.stage, rejection.reason) == ("readers", "image cannot be decoded")
     assert "/l: unknown image encoding 'yuv999'" in rejection.detail
     assert rejection.time_ns == r.START_NS + 1
     np.testing.assert_array_equal(found[2][2], GRAY)
-
-
-def test_largest_picture_of_a_forged_png_is_refused():
-    header = bytearray(cv2.imencode(".png", GRAY)[1].tobytes())
-    header[16:24] = (2**31 - 1).to_bytes(4, "big") * 2
-    message = r.compressed(GRAY, ".png")(r.ROS2)
-    message.data = np.frombuffer(bytes(header), dtype=np.uint8)
-    with pytest.raises(RecordingError, match="image damaged"):
-        decode_image(message)
 
 
 @pytest.mark.parametrize(("layout", "axis"), [("side_by_side", 1), ("stacked", 0)])

@@ -1,7 +1,5 @@
 """Pictures by the index, and what it spares."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -22,16 +20,13 @@ def recording(request, tmp_path):
         yield opened
 
 
-def test_pictures_are_found_by_the_index(recording):
+def test_pictures_and_stamps_are_found_by_the_index(recording):
     pictures = find_pictures(recording, IMAGES)
     assert pictures is not None
     assert pictures.spread_ns == 0
     for topic, logged in LOGGED.items():
         assert pictures.index[topic].log_ns.tolist() == logged
         assert pictures.index[topic].stamp_ns.tolist() == [r.START_NS + 10 * k * r.STEP_NS for k in range(6)]
-
-
-def test_stamps_of_a_few_pictures(recording):
     wanted = {topic: np.array(logged)[[1, 4]] for topic, logged in LOGGED.items()}
     read = read_stamps(recording, wanted)
     assert read is not None
@@ -40,9 +35,6 @@ def test_stamps_of_a_few_pictures(recording):
     for topic, times in wanted.items():
         assert stamps[topic] == dict(zip(times.tolist(), expected, strict=True))
     assert notes == recording.damage == ()
-
-
-def test_a_picture_that_is_not_where_the_index_says(recording):
     wanted = {topic: np.array([logged[0], logged[1] + 1]) for topic, logged in LOGGED.items()}
     assert read_stamps(recording, wanted) is None
 
@@ -74,8 +66,7 @@ BLACK = np.zeros((8, 8), np.uint8)
         changed("/left/image_raw", type="std_msgs/msg/UInt16", make=r.number("UInt16", 1)),
         changed("/left/image_raw", make=r.image(BLACK, "mono8", stamp_ns=0)),
         changed(
-            "/right/image/compressed",
-            make=lambda store: replace(r.compressed(BLACK, ".png")(store), format="h264"),
+            "/right/image/compressed", make=lambda s: replace(r.compressed(BLACK, ".png")(s), format="h264")
         ),
     ],
     ids=["no such topic", "no pictures", "no stamps", "video"],
@@ -90,6 +81,7 @@ def test_a_large_file_without_an_index(tmp_path, monkeypatch):
     path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
     with open_recording([path]) as recording:
         assert find_pictures(recording, IMAGES) is None
+        assert recording.log_times() == {}
 
 
 def logged(recording, extent):

@@ -1,7 +1,5 @@
 """Numbers in messages of any type, and how a counter starts again."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

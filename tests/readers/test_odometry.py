@@ -10,7 +10,7 @@ from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import check_speed, rotations
 from tests.readers.recordings import START_NS, STEP_NS
-from tests.readers.test_encodings import written_in_json
+from tests.readers.test_encodings import EYE, written_in_json
 
 from . import recordings as r
 
@@ -19,9 +19,8 @@ WHEELS = WheelGeometry(0.1, 0.2, 0.5)
 
 def test_straight_on_by_hand():
     """One metre along a heading of 90 degrees: 10 rad of the wheel of 0.1 m, 5 rad of that of 0.2 m."""
-    right, left, jumps = rotations(
-        np.array([[1, 1], [1, 1.25], [1, 1.5], [1, 1.75], [1, 2.0]]), np.full(5, math.pi / 2), WHEELS
-    )
+    way = np.column_stack([np.ones(5), np.linspace(1, 2, 5)])
+    right, left, jumps = rotations(way, np.full(5, math.pi / 2), WHEELS)
     assert (right[-1], left[-1], jumps) == (pytest.approx(10), pytest.approx(5), 0)
 
 
@@ -42,19 +41,11 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
 
     def odometry(i, x):
         header = {"stamp": {"sec": 9, "nanosec": i * 1000}, "frame_id": "odom"}
-        place = {
-            "position": {"x": x, "y": 0.0, "z": 0.0},
-            "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0},
-        }
-        return (
-            "/odom",
-            START_NS + i * STEP_NS,
-            "nav_msgs/Odometry",
-            {"header": header, "pose": {"pose": place}},
-        )
+        upright = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
+        pose = {"pose": {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": upright}}
+        return ("/odom", START_NS + i * STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
 
-    eyes = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 9, "nsec": 0}, "data": ""})
-    path = written_in_json(tmp_path / "log.mcap", [*(odometry(i, x) for i, x in enumerate(xs)), eyes])
+    path = written_in_json(tmp_path / "log.mcap", [*(odometry(i, x) for i, x in enumerate(xs)), EYE])
     source = WheelSource("/odom", baked_in=WHEELS)
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
@@ -62,10 +53,8 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         signals = r.one_log(recording, sources, ())
     assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
     assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]
-    assert any(
-        "wheel radii of 200 mm (left) and 100 mm (right) and a separation of 500 mm" in n
-        for n in signals.notes
-    )
+    sizes = "wheel radii of 200 mm (left) and 100 mm (right) and a separation of 500 mm"
+    assert any(sizes in note for note in signals.notes)
     assert any("jumps 1 times" in note for note in signals.notes)
 
 

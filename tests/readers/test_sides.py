@@ -21,33 +21,26 @@ def track(value, times_ns=TIMES_NS):
 
 def averaged(left, right=(RIGHT, RIGHT)):
     notes = []
-    wheels = {
-        "left": [
-            (f"left {k}", value if isinstance(value, Track) else track(value)) for k, value in enumerate(left)
-        ],
-        "right": [(f"right {k}", track(value)) for k, value in enumerate(right)],
+    sides = {"left": left, "right": right}
+    tracks = {
+        side: [v if isinstance(v, Track) else track(v) for v in values] for side, values in sides.items()
     }
+    wheels = {side: [(f"{side} {k}", one) for k, one in enumerate(each)] for side, each in tracks.items()}
     return sides_of(wheels, notes), notes
-
-
-def test_one_wheel_a_side_stays_as_it_is():
-    own = track(LEFT)
-    found, notes = averaged([own], [RIGHT])
-    assert found["left"] is own
-    assert notes == []
 
 
 def test_wheels_that_agree_are_averaged():
     found, notes = averaged([LEFT + 1, 1.01 * LEFT - 1, 0.99 * LEFT])
     np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
     assert notes == []
-
-
-def test_wheels_at_other_times_are_averaged():
     late = track(np.interp(SECONDS[5:] + 0.007, SECONDS, LEFT), TIMES_NS[5:] + 7_000_000)
     found, notes = averaged([LEFT, late])
     at = found["left"].time_ns
     np.testing.assert_allclose(found["left"].value, np.interp(at * 1e-9, SECONDS, LEFT), atol=0.02)
+    assert notes == []
+    own = track(LEFT)
+    found, notes = averaged([own], [RIGHT])
+    assert found["left"] is own
     assert notes == []
 
 
@@ -91,12 +84,9 @@ def test_two_that_disagree_are_refused(which, said, cure):
     assert cure in told.value.hint
 
 
-def test_a_wheel_that_turns_while_the_robot_stands_is_not_trusted():
+def test_wheels_that_turn_although_others_stand():
     with pytest.raises(RecordingError, match="do not turn alike"):
         averaged([0 * LEFT, LEFT], [0 * RIGHT, 0 * RIGHT])
-
-
-def test_undriven_wheels_of_both_sides_are_left_out():
     found, notes = averaged([LEFT, 0 * LEFT], [RIGHT, 0 * RIGHT])
     np.testing.assert_allclose(found["right"].value, RIGHT, atol=1e-9)
     assert [note.split(":")[0] for note in notes] == ["left 1", "right 1"]

@@ -1,7 +1,5 @@
 """Clock steps: where a recording is cut, and what the clocks are in its pieces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -23,20 +21,15 @@ def samples(topic, hz=50, seconds=40.0, lag_ms=3.0, step_s=0.0, at_s=AT):
 
 @pytest.mark.parametrize("step_s", [-30, -10, -1.5, 1.5, 30])
 def test_all_clocks_step(step_s):
-    series = [
-        samples("/j", 50, step_s=step_s),
-        samples("/l", 5, step_s=step_s),
-        samples("/r", 1, step_s=step_s),
-    ]
+    series = [samples(topic, hz, step_s=step_s) for topic, hz in (("/j", 50), ("/l", 5), ("/r", 1))]
     (first, second), (note,) = cut(series)
     for before, after, whole in zip(first, second, series, strict=True):
         assert before.value.max() < AT <= after.value.min()
         assert len(before) + len(after) == len(whole)
         assert after.shift_ns == 0
     way = "back" if step_s < 0 else "forward"
-    assert note.startswith(
-        f"the clock of /j, /l, /r steps {way} by {abs(step_s):.3f} s, 20.0 s after the start"
-    )
+    said = f"the clock of /j, /l, /r steps {way} by {abs(step_s):.3f} s, 20.0 s after the start"
+    assert note.startswith(said)
 
 
 @pytest.mark.parametrize("step_s", [-10, 30])
@@ -65,10 +58,8 @@ def test_two_steps_make_three_pieces():
     twice = Samples("/j", "/j", one.stamp_ns - 12 * S * later, one.log_ns, one.value)
     pieces, notes = cut([twice])
     assert [len(piece[0]) for piece in pieces] == [1000, 501, 499]
-    assert [note.split(" s,")[0].split("steps ")[1] for note in notes] == [
-        "forward by 5.000",
-        "back by 12.000",
-    ]
+    sizes = [note.split(" s,")[0].split("steps ")[1] for note in notes]
+    assert sizes == ["forward by 5.000", "back by 12.000"]
 
 
 def test_what_is_no_step():
@@ -87,21 +78,16 @@ def test_what_is_no_step():
         (usual.stamp_ns // 20, usual.log_ns),  # a playback at a twentieth of the speed
         (usual.log_ns, usual.log_ns),  # no stamps
         (usual.stamp_ns[:9], usual.log_ns[:9]),
+        (np.arange(100) * 5 * S, np.arange(100) * 10 * S),  # a slow playback of rare messages
     ):
         assert not len(steps_of(stamp_ns, log_ns))
-
-
-def test_a_slow_playback_of_rare_messages_is_no_step():
-    true_ns = np.arange(100) * 10 * S
-    assert not len(steps_of(true_ns // 2, true_ns))
 
 
 def test_a_pause_of_all_topics_is_noted():
     def paused(topic, hz):
         one = samples(topic, hz)
-        return Samples(
-            topic, topic, one.stamp_ns, one.log_ns + np.where(one.value[:, 0] > AT, 9 * S, 0), one.value
-        )
+        log_ns = one.log_ns + np.where(one.value[:, 0] > AT, 9 * S, 0)
+        return Samples(topic, topic, one.stamp_ns, log_ns, one.value)
 
     (note,) = pause_notes([paused("/j", 50), paused("/left", 5)])
     assert note.startswith("1 pause of all topics; the longest lasts 9.02")

@@ -12,7 +12,7 @@ from mobilecal_cli.model import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.joints import reading
 from tests.readers.recordings import START_NS, STEP_NS
-from tests.readers.test_encodings import written_in_json
+from tests.readers.test_encodings import EYE, written_in_json
 
 from . import recordings as r
 
@@ -32,13 +32,15 @@ def moved(source, value):
     return place, (rotation * turn).as_quat()
 
 
+def fields_of(place, quaternion):
+    """A geometry_msgs/Transform, as JSON has it."""
+    translation, rotation = (dict(zip("xyzw", v.tolist(), strict=False)) for v in (place, quaternion))
+    return {"translation": translation, "rotation": rotation}
+
+
 def as_message(place, quaternion):
     """A geometry_msgs/Transform."""
-    translation = SimpleNamespace(**dict(zip("xyz", place.tolist(), strict=True)))
-    return SimpleNamespace(
-        translation=translation,
-        rotation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
-    )
+    return SimpleNamespace(**{k: SimpleNamespace(**v) for k, v in fields_of(place, quaternion).items()})
 
 
 @pytest.mark.parametrize("value", [0.0, 0.4, -1.5, 3.1, -3.1])
@@ -48,11 +50,8 @@ def test_a_turning_joint(value):
     assert max(off_rad, off_m) < 1e-7
 
 
-def test_a_sliding_joint():
+def test_a_sliding_joint_and_what_does_not_fit():
     assert reading(LIFT, as_message(*moved(LIFT, 0.25))) == pytest.approx((0.25, 0, 0))
-
-
-def test_another_axis_and_another_place_are_told():
     place, _ = moved(PAN, 0.0)
     turned = Rotation.from_matrix(ORIGIN[:3, :3]) * Rotation.from_rotvec([0.3, 0, 0])
     angle, off_rad, off_m = reading(PAN, as_message(place + np.array([0.0, 0.03, 0.04]), turned.as_quat()))
@@ -63,25 +62,17 @@ def tf_message(i, *frames):
     transforms = []
     for parent, child, (place, quaternion) in frames:
         header = {"stamp": {"sec": 5, "nanosec": 1000 * i}, "frame_id": parent}
-        transform = {
-            "translation": dict(zip("xyz", place.tolist(), strict=True)),
-            "rotation": dict(zip("xyzw", quaternion.tolist(), strict=True)),
-        }
+        transform = fields_of(place, quaternion)
         transforms.append({"header": header, "child_frame_id": child, "transform": transform})
     return ("/tf", START_NS + i * STEP_NS, "tf2_msgs/TFMessage", {"transforms": transforms})
 
 
 def signals_of(folder, messages, sources):
-    count = {"data": 7}
-    rest = [
-        ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 5, "nsec": 0}, "data": ""}),
-        *(("/count", START_NS + i, "std_msgs/Int32", count) for i in range(2)),
-    ]
-    wheel = WheelSource("/count", field="data")
-    path = written_in_json(folder / "log.mcap", [*messages, *rest])
+    counts = [("/count", START_NS + i, "std_msgs/Int32", {"data": 7}) for i in range(2)]
+    path = written_in_json(folder / "log.mcap", [*messages, EYE, *counts])
     images = {"left": "/eye", "right": "/eye"}
+    wheels = dict.fromkeys(("left", "right"), WheelSource("/count", field="data"))
     with open_recording([path]) as recording:
-        wheels = {"left": wheel, "right": wheel}
         return r.one_log(recording, Sources(images, {}, (), wheels, elsewhere=sources), tuple(sources))
 
 
@@ -89,15 +80,10 @@ def test_joints_over_time_with_their_own_stamps(tmp_path):
     """One message holds both joints and a stranger; the pan goes beyond half a turn."""
     pan = np.linspace(2.0, 4.0, 9)
     lift = np.linspace(0, 0.2, 9)
-    messages = [
-        tf_message(
-            i,
-            ("/torso", "neck", moved(PAN, pan[i])),
-            ("map", "odom", moved(LIFT, 1.0)),
-            ("base_link", "torso", moved(LIFT, lift[i])),
-        )
-        for i in range(9)
-    ]
+    stranger = ("map", "odom", moved(LIFT, 1.0))
+    neck = [("/torso", "neck", moved(PAN, angle)) for angle in pan]
+    torso = [("base_link", "torso", moved(LIFT, height)) for height in lift]
+    messages = [tf_message(i, neck[i], stranger, torso[i]) for i in range(9)]
     found = signals_of(tmp_path, messages, {"pan": PAN, "lift": LIFT})
     assert found.joints["pan"].value == pytest.approx(pan)
     assert found.joints["lift"].value == pytest.approx(lift)

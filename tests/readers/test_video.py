@@ -28,11 +28,9 @@ ENCODERS = {"h264": "libx264", "h265": "libx265"}
 def pictures(sample_logs):
     """The first pictures of the left camera, gray."""
     with open_recording([sample_logs / "paper_robot.mcap"]) as recording:
-        stamps = [
-            m.decode().header.stamp.sec * 10**9 + m.decode().header.stamp.nanosec
-            for m in recording.messages([TOPIC])
-        ]
-        return [p for _, _, p in r.read_images(recording, {"left": TOPIC}, {"left": set(stamps[:8])})]
+        stamps = [m.decode().header.stamp for m in recording.messages([TOPIC])][:8]
+        wanted = {"left": {stamp.sec * 10**9 + stamp.nanosec for stamp in stamps}}
+        return [p for _, _, p in r.read_images(recording, {"left": TOPIC}, wanted)]
 
 
 def encoded(pictures, kind: str) -> list[bytes]:
@@ -44,10 +42,8 @@ def encoded(pictures, kind: str) -> list[bytes]:
     context.options = {"tune": "zerolatency", "crf": "12", "preset": "veryfast", "g": "100", **quiet}
     packets = []
     for picture in pictures:
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="gray").reformat(
-            format="yuv420p"
-        )
-        packets += context.encode(frame)
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="gray")
+        packets += context.encode(frame.reformat(format="yuv420p"))
     packets += context.encode(None)
     return [bytes(packet) for packet in packets]
 
@@ -56,9 +52,8 @@ def written(path, packets, kind):
     with path.open("wb") as stream, ProtobufWriter(stream) as writer:
         for k, data in enumerate(packets):
             stamp = START_NS + k * STEP_NS
-            message = CompressedVideo(
-                timestamp=Timestamp(seconds=stamp // 10**9, nanos=stamp % 10**9), data=data, format=kind
-            )
+            time = Timestamp(seconds=stamp // 10**9, nanos=stamp % 10**9)
+            message = CompressedVideo(timestamp=time, data=data, format=kind)
             writer.write_message("/left/video", message, stamp)
     return path
 
