@@ -1,6 +1,6 @@
 """Printed boards, rendered by PDFium: their size on the page, and whether detectors find them."""
 
-from __future__ import annotations
+from itertools import product
 
 import cv2
 import numpy as np
@@ -83,21 +83,15 @@ def test_the_first_square_at_the_top_left_is_dark(name):
     board, paper = PRINTS[name]
     image, _ = rendered(board_pdf(board, paper).content, 150 if board.square_m < 0.06 else 75)
     corners = find_board(image, board).pixels
-    if (
-        board.markers is not None or (board.columns + board.rows) % 2
-    ):  # otherwise it looks the same upside down
+    looks_the_same_upside_down = board.markers is None and (board.columns + board.rows) % 2 == 0
+    if not looks_the_same_upside_down:
         assert corners[0].tolist() == pytest.approx(corners.min(axis=0).tolist(), abs=1)
     H, _ = cv2.findHomography(board.grid()[:, :2], corners[np.lexsort(np.round(corners / 10).T)])
     rows, columns = np.meshgrid(
         np.arange(-2, board.rows + 1), np.arange(-2, board.columns + 1), indexing="ij"
     )
     inside = (rows >= -1) & (rows < board.rows) & (columns >= -1) & (columns < board.columns)
-    for x, y in (
-        (0.06, 0.06),
-        (0.94, 0.06),
-        (0.06, 0.94),
-        (0.94, 0.94),
-    ):  # beside the markers of light squares
+    for x, y in product((0.06, 0.94), repeat=2):  # beside the markers of light squares
         places = np.stack([columns + x, rows + y], axis=-1).reshape(1, -1, 2)
         u, v = np.round(cv2.perspectiveTransform(places, H)[0]).astype(int).T
         within = (u >= 0) & (u < image.shape[1]) & (v >= 0) & (v < image.shape[0])
@@ -107,7 +101,7 @@ def test_the_first_square_at_the_top_left_is_dark(name):
 
 
 @pytest.mark.parametrize("name", PRINTS)
-def test_the_bar_and_the_board_have_the_stated_length(name):
+def test_the_bar_and_the_texts_state_the_board(name, tmp_path):
     board, paper = PRINTS[name]
     made, square_mm = board_pdf(board, paper), board.square_m * 1e3
     text = page_of(made.content).get_textpage().get_text_bounded()
@@ -123,6 +117,10 @@ def test_the_bar_and_the_board_have_the_stated_length(name):
     )
     assert f"squares of {square_mm:g} mm" in text
     assert f"({page_mm[0]:g} x {page_mm[1]:g} mm)" in made.page.replace("a page of ", "(") + ")"
+    made = board_pdf(board, paper)
+    flags = {f"board.{key}": value for key, value in load_yaml(made.config)["board"].items()}
+    assert board_of(load_rig(None, flags)) == board
+    assert made.config in text.replace("\r\n", " ")
 
 
 def longest_run(line):
@@ -155,29 +153,12 @@ def test_the_board_is_found_in_a_photograph(name):
         assert len(opencv_corners(photo, board)) == board.corners
 
 
-@pytest.mark.parametrize("name", PRINTS)
-def test_the_line_for_rig_yaml_describes_the_board(name, tmp_path):
-    board, paper = PRINTS[name]
-    made = board_pdf(board, paper)
-    assert (
-        board_of(
-            load_rig(None, {f"board.{key}": value for key, value in load_yaml(made.config)["board"].items()})
-        )
-        == board
-    )
-    text = page_of(made.content).get_textpage().get_text_bounded()
-    assert made.config in text.replace("\r\n", " ")
-
-
-def test_a_reader_is_asked_not_to_scale():
+def test_the_file_and_its_default_dictionary():
     made = board_pdf(*PRINTS["checkerboard"])
     assert b"/PrintScaling /None" in made.content
     document = pypdfium2.PdfDocument(made.content)
     assert document.get_metadata_dict()["Title"].startswith("Checkerboard, 9 x 6 inner corners")
     assert len(document) == 1
-
-
-def test_the_smallest_sufficient_dictionary_is_the_default():
     assert "DICT_5X5_50," in print_board(8, 5, 0.02, charuco=True).config
     assert "DICT_5X5_250," in print_board(14, 14, 0.015, charuco=True).config
 

@@ -1,7 +1,5 @@
 """Improved cameras and head chains, exported and read back by parsers that are not ours."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2
@@ -150,9 +148,8 @@ def test_the_urdf_without_the_chain_says_so(calibrated):
     drawn, kept = (parse_urdf(text) for text in (urdf_text(described), made.content.decode()))
     for joint in described.joints:
         if joint.name:
-            assert drawn.joints[joint.name].T_parent_child == pytest.approx(
-                kept.joints[joint.name].T_parent_child
-            )
+            before, after = (urdf.joints[joint.name].T_parent_child for urdf in (drawn, kept))
+            assert before == pytest.approx(after)
     with pytest.raises(ConfigError, match="--with-chain applies only to --to urdf"):
         export(params, Target.xacro, with_chain=True)
 

@@ -1,7 +1,5 @@
 """Covariance of odometry: what its numbers mean to a filter, and how large the errors are."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -79,21 +77,11 @@ def test_the_variances_are_those_of_simulated_drives(extraction):
 
 def test_across_is_across_the_drive_forward_and_backward(extraction):
     """Backward, the heading moves the end to the other side of the base, and to the same side of the drive."""
-    data, noise = (
-        dataset_of(extraction),
-        LegNoise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=SQRT, joint_rad=0.0),
-    )
+    data = dataset_of(extraction)
+    noise = LegNoise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=SQRT, joint_rad=0.0)
     step = 2.0 / 50 / TRUE.vector[:2]
-    forward, backward = (
-        odometry._of_pose(
-            data,
-            Increments(*(np.full(50, sign * s) for s in step), np.zeros(50, int), 1),
-            TRUE,
-            noise,
-            np.zeros((3, 3)),
-        )
-        for sign in (1, -1)
-    )
+    drives = (Increments(*(np.full(50, s) for s in way), np.zeros(50, int), 1) for way in (step, -step))
+    forward, backward = (odometry._of_pose(data, way, TRUE, noise, np.zeros((3, 3))) for way in drives)
     assert backward == pytest.approx(forward, rel=1e-6, abs=1e-6)
     assert forward[1, 1] > 2 * forward[0, 0]
     assert forward[1, 2] > 0
@@ -119,14 +107,6 @@ def test_a_filter_adds_the_twist_up_to_the_variance_of_the_drive(extraction, pro
     assert grown == pytest.approx(found.twist[0] * dt**2, rel=0.02)
 
 
-def test_the_twist_is_proportional_to_the_rate_and_the_pose_is_not(extraction):
-    slow, fast = (odometry_covariance(robot_with(), extraction, rate) for rate in (10.0, 50.0))
-    assert fast.twist[[0, 1, 5]] == pytest.approx(5 * slow.twist[[0, 1, 5]])
-    assert fast.pose == pytest.approx(slow.pose)
-    assert slow.legs == 11
-    assert slow.moving_s == pytest.approx(2.6, abs=1.0)
-
-
 def test_estimated_levels_widen_as_student_s_distribution_does(extraction):
     estimated = replace(extraction, rig=replace(extraction.rig, noise=KnownNoise()))
     given, widened = (odometry_covariance(robot_with(), each, RATE_HZ) for each in (extraction, estimated))
@@ -135,15 +115,17 @@ def test_estimated_levels_widen_as_student_s_distribution_does(extraction):
     assert widened.twist[0] == pytest.approx(widened.widening * given.twist[0])
 
 
-def test_what_wheels_do_not_measure_has_no_weight_and_the_floor_is_that_of_the_calibration(extraction):
+def test_the_levels_of_the_covariance(extraction):
     found = odometry_covariance(robot_with(), extraction, RATE_HZ)
     assert found.twist[2:5].tolist() == [1e6] * 3
     assert found.pose[2:5] == pytest.approx([0.001**2, 0.002**2, 0.002**2])
-
-
-def test_only_systematic_errors_remain_without_noise(extraction):
     found = odometry_covariance(robot_with(wheel_rad_per_sqrt_rad=1e-9), extraction, RATE_HZ)
     assert found.systematic == pytest.approx([1, 1], abs=1e-6)
+    slow, fast = (odometry_covariance(robot_with(), extraction, rate) for rate in (10.0, 50.0))
+    assert fast.twist[[0, 1, 5]] == pytest.approx(5 * slow.twist[[0, 1, 5]])
+    assert fast.pose == pytest.approx(slow.pose)
+    assert slow.legs == 11
+    assert slow.moving_s == pytest.approx(2.6, abs=1.0)
 
 
 def test_the_file_has_the_parameters_of_both_nodes(extraction):

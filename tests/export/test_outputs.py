@@ -42,25 +42,17 @@ def old_output(directory: Path) -> Path:
     return directory
 
 
-def test_a_new_directory(tmp_path):
-    write_outputs(tmp_path / "out", FILES, force=False)
-    assert tree(tmp_path) == {"out": "directory", **{f"out/{name}": data for name, data in FILES.items()}}
-
-
-def test_permissions_follow_the_umask(tmp_path):
+def test_a_new_directory(tmp_path, monkeypatch):
+    """Named relative to the working directory; its permissions follow the umask."""
+    monkeypatch.chdir(tmp_path)
     before = os.umask(0o027)
     try:
-        write_outputs(tmp_path / "out", FILES, force=False)
+        write_outputs(Path("out"), FILES, force=False)
     finally:
         os.umask(before)
+    assert tree(tmp_path) == {"out": "directory", **{f"out/{name}": data for name, data in FILES.items()}}
     assert (tmp_path / "out").stat().st_mode & 0o777 == 0o750
     assert (tmp_path / "out" / "params.yaml").stat().st_mode & 0o777 == 0o640
-
-
-def test_a_relative_name(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_outputs(Path("out"), FILES, force=False)
-    assert (tmp_path / "out" / "params.yaml").read_bytes() == OURS + b"new"
 
 
 def test_an_old_one_is_kept_without_force(tmp_path):
@@ -72,13 +64,9 @@ def test_an_old_one_is_kept_without_force(tmp_path):
     assert tree(tmp_path) == before
 
 
-def test_force_replaces_all_of_an_old_one(tmp_path):
-    write_outputs(old_output(tmp_path / "out"), {"params.yaml": OURS + b"new"}, force=True)
-    assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"new"}
-
-
-def test_force_fills_an_empty_one(tmp_path):
-    (tmp_path / "out").mkdir()
+@pytest.mark.parametrize("make", [old_output, Path.mkdir])
+def test_force_replaces_all_of_an_old_one_and_fills_an_empty_one(tmp_path, make):
+    make(tmp_path / "out")
     write_outputs(tmp_path / "out", {"params.yaml": OURS + b"new"}, force=True)
     assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"new"}
 
