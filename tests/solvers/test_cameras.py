@@ -72,17 +72,13 @@ def test_a_station_counts_with_the_cameras_that_show_the_board():
     assert seen[:, 0].all()
     assert seen[:, 1].any()
     assert 0 < seen[:, 2].sum() < len(seen)  # the third camera looks aside
-    hidden = replace(
-        extraction,
-        observations=tuple(
-            replace(o, views=tuple(replace(v, pixels=v.pixels + 1000 * ~v.seen[:, None]) for v in o.views))
-            for o in extraction.observations
-        ),
-    )
-    a, b = fitted(extraction), fitted(hidden)
-    np.testing.assert_allclose(
-        a.parameters.vector, b.parameters.vector, atol=1e-12
-    )  # unseen pixels mean nothing
+    moved = [
+        replace(o, views=tuple(replace(v, pixels=v.pixels + 1000 * ~v.seen[:, None]) for v in o.views))
+        for o in extraction.observations
+    ]
+    a, b = fitted(extraction), fitted(replace(extraction, observations=tuple(moved)))
+    # Unseen pixels mean nothing.
+    np.testing.assert_allclose(a.parameters.vector, b.parameters.vector, atol=1e-12)
 
 
 @pytest.mark.parametrize("square_m", [0.08, None])
@@ -160,12 +156,10 @@ def test_gross_corners_are_named_by_their_camera(cameras):
     robot = CONFIGURATIONS[cameras, "pan-tilt"]()
     extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=1), NOISE, 1)
     observations, first = list(extraction.observations), extraction.rig.cameras.names[0]
-    view = observations[4].views[0]
+    view, *others = observations[4].views
     pixels = view.pixels.copy()
     pixels[7] += 40
-    observations[4] = replace(
-        observations[4], views=(replace(view, pixels=pixels), *observations[4].views[1:])
-    )
+    observations[4] = replace(observations[4], views=(replace(view, pixels=pixels), *others))
     found = fitted(replace(extraction, observations=tuple(observations)))
     (outlier,) = [one for one in found.solution.outliers if one.kind == "corners"]
     assert f"1 corners of the {first} image" in outlier.text or cameras == 1

@@ -20,17 +20,9 @@ ROBOT = fixed_camera_robot()
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 
-@pytest.fixture(scope="module")
-def extraction():
-    return ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=0), NOISE)
-
-
-@pytest.fixture(scope="module")
-def fit(extraction):
-    return fitted(extraction)
-
-
-def test_all_but_the_height_is_calibrated(fit):
+def test_all_but_the_height_is_calibrated_and_the_verdict_is_about_it():
+    extraction = ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=0), NOISE)
+    fit = fitted(extraction)
     found = fit.solution.uncertainty
     height = NINE.index("t_z")
     assert found.described.tolist() == [k == height for k in range(9)]
@@ -39,14 +31,14 @@ def test_all_but_the_height_is_calibrated(fit):
     assert nees(fit.parameters, found.covariance, ROBOT, others) < 2.5
     assert found.at_work.camera_m < 0.01
     assert found.covariance[height, height] == pytest.approx(0.1**2, rel=0.01)
-
-
-def test_the_verdict_is_about_what_can_be_seen(extraction, fit):
     report = Report(Data(extraction), fit)
     assert report.verdict.level == "PASS"
     assert " m, from the robot description" in str(report)
     assert "tilt the head" not in str(report)
     assert "8 of 8 that the motion of this robot can show" in report.html
+    assert motion_gaps(extraction) == ()
+    with pytest.raises(SolveError, match="no joint of the head tilts the camera"):
+        require_observable(extraction)
 
 
 @pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
@@ -56,13 +48,11 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
     solution = fitted(extraction).solution
     assert solution.suggestions
     assert all(s.worst != "t_z" and s.gain > 0 for s in solution.suggestions)
-    for suggestion, sentence in zip(
-        solution.suggestions, suggestion_sentences(solution, extraction), strict=True
-    ):
+    sentences = suggestion_sentences(solution, extraction)
+    for suggestion, sentence in zip(solution.suggestions, sentences, strict=True):
+        turns_deg = np.degrees([suggestion.turn_rad, suggestion.face_rad])
         assert ("Set pan_joint to" in sentence) == (configuration[1] == "pan")
-        assert ("degrees" in sentence) == any(
-            round(np.degrees(turn)) for turn in (suggestion.turn_rad, suggestion.face_rad)
-        )
+        assert ("degrees" in sentence) == np.round(turns_deg).any()
         T = solution.residuals.T_w_v[-1]
         for turn, drive in ((suggestion.turn_rad, suggestion.drive_m), (suggestion.face_rad, 0.0)):
             T = T @ se3.transform(se3.rotation_z(np.array(turn)), np.zeros(3))
@@ -70,12 +60,6 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
         T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
         points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
         assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
-
-
-def test_linear_methods_need_the_height(extraction):
-    assert motion_gaps(extraction) == ()
-    with pytest.raises(SolveError, match="no joint of the head tilts the camera"):
-        require_observable(extraction)
 
 
 @pytest.mark.parametrize(
@@ -89,10 +73,8 @@ def test_linear_methods_need_the_height(extraction):
     ],
 )
 def test_which_heads_show_the_height(axes, height):
-    links = [
-        JointLink(f"joint_{k}", np.array(axis) / np.linalg.norm(axis), "revolute")
-        for k, axis in enumerate(axes)
-    ]
+    units = (np.array(axis) / np.linalg.norm(axis) for axis in axes)
+    links = [JointLink(f"joint_{k}", axis, "revolute") for k, axis in enumerate(units)]
     chain = HeadChain("base", "head", (FixedLink(np.eye(4)), *links))
     found = unseen_height(chain)
     assert found is None if height is None else found == pytest.approx(height)

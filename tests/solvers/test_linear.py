@@ -1,7 +1,5 @@
 """The iterative linear method on exact data: every parameter to 1e-9, from every start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -29,9 +27,7 @@ def test_exact_data_without_nominal_wheels(seed):
 
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_nominal_wheels_ten_percent_off(factor):
-    nominal = WheelGeometry(
-        WHEELS.radius_right_m * factor, WHEELS.radius_left_m, WHEELS.separation_m / factor
-    )
+    nominal = WheelGeometry.of(WHEELS.vector * [factor, 1, 1 / factor])
     for long_way_round in (False, True):
         estimate = linear_estimate(make_pairs(1, long_way_round=long_way_round), nominal)
         assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
@@ -69,18 +65,14 @@ def test_the_bare_iteration_needs_no_grid_when_legs_turn_little(start, monkeypat
 
 def test_several_logs_join_no_leg_between_them():
     one, two = make_pairs(0, stations=7), make_pairs(5, stations=6)
+    turned = [
+        np.concatenate([getattr(p.steps, f"{side}_rad") for p in (one, two)]) for side in ("right", "left")
+    ]
     both = MotionPairs(
-        np.concatenate([one.T_v_h, two.T_v_h]),
-        np.concatenate([one.T_c_k, two.T_c_k]),
-        np.concatenate([one.points_c, two.points_c]),
+        *(np.concatenate([getattr(p, name) for p in (one, two)]) for name in ("T_v_h", "T_c_k", "points_c")),
         np.concatenate([one.legs, two.legs + 7]),
         np.concatenate([one.chain, two.chain + 6]),
-        Increments(
-            np.concatenate([one.steps.right_rad, two.steps.right_rad]),
-            np.concatenate([one.steps.left_rad, two.steps.left_rad]),
-            np.concatenate([one.steps.leg, two.steps.leg + 6]),
-            11,
-        ),
+        Increments(*turned, np.concatenate([one.steps.leg, two.steps.leg + 6]), 11),
     )
     assert np.abs(relative_errors(linear_estimate(both).parameters)).max() < EXACT
 

@@ -74,12 +74,15 @@ def test_errors_are_of_the_size_that_is_stated():
     assert 0.55 < np.mean([nees(fit.lin.state.parameters, fit.covariance, ROBOT) for fit in fits]) < 1.45
 
 
-def test_noise_levels_are_those_of_the_simulation(noisy):
+def test_noise_levels_are_those_of_the_simulation_or_as_given(noisy):
     levels = solve(as_described(noisy)).uncertainty.noise
     assert levels.pixel_px == pytest.approx(0.2, rel=0.1)
     assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
     assert levels.joint_rad == pytest.approx(np.radians(0.05), rel=0.5)
     assert set(levels.estimated) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad"}
+    levels = solve(with_noise(noisy, KnownNoise(joint_rad=0.002))).uncertainty.noise
+    assert levels.joint_rad == 0.002
+    assert "joint_rad" not in levels.estimated
 
 
 def test_correlation_lengths_stay_within_their_limits():
@@ -88,12 +91,6 @@ def test_correlation_lengths_stay_within_their_limits():
     lin = fit.lin.with_noise(fit.noise.with_levels({"floor_length_m": most}))
     far = replace(fit.noise, floor_length_m=1e6 * most)
     assert lengths(lin, frozenset(), far)["floor_length_m"] == most
-
-
-def test_noise_levels_that_are_given_stay(noisy):
-    levels = solve(with_noise(noisy, KnownNoise(joint_rad=0.002))).uncertainty.noise
-    assert levels.joint_rad == 0.002
-    assert "joint_rad" not in levels.estimated
 
 
 @pytest.mark.long
@@ -177,11 +174,8 @@ def test_the_jackknife_agrees_over_many_legs():
 @pytest.mark.parametrize(
     ("motion", "held"),
     [
-        ("head_fixed", ("t_y",)),
-        ("pan_only", ("t_y",)),
-        ("straight", ("separation",)),
-        ("spin", NINE[6:]),
-        ("base_fixed", NINE[6:]),
+        *(("head_fixed", ("t_y",)), ("pan_only", ("t_y",)), ("straight", ("separation",))),
+        *(("spin", NINE[6:]), ("base_fixed", NINE[6:])),
     ],
 )
 def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
@@ -231,6 +225,8 @@ def test_fixed_numbers_stay(noisy):
     assert found.parameters.wheels == noisy.rig.nominal.wheels
     assert found.uncertainty.fixed.tolist() == [name in ("t_x", *NINE[6:]) for name in NINE]
     assert not found.uncertainty.observable[NINE.index("t_x")]
+    fixed = dict.fromkeys(NINE)
+    assert solve(noisy, constraints=Constraints(fixed=fixed)).suggestions == ()
 
 
 def test_a_prior_weighs_as_much_as_it_states(noisy):
@@ -357,11 +353,6 @@ def test_squares_that_are_stated_wrong():
     assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
-def test_squares_that_are_stated_right(solution):
-    assert not solution.scale.apart
-    assert solution.scale.baseline_m == pytest.approx(0.12)
-
-
 def test_a_pan_zero_is_found_and_named():
     """Two degrees, where half a degree is usual."""
     off = 0.035
@@ -380,6 +371,8 @@ def test_a_robot_as_described_contradicts_nothing(solution):
     assert max(e.sigmas for e in solution.evidence) < 4
     kinds = {e.kind for e in solution.evidence}
     assert kinds >= {"joint_zero", "joint_position", "focal_length", "square_size"}
+    assert not solution.scale.apart
+    assert solution.scale.baseline_m == pytest.approx(0.12)
 
 
 def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
@@ -400,9 +393,6 @@ def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
         assert suggestion.std_now == pytest.approx(named(solution, suggestion.worst)[0], rel=0.3)
         assert suggestion.std_then < suggestion.std_now
         assert len(suggestion.joints) == len(noisy.rig.chain.joints)
-
-
-def test_the_missing_motion_is_suggested_first():
     found = solve(extraction_of("straight", seed=3))
     best = found.suggestions[0]
     assert best.worst == "separation"
@@ -438,11 +428,6 @@ def test_a_wrong_link_between_pan_and_tilt_is_named():
     assert nees(found.parameters, found.uncertainty.covariance, robot) < 2.5
 
 
-def test_nothing_is_suggested_where_all_nine_are_fixed(noisy):
-    fixed = dict.fromkeys(NINE)
-    assert solve(noisy, constraints=Constraints(fixed=fixed)).suggestions == ()
-
-
 def test_corners_that_were_not_seen_have_no_say():
     """Half of the corners of each picture are hidden: wherever they are said to be, the answer is the same."""
     robot = paper_robot()
@@ -457,11 +442,9 @@ def test_corners_that_were_not_seen_have_no_say():
 
     found = []
     for shift_px in (0.0, 30.0):
-        observations = tuple(
-            with_views(o, left=hidden(o.views[0], shift_px), right=hidden(o.views[1], shift_px))
-            for o in whole.observations
-        )
-        fit = maximum_likelihood(replace(whole, observations=observations))
+        views = [[hidden(view, shift_px) for view in o.views] for o in whole.observations]
+        observations = (with_views(o, *each) for o, each in zip(whole.observations, views, strict=True))
+        fit = maximum_likelihood(replace(whole, observations=tuple(observations)))
         assert np.array_equal(fit.inliers.corners, fit.data.seen)
         assert 0.4 < fit.data.seen.mean() < 0.6
         found.append(fit)

@@ -1,5 +1,7 @@
 """Poses that somebody else measured in place of corners."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -23,22 +25,14 @@ SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 def drive(seed, stated=1.0):
     """A pan-tilt robot's poses of a target, with noise of `SIGMA`; the covariance is stated with another scale."""
     robot, random = paper_robot(), np.random.default_rng(seed)
-    exact = ideal_extraction(
-        robot,
-        plan_route(robot, "standard", stations=20, seed=seed),
-        Noise(0, 0.003, 0, 1e-4),
-        seed=seed,
-    )
+    route = plan_route(robot, "standard", stations=20, seed=seed)
+    exact = ideal_extraction(robot, route, Noise(0, 0.003, 0, 1e-4), seed=seed)
     covariance = np.diag((stated * SIGMA) ** 2)
-    poses = [
-        TargetPose(
-            o.time_ns / 1e9,
-            se3.exp(random.normal(size=6) * SIGMA) @ o.T_c_k,
-            covariance,
-            dict(zip(chain_of(robot).joints, o.joints.tolist(), strict=True)),
-        )
-        for o in exact.observations
-    ]
+    poses = []
+    for o in exact.observations:
+        joints = dict(zip(chain_of(robot).joints, o.joints.tolist(), strict=True))
+        T_c_k = se3.exp(random.normal(size=6) * SIGMA) @ o.T_c_k
+        poses.append(TargetPose(o.time_ns / 1e9, T_c_k, covariance, joints))
     (track,) = exact.wheels
     return robot, Drive(poses, track.time_ns / 1e9, track.right_rad, track.left_rad)
 
@@ -63,12 +57,7 @@ def test_poses_of_a_target_give_all_nine(stated):
 def test_a_wrong_pose_is_left_out():
     robot, recorded = drive(4)
     wrong = recorded.poses[7]
-    moved = TargetPose(
-        wrong.time_s,
-        se3.exp(np.array([0, 0.2, 0, 0.3, 0, 0.0])) @ wrong.T_c_k,
-        wrong.covariance,
-        wrong.joints,
-    )
+    moved = replace(wrong, T_c_k=se3.exp(np.array([0, 0.2, 0, 0.3, 0, 0.0])) @ wrong.T_c_k)
     poses = [*recorded.poses[:7], moved, *recorded.poses[8:]]
     given = Drive(poses, recorded.wheel_time_s, recorded.right_rad, recorded.left_rad)
     solution = solve(from_poses([given], tuple(robot.wheels.vector), chain_of(robot)))
@@ -90,11 +79,8 @@ def legs(count, seed, wrong=0.0):
         motion = integrate(Increments(turned[:1], turned[1:], np.zeros(1, dtype=np.int64), 1), WHEELS)
         T_b = se3.transform(se3.rotation_z(motion.psi_rad[0]), np.append(motion.t_m[0], 0.0))
         T = se3.inverse(T_V_C) @ T_b @ T_V_C
-        seen = np.array([*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])]) + random.normal(size=3) * [
-            6e-4,
-            6e-4,
-            2e-3,
-        ]
+        seen = np.array([*T[:2, 3], np.arctan2(T[1, 0], T[0, 0])])
+        seen = seen + random.normal(size=3) * [6e-4, 6e-4, 2e-3]
         if random.uniform() < wrong:
             seen = seen + random.normal(size=3) * [0.1, 0.1, 0.2]
         found.append(SensorMotion(right, left, seen, np.diag([1e-3, 1e-3, 3e-3]) ** 2))
@@ -115,11 +101,9 @@ def test_single_legs_with_a_planar_sensor(wrong):
 def test_bad_covariances_and_missing_joints_are_named():
     robot, recorded = drive(3)
     first = recorded.poses[0]
+    negative = TargetPose(0.0, first.T_c_k, -np.eye(6), first.joints)
     for bad, said in (
-        (
-            TargetPose(0.0, first.T_c_k, -np.eye(6), first.joints),
-            "drive 1, pose 1: the covariance is not positive",
-        ),
+        (negative, "drive 1, pose 1: the covariance is not positive"),
         (TargetPose(0.0, first.T_c_k, np.eye(6)), "drive 1, pose 1: no reading of"),
     ):
         with pytest.raises(ConfigError, match=said):

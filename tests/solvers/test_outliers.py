@@ -20,9 +20,8 @@ def fit(legs=(), views=(), statistic=0.0):
         views=~np.isin(np.arange(STATIONS), views),
         readings=np.ones((STATIONS, 2), dtype=bool),
     )
-    data = SimpleNamespace(
-        stations=STATIONS, legs=np.stack([np.arange(count), np.arange(1, STATIONS)], axis=1)
-    )
+    legs_of = np.stack([np.arange(count), np.arange(1, STATIONS)], axis=1)
+    data = SimpleNamespace(stations=STATIONS, legs=legs_of)
     tests = SimpleNamespace(predicted_legs=np.full(count, statistic))
     return SimpleNamespace(data=data, inliers=inliers, tests=tests)
 

@@ -41,9 +41,8 @@ from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorde
 def test_large_turns_with_bad_stations(seed):
     """Headings after an excluded leg are compared modulo a full turn."""
     route = plan_route(ROBOT, "large_turns", seed=seed)
-    extraction, bad, slip = spoiled(
-        ideal_extraction(ROBOT, route, NOISE, seed), route, np.random.default_rng(seed)
-    )
+    ideal = ideal_extraction(ROBOT, route, NOISE, seed)
+    extraction, bad, slip = spoiled(ideal, route, np.random.default_rng(seed))
     found = solve(extraction)
     assert {o.observations[0] for o in found.outliers if o.kind == "station"} == set(bad)
     excluded = [o.observations for o in found.outliers if o.kind == "slip"]
@@ -60,8 +59,7 @@ def test_large_turns_with_bad_stations(seed):
 @pytest.mark.parametrize(
     ("station", "size_px"),
     [
-        (0, 5.0),
-        (11, 500.0),
+        *((0, 5.0), (11, 500.0)),
         *(pytest.param(*at, marks=pytest.mark.long) for at in ((0, 500.0), (5, 5.0), (11, 5.0))),
     ],
 )
@@ -89,17 +87,11 @@ def test_far_starts_lead_to_the_same_estimate(number):
 
 @pytest.mark.parametrize("by_px", [1.0, 8.0])
 def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
-    lower, route = (
-        Imperfection({"principal_right_y": by_px / 640}, NOISE),
-        plan_route(ROBOT, "base_fixed", seed=1),
-    )
-    extraction = imperfect_extraction(ROBOT, route, lower, 1)
-    track = extraction.wheels[0]
-    still = WheelTrack(
-        replace(track.right, value=np.full_like(track.right.value, 1.234)),
-        replace(track.left, value=np.full_like(track.left.value, -3.3)),
-    )
-    extraction = replace(extraction, wheels=(still,))
+    lower = Imperfection({"principal_right_y": by_px / 640}, NOISE)
+    extraction = imperfect_extraction(ROBOT, plan_route(ROBOT, "base_fixed", seed=1), lower, 1)
+    (track,) = extraction.wheels
+    still = (np.full(len(track.time_ns), rad) for rad in (1.234, -3.3))
+    extraction = replace(extraction, wheels=(WheelTrack.at_same_times(track.time_ns, *still),))
     found = solve(extraction)
     assert found.uncertainty.noise.wheel_rad_per_sqrt_rad < 0.02
     assert np.all(np.isfinite(found.uncertainty.covariance))
@@ -156,33 +148,16 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
 # -- fixed parameters -------------------------------------------------------------------------------
 
 
-def with_true_nominal(extraction):
-    return replace(extraction, rig=replace(extraction.rig, nominal=true_nominal(ROBOT)))
-
-
-@pytest.mark.parametrize(
-    ("motion", "fixed"),
-    [
-        ("base_fixed", "wheels"),
-        ("spin", "wheels"),
-        ("straight", "wheels"),
-        ("straight", "separation"),
-        ("head_fixed", "head_eye"),
-        ("pan_only", "translation"),
-        ("standard", "head_eye"),
-    ],
-)
-def test_the_verdict_asks_for_no_motion_that_fixed_parameters_would_need(motion, fixed):
-    extraction = with_true_nominal(recorded(motion, 2))
-    found = solve(extraction, constraints=constraints_of([fixed], [], []))
-    verdict = judge(found, extraction)
-    assert verdict.level == "PASS", verdict.reason
-    assert found.diagnosis is None
-
-
 @pytest.mark.parametrize(
     ("motion", "fixed", "wanted"),
     [
+        ("base_fixed", "wheels", None),
+        ("spin", "wheels", None),
+        ("straight", "wheels", None),
+        ("straight", "separation", None),
+        ("head_fixed", "head_eye", None),
+        ("pan_only", "translation", None),
+        ("standard", "head_eye", None),
         ("base_fixed", "head_eye", "drive and turn the base"),
         ("straight", "head_eye", "turn the base"),
         ("head_fixed", "wheels", "tilt the head"),
@@ -190,11 +165,16 @@ def test_the_verdict_asks_for_no_motion_that_fixed_parameters_would_need(motion,
     ],
 )
 def test_the_verdict_asks_for_the_motion_that_free_parameters_need(motion, fixed, wanted):
-    extraction = with_true_nominal(recorded(motion, 2))
+    extraction = recorded(motion, 2)
+    extraction = replace(extraction, rig=replace(extraction.rig, nominal=true_nominal(ROBOT)))
     found = solve(extraction, constraints=constraints_of([fixed], [], []))
     verdict = judge(found, extraction)
-    assert verdict.level == "NOT ENOUGH"
-    assert wanted in verdict.next_step
+    if wanted:
+        assert verdict.level == "NOT ENOUGH"
+        assert wanted in verdict.next_step
+    else:
+        assert verdict.level == "PASS", verdict.reason
+        assert found.diagnosis is None
 
 
 def test_a_recording_without_full_motion_and_a_wrong_fixed_value_is_no_mistake_of_signs():

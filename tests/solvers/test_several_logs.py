@@ -53,13 +53,10 @@ def misread(extraction, station, seed=0, size_px=300.0):
     random, seen = np.random.default_rng(seed), list(extraction.observations)
 
     def wrong(corners):
-        return Corners(
-            corners.pixels + size_px * random.normal(size=corners.pixels.shape), corners.sigma_px, 1
-        )
+        pixels = corners.pixels + size_px * random.normal(size=corners.pixels.shape)
+        return Corners(pixels, corners.sigma_px, 1)
 
-    seen[station] = with_views(
-        seen[station], left=wrong(seen[station].views[0]), right=wrong(seen[station].views[1])
-    )
+    seen[station] = with_views(seen[station], *map(wrong, seen[station].views))
     return replace(extraction, observations=tuple(seen))
 
 
@@ -114,9 +111,8 @@ def test_radii_that_differ_by_20_mm():
     found = solve(joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.02)))
     assert found.between.shown.all()
     assert found.between.between_std[RADIUS] == pytest.approx(0.02 / np.sqrt(2), rel=0.2)
-    assert found.parameters.wheels.radius_right_m == pytest.approx(
-        ROBOT.wheels.radius_right_m + 0.01, abs=0.002
-    )
+    mean_m = ROBOT.wheels.radius_right_m + 0.01
+    assert found.parameters.wheels.radius_right_m == pytest.approx(mean_m, abs=0.002)
 
 
 @pytest.fixture(scope="module")
@@ -126,22 +122,17 @@ def apart():
     return extraction, solve(extraction)
 
 
-def test_recordings_that_differ_are_as_uncertain_as_they_differ(apart):
+def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheel_is_named(apart):
     """Half of their difference is 2 mm; Student's t with one degree of freedom makes it 7 times as wide."""
-    _, found = apart
+    extraction, found = apart
     assert found.between.between_std[RADIUS] == pytest.approx(0.004 / np.sqrt(2), rel=0.4)
     assert 0.01 < found.uncertainty.std[RADIUS] < 0.02
     mean_m = ROBOT.wheels.radius_right_m + 0.002
     assert found.parameters.wheels.radius_right_m == pytest.approx(mean_m, abs=0.001)
-
-
-def test_a_wheel_that_differs_between_two_recordings_is_named(apart):
-    extraction, found = apart
     verdict = judge(found, extraction)
     assert verdict.level == "FAIL"
-    assert re.match(
-        r"Between recording 2 and the other, the size of the (left|right) wheel changed by", verdict.reason
-    )
+    said = r"Between recording 2 and the other, the size of the (left|right) wheel changed by"
+    assert re.match(said, verdict.reason)
     assert "calibrate each recording alone" in verdict.next_step
     camera = found.uncertainty.budget.at_work["along_m_per_m"]
     assert found.uncertainty.budget.sources[int(np.argmax(camera))] == "recordings"
@@ -182,9 +173,8 @@ def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
     # The estimate weighs the recordings by their spread; the stated sigma is wider by the factor for two recordings.
     spread = np.array([std / float(stdtrit(1, 0.97725) / 2), sigma]) ** -2
     assert std > 0.001
-    assert found.parameters.vector[RADIUS] == pytest.approx(
-        spread @ [value, stated] / spread.sum(), abs=0.2 * sigma
-    )
+    mean = spread @ [value, stated] / spread.sum()
+    assert found.parameters.vector[RADIUS] == pytest.approx(mean, abs=0.2 * sigma)
     assert found.uncertainty.std[RADIUS] == pytest.approx(weights.sum() ** -0.5, rel=0.05)
 
 
@@ -194,9 +184,8 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
     for k in range(stations):
         extraction = misread(extraction, 12 + k, seed=k)
     found = solve(extraction)
-    assert [(o.kind, o.observations) for o in found.outliers] == [
-        ("station", (12 + k,)) for k in range(stations)
-    ]
+    expected = [("station", (12 + k,)) for k in range(stations)]
+    assert [(o.kind, o.observations) for o in found.outliers] == expected
     assert not found.between.shown[1].any()
     assert nees(found) < 3
 
@@ -204,11 +193,8 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
 @pytest.mark.long
 def test_corners_nine_times_noisier_than_claimed_in_one_recording():
     noisy = recorded("standard", 2, noise=replace(NOISE, pixel_px=1.8))
-    claimed = tuple(
-        with_views(o, left=Corners(o.views[0].pixels, 0.2, 1), right=Corners(o.views[1].pixels, 0.2, 1))
-        for o in noisy.observations
-    )
-    found = solve(joined(recorded("standard", 1), replace(noisy, observations=claimed)))
+    claimed = (with_views(o, *(Corners(v.pixels, 0.2, 1) for v in o.views)) for o in noisy.observations)
+    found = solve(joined(recorded("standard", 1), replace(noisy, observations=tuple(claimed))))
     assert nees(found) < 3
 
 
@@ -228,12 +214,9 @@ def short_leg(seed, turn_rad):
     """Two stations 8 mm apart, with the same head pose in all recordings."""
     route = plan_route(ROBOT, "standard", stations=1, seed=0)
     step = Stretch(0.1, np.copysign(0.08, np.random.default_rng(seed).normal()), turn_rad / 0.1)
-    route = replace(
-        route,
-        drive=Drive((Stretch(1.0), step, Stretch(1.0))),
-        knots_s=np.array([0.0, 2.1]),
-        rests_s=np.array([[0.0, 1.0], [1.1, 2.1]]),
-    )
+    drive = Drive((Stretch(1.0), step, Stretch(1.0)))
+    rests_s = np.array([[0.0, 1.0], [1.1, 2.1]])
+    route = replace(route, drive=drive, knots_s=np.array([0.0, 2.1]), rests_s=rests_s)
     return ideal_extraction(ROBOT, route, NOISE, seed)
 
 
@@ -272,15 +255,10 @@ def test_many_short_legs_without_a_turn_do_not_show_the_separation():
 def test_recordings_of_different_cameras(second):
     """The right camera is turned by 0.6 degrees against camera_info: in both recordings alike, or not."""
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
-    made = [
-        imperfect_extraction(
-            ROBOT,
-            plan_route(ROBOT, stations=10, seed=seed),
-            Imperfection({"stereo_r_x": turn}, noise),
-            seed=seed,
-        )
-        for seed, turn in enumerate((0.01, second))
-    ]
+    made = []
+    for seed, turn in enumerate((0.01, second)):
+        route, what = plan_route(ROBOT, stations=10, seed=seed), Imperfection({"stereo_r_x": turn}, noise)
+        made.append(imperfect_extraction(ROBOT, route, what, seed=seed))
     found = solve(joined(*made))
     assert found.contradictions
     if second > 0:

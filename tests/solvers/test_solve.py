@@ -1,7 +1,5 @@
 """The whole solver on simulated drives with known truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,8 +1,6 @@
 """A small world by hand, independent of the product's kinematics and simulator: rotations by scipy, the base's path by the
 instantaneous centre of rotation, the head's pose by writing it out."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -33,13 +31,8 @@ BOARD_CENTRE = np.array([2.2, 0.3, 1.1])
 
 
 def head(pan, tilt):
-    return (
-        _MOUNT
-        @ matrix(Rotation.from_euler("z", pan))
-        @ _TILT_MOUNT
-        @ matrix(Rotation.from_euler("y", tilt))
-        @ _DENAVIT
-    )
+    turns = matrix(Rotation.from_euler("z", pan)), matrix(Rotation.from_euler("y", tilt))
+    return _MOUNT @ turns[0] @ _TILT_MOUNT @ turns[1] @ _DENAVIT
 
 
 class Base:
@@ -70,29 +63,24 @@ class Base:
         return matrix(Rotation.from_euler("z", self.theta), (self.x, self.y, 0.0))
 
 
-def make_pairs(seed=0, stations=12, long_way_round=False, motion="any", pixel_px=0.0):
+def make_pairs(seed=0, stations=12, long_way_round=False, moves=True, pixel_px=0.0):
     """Pairs of a drive in front of the board. pixel_px: noise of an ideal stereo pair (550 px, 0.12 m)."""
     random = np.random.default_rng(seed)
     base, T_w_v, T_v_h = Base(), [], []
     for station in range(stations):
-        if station and motion != "base_fixed":
+        if station and moves:
             leg = station - 1
-            if motion != "straight":
-                base.drive(
-                    leg, random.uniform(-0.2, 0.2) if motion == "any" else 0.0, random.uniform(-0.6, 0.6)
-                )
-            if motion != "spin":
-                base.drive(leg, float(np.clip(random.uniform(-0.3, 0.3) - base.x, -0.4, 0.4)), 0.0)
-            if motion != "straight":
-                back = random.uniform(-0.5, 0.5) - base.theta
-                if long_way_round and station % 2:
-                    back -= math.copysign(2 * math.pi, back)
-                base.drive(leg, 0.0, back, steps=60)
+            base.drive(leg, random.uniform(-0.2, 0.2), random.uniform(-0.6, 0.6))
+            base.drive(leg, float(np.clip(random.uniform(-0.3, 0.3) - base.x, -0.4, 0.4)), 0.0)
+            back = random.uniform(-0.5, 0.5) - base.theta
+            if long_way_round and station % 2:
+                back -= math.copysign(2 * math.pi, back)
+            base.drive(leg, 0.0, back, steps=60)
         T_w_v.append(base.pose)
         aim = BOARD_CENTRE + random.uniform(-0.25, 0.25, 3)
         seen_v = (np.linalg.inv(base.pose) @ [*aim, 1.0])[:3] - [0.05, 0.0, 0.90]
         pan, tilt = math.atan2(seen_v[1], seen_v[0]), -math.atan2(seen_v[2] - 0.06, math.hypot(*seen_v[:2]))
-        T_v_h.append(head(0.1, 0.05) if motion == "head_fixed" else head(pan, tilt))
+        T_v_h.append(head(pan, tilt))
     T_w_v, T_v_h = np.array(T_w_v), np.array(T_v_h)
     T_w_k = matrix(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), BOARD_CENTRE)
     T_c_k = np.linalg.inv(T_w_v @ T_v_h @ X) @ T_w_k
@@ -103,17 +91,12 @@ def make_pairs(seed=0, stations=12, long_way_round=False, motion="any", pixel_px
         f, baseline = 550.0, 0.12
         z = points_c[..., 2]
         noise = random.normal(scale=pixel_px, size=(3, *z.shape))
-        u, v, disparity = (
-            f * points_c[..., 0] / z + noise[0],
-            f * points_c[..., 1] / z + noise[1],
-            f * baseline / z,
-        )
-        depth = f * baseline / (disparity + noise[2] * math.sqrt(2))
+        u, v = (f * points_c[..., k] / z + noise[k] for k in (0, 1))
+        depth = f * baseline / (f * baseline / z + noise[2] * math.sqrt(2))
         points_c = np.stack([u * depth / f, v * depth / f, depth], axis=-1)
     legs = np.stack([np.arange(stations - 1), np.arange(1, stations)], axis=1)
-    steps = Increments(
-        np.array(base.right), np.array(base.left), np.array(base.leg, dtype=np.int64), stations - 1
-    )
+    turned = np.array([base.right, base.left])
+    steps = Increments(*turned, np.array(base.leg, dtype=np.int64), stations - 1)
     return MotionPairs(T_v_h, T_c_k, points_c, legs, np.zeros(stations - 1, dtype=np.int64), steps)
 
 
@@ -121,10 +104,4 @@ def relative_errors(parameters):
     """Nine errors: rotation (rad), translation against |t_X|, wheels against themselves."""
     turn = Rotation.from_matrix(X[:3, :3].T @ parameters.T_h_c[:3, :3]).as_rotvec()
     move = (parameters.T_h_c[:3, 3] - X[:3, 3]) / np.linalg.norm(X[:3, 3])
-    found, true = parameters.wheels, WHEELS
-    wheels = [
-        found.radius_right_m / true.radius_right_m - 1,
-        found.radius_left_m / true.radius_left_m - 1,
-        found.separation_m / true.separation_m - 1,
-    ]
-    return np.concatenate([turn, move, wheels])
+    return np.concatenate([turn, move, parameters.wheels.vector / WHEELS.vector - 1])
