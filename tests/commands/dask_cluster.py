@@ -31,17 +31,8 @@ def local_cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subpro
         while not file.exists() and time.monotonic() < deadline:
             time.sleep(0.1)
         address = json.loads(file.read_text(encoding="utf-8"))["address"]
-        common = (
-            address,
-            "--host",
-            "127.0.0.1",
-            "--nworkers",
-            1,
-            "--nthreads",
-            1,
-            "--no-nanny",
-            "--no-dashboard",
-        )
+        here = (address, "--host", "127.0.0.1", "--no-nanny", "--no-dashboard")
+        common = (*here, "--nworkers", 1, "--nthreads", 1)
         started += [
             _start("distributed.cli.dask_worker", *common, "--local-directory", folder / f"worker{number}")
             for number in range(workers)

@@ -1,7 +1,5 @@
 """Every bad input on the real command: its exit code, its message, and nothing left behind."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -78,22 +76,14 @@ def test_no_board_anywhere(make, tmp_path):
     jpeg = cv2.imencode(".jpg", grey)[1].reshape(-1)
     log = make(lambda topic, m: replace(m, data=jpeg) if topic in IMAGES else m)
     refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "whole board")
-    refused(
-        run("calibrate", log, "--board", "9x6", cwd=tmp_path),
-        4,
-        "images do not change while the robot moves",
-        "whole",
-    )
+    sized = run("calibrate", log, "--board", "9x6", cwd=tmp_path)
+    refused(sized, 4, "images do not change while the robot moves", "whole")
 
 
 @pytest.mark.long
 def test_the_wrong_board_size(paper, tmp_path):
-    refused(
-        run("calibrate", paper, "--board", "8x6", cwd=tmp_path),
-        4,
-        "but the images show 9 x 6",
-        "--board 9x6",
-    )
+    other = run("calibrate", paper, "--board", "8x6", cwd=tmp_path)
+    refused(other, 4, "but the images show 9 x 6", "--board 9x6")
 
 
 def on(topics, change):
@@ -128,14 +118,10 @@ def swapped(message):
 
 EDITS = {
     "left and right never together": (on(IMAGES[1], lambda m: at(m, 100)), 3, "no stereo pairs", ""),
-    "one camera only": (
-        lambda topic, m: None if "right" in topic else m, 2, "one camera does not show the size", "square_m",
-    ),
     "joints at another time": (
         on("/joint_states", lambda m: at(m, -1000)), 3, "stereo pairs has readings", "clock",
     ),
     "a wheel was not recorded": (without("wheel_left_joint"), 3, "wheels.left", "head_pan_joint"),
-    "a head joint was not recorded": (without("torso_roll_joint"), 3, "torso_roll_joint", "head_pan_joint"),
     "nothing but NaN in a joint": (scaled("head_pan_joint", math.nan), 3, "head_pan_joint", ""),
     "swapped wheels": (
         on("/joint_states", swapped), 5, "the left and right wheels are swapped", "exchange",
@@ -193,8 +179,7 @@ def test_a_wheel_that_counts_backwards(make, tmp_path):
 
 def test_bad_flags(paper, tmp_path):
     refused(run("calibrate", paper, "--board", "nine", cwd=tmp_path), 2, "--board nine")
-    refused(
-        run("calibrate", paper, "--set", "board.columns=9", cwd=tmp_path), 2, "give both columns and rows"
-    )
+    half = run("calibrate", paper, "--set", "board.columns=9", cwd=tmp_path)
+    refused(half, 2, "give both columns and rows")
     assert run("calibrate", cwd=tmp_path).code == 2
     assert run("calibrate", paper, "--method", "magic", cwd=tmp_path).code == 2

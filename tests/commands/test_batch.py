@@ -1,7 +1,5 @@
 """Many robots: processes here, and a Dask cluster on loopback."""
 
-from __future__ import annotations
-
 import csv
 import json
 import signal
@@ -123,27 +121,17 @@ def in_this_process(jobs, done):
         done(batch_module.run_job(job))
 
 
-def test_changed_settings_and_lost_outputs_are_done_again(local, fleet, tmp_path, monkeypatch):
+def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr(batch_module, "calibrate", lambda logs, out, **_: asked.append(out.name) or 1 / 0)
     rows = batch_module.batch(fleet, tmp_path / "out", run=in_this_process)
     assert len(asked) == ROBOTS_HERE + 1
     assert all(row.reason.startswith("a bug in mobilecal: ZeroDivisionError") for row in rows)
-    asked.clear()
-    batch_module.batch(fleet, tmp_path / "out", run=in_this_process, gates=["stations=3"])
-    assert len(asked) == ROBOTS_HERE + 1
-
-
-@pytest.fixture
-def cluster(tmp_path):
-    with local_cluster(tmp_path, workers=2) as started:
-        yield started
 
 
 @pytest.mark.long
-def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
+def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
     """The same table as of the processes here; what was done when the worker died is not done again."""
-    address, workers = cluster
     out = tmp_path / "out"
     then = {}
 
@@ -153,7 +141,8 @@ def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
             workers[0].wait()
             then.update(records(out))
 
-    rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
+    with local_cluster(tmp_path, workers=2) as (address, workers):
+        rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
     assert len(then) >= 3
@@ -161,9 +150,19 @@ def test_a_killed_worker_loses_nothing(local, fleet, cluster, tmp_path):
     assert then.items() <= records(out).items()
 
 
-def test_no_scheduler(fleet, tmp_path):
+def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
     with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
         batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+    with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
+            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "cluster").mkdir()
+    refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
+    with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
+        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
@@ -242,13 +241,8 @@ def test_bad_manifests(tmp_path, text, says):
 
 
 def test_a_directory_of_recordings(sample_logs, tmp_path):
-    for name in (
-        "tick_robot.mcap",
-        "tick_robot.rig.yaml",
-        "straight.mcap",
-        "paper_robot_rosbag2",
-        "README.md",
-    ):
+    recordings = ("tick_robot.mcap", "straight.mcap", "paper_robot_rosbag2")
+    for name in (*recordings, "tick_robot.rig.yaml", "README.md"):
         (tmp_path / name).symlink_to(sample_logs / name)
     jobs = batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
     assert [job.name for job in jobs] == ["paper_robot_rosbag2", "straight", "tick_robot"]
@@ -300,16 +294,9 @@ def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch
     assert error.__cause__ is None
 
 
-@pytest.fixture
-def one(fleet, tmp_path):
-    """A batch of one robot, calibrated."""
-    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
-    batch_module.batch(source, tmp_path / "out", run=in_this_process)
-    return source, tmp_path / "out"
-
-
-def test_a_result_of_someone_else_needs_force(one, monkeypatch):
-    source, out = one
+def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
+    source, out = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}"), tmp_path / "out"
+    batch_module.batch(source, out, run=in_this_process)
     params = out / "a" / "params.yaml"
     edited = params.read_bytes() + b"# edited\n"
     params.write_bytes(edited)
@@ -325,15 +312,6 @@ def test_a_result_of_someone_else_needs_force(one, monkeypatch):
     with pytest.raises(OutputError, match=r"thesis\.tex"):
         batch_module.batch(source, out, force=True, run=in_this_process)
     assert (out / "a" / "thesis.tex").exists()
-
-
-def test_an_own_result_is_replaced_without_force(one):
-    source, out = one
-    rows = batch_module.batch(source, out, gates=["stations=3"], run=in_this_process)
-    assert not rows[0].skipped
-    (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
-    assert not batch_module.batch(source, out, run=in_this_process)[0].skipped
-    assert batch_module.batch(source, out, run=in_this_process)[0].skipped == "already done"
 
 
 def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
@@ -392,7 +370,12 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert again()
     assert again(force=True)
     assert not again()
-    assert len(counted) == 7
+    assert again(gates=["stations=3"])
+    assert again()
+    (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
+    assert again()
+    assert not again()
+    assert len(counted) == 10
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
 
 
@@ -476,19 +459,3 @@ def test_the_table_for_programs(junk, fleet, tmp_path):
     done = run("batch", "absent.yaml", "-o", "out", "--junit", "other.xml", cwd=tmp_path)
     assert done.code == 2
     assert "absent.yaml: cannot be read" in (tmp_path / "other.xml").read_text()
-
-
-def test_a_scheduler_that_says_nothing(fleet, tmp_path):
-    with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
-            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_scheduler_without_workers(fleet, tmp_path):
-    (tmp_path / "cluster").mkdir()
-    refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
-    with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
-        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
-    assert not (tmp_path / "out").exists()

@@ -1,7 +1,5 @@
 """`mobilecal board` on the command line."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.command import run

@@ -1,7 +1,5 @@
 """`mobilecal check`: a configuration against a recording, one line for each criterion."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -52,11 +50,7 @@ WRONG = {
     "joints": ({"joints.topic": "/nope"}, 3, "/nope contains no joint states"),
     "priors": ({"priors": {"neck": 1}}, 2, "no such constant"),
     "gates": ({"gates": {"neck": 1}}, 2, "unknown figure"),
-    "motion": (
-        {"wheels.left": {"topic": "/joint_states", "field": "nope"}},
-        3,
-        "no field nope ('nope' is missing)",
-    ),
+    "motion": ({"wheels.left": {"topic": "/joint_states", "field": "nope"}}, 3, "no field nope ('nope' is"),
     "board": ({"board": {"columns": 8, "rows": 6}}, 4, "8 x 6 inner corners, but the images show 9 x 6"),
     "square size": ({"board.square_m": 0.1}, 4, "squares measure 80.0 mm, 100.0 mm are stated"),
 }
@@ -169,31 +163,21 @@ LENGTHS = {"baseline_length": "free", "joint_position": "free"}
 TURNS = {"joint_axis": "free", "joint_zero": "free"}
 FOUND = {
     "a joint twice": (CHAIN, "head chain", "limit", "joint 'head_pan_joint' is in head.chain 2 times"),
-    "a missing tilt": (
-        CHAIN,
-        "head chain",
-        "limit",
-        "'head_tilt_joint' was recorded, but is not a joint between",
-    ),
+    "a missing tilt": (CHAIN, "head chain", "limit", "'head_tilt_joint' was recorded, but is not a joint"),
     "free priors": ({"priors": {"all": "free"}}, "priors", "problem", "r_x, r_y, r_z: unobservable"),
     "free axes": (
         {"priors": TURNS},
         "priors",
         "problem",
-        "axes and zero positions of the head joints are all free",
+        "axes and zero positions of the head joints are all",
     ),
     "free lengths": (
         {"priors": LENGTHS},
         "priors",
         "limit",
-        "radius_right, radius_left, separation: unobservable",
+        "radius_right, radius_left, separation: unobser",
     ),
-    "square size": (
-        {"board.square_m": 0.082},
-        "square size",
-        "limit",
-        "80.0",
-    ),
+    "square size": ({"board.square_m": 0.082}, "square size", "limit", "80.0"),
 }
 
 

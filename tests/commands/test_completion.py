@@ -1,7 +1,5 @@
 """Completion of commands, gates and settings in the shells that are installed."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

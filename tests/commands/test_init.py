@@ -1,7 +1,5 @@
 """`mobilecal init`: the draft of a rig.yaml, and what is listed on the terminal."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mobilecal_cli.calibrate import inspect

@@ -1,7 +1,5 @@
 """`mobilecal inspect`: what a recording holds, at a glance."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -156,9 +154,6 @@ def test_the_square_beside_the_stated_one(sample_logs):
     assert found.board.square_m == pytest.approx(0.08, rel=0.002)
     assert ", 80.10 mm stated" in inspection_text(found)
     assert found.exit_code == 0
-    wrong = inspect.inspect(log, flags={"board.square_m": 0.1})
-    assert wrong.exit_code == 4
-    assert "squares measure 80.0 mm, 100.0 mm are stated" in wrong.missing[0].what
 
 
 def test_empty_recording(tmp_path):

@@ -1,7 +1,5 @@
 """Boards with markers through the whole product."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
@@ -24,14 +22,8 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     """The board is larger than the pictures: a checkerboard of its size would be seen nowhere."""
     log, board = tmp_path / "log.mcap", PRINTED[kind]
     simulate(Scenario(kind=kind, seed=2), log)
-    flags = {
-        "columns": board.columns,
-        "rows": board.rows,
-        "square_m": board.square_m,
-        "kind": kind,
-        **BOARDS[kind],
-    }
-    flags = {f"board.{key}": value for key, value in flags.items()}
+    size = {name: getattr(board, name) for name in ("columns", "rows", "square_m")}
+    flags = {f"board.{key}": value for key, value in {**size, "kind": kind, **BOARDS[kind]}.items()}
     found, _ = steps.calibrate([log], tmp_path / "out", flags=flags)
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9

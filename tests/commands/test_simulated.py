@@ -1,7 +1,5 @@
 """Simulated recordings through the whole product: exact ones to the accuracy of the light."""
 
-from __future__ import annotations
-
 import json
 import re
 
@@ -35,18 +33,8 @@ def test_pictures_without_noise_and_exact_encoders(exact, tmp_path, method):
 @pytest.mark.long
 def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
     log = tmp_path_factory.mktemp("logs") / "turns.bag"
-    made = run(
-        "simulate",
-        log,
-        "--exact",
-        "--motion",
-        "large_turns",
-        "--stations",
-        "8",
-        "--pictures",
-        "mono8",
-        cwd=tmp_path,
-    )
+    turns = ("--motion", "large_turns", "--stations", "8", "--pictures", "mono8")
+    made = run("simulate", log, "--exact", *turns, cwd=tmp_path)
     assert made.code == 0, made.err
     assert run("calibrate", log, "--output", "out", cwd=tmp_path).code == 0
     turn, move, wheels = apart(load(tmp_path / "out/params.yaml"), load(log.with_name("turns.truth.yaml")))
@@ -75,11 +63,3 @@ def test_a_log_that_never_rests(tmp_path_factory, tmp_path):
     extras = json.loads((tmp_path / "out/report.json").read_text())["constants"]
     for clock in ("time_joints", "time_wheels"):
         assert extras[clock]["value"] == pytest.approx(-0.025, abs=max(0.0005, 4 * extras[clock]["std"]))
-
-
-def test_simulate_refuses_what_is_there(tmp_path):
-    (tmp_path / "log.mcap").write_text("mine")
-    result = run("simulate", "log.mcap", cwd=tmp_path)
-    assert result.code == 7
-    assert (tmp_path / "log.mcap").read_text() == "mine"
-    assert result.left == []

@@ -1,7 +1,5 @@
 """What the command line loads before it knows what is asked for."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tomllib
@@ -11,16 +9,7 @@ import pytest
 from tests.conftest import REPOSITORY
 
 #: pydantic is not among them: typer itself loads it where an option has a range.
-HEAVY = (
-    "numpy",
-    "scipy",
-    "cv2",
-    "rosbags",
-    "mcap",
-    "jinja2",
-    "rich",
-    "distributed",
-)
+HEAVY = ("numpy", "scipy", "cv2", "rosbags", "mcap", "jinja2", "rich", "distributed")
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["--version"]])

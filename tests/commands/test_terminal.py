@@ -1,7 +1,5 @@
 """What a terminal shows: the verdict once, in color, and progress that moves."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

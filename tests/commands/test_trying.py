@@ -1,7 +1,5 @@
 """evaluate and compare, gates and hold-out, with the command."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import xml.etree.ElementTree as ET
@@ -42,15 +40,11 @@ def test_hold_out_gates_and_json(made):
     assert suite.get("failures") == "0"
 
 
-def test_the_extraction_keeps_what_was_held_out(made):
+def test_evaluate_with_gates(made):
     folder, _ = made
     found = run("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
     assert found.code == 0, found.err
     assert json.loads(found.out)["stations"] == 12
-
-
-def test_evaluate_with_gates(made):
-    folder, _ = made
     npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
     kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
     assert kept.code == 0, kept.err
@@ -101,10 +95,7 @@ def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
 
 @pytest.mark.parametrize(
     ("key", "factor", "level"),
-    [
-        ("radius_right_m", 1.02, "FAIL"),
-        ("radius_left_m", 1.001, "PASS"),
-    ],
+    [("radius_right_m", 1.02, "FAIL"), ("radius_left_m", 1.001, "PASS")],
 )
 def test_evaluate_gives_a_verdict_without_gates(made, tmp_path, key, factor, level):
     folder, _ = made
@@ -174,15 +165,11 @@ def test_an_error_reaches_junit(tmp_path):
 def test_compare(made, tmp_path):
     folder, _ = made
     first = folder / "out" / "params.yaml"
-    same = run(
-        "compare", first, first, "--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01"
-    )
+    limits = ("--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01")
+    same = run("compare", first, first, *limits)
     assert same.code == 0, same.err
     assert "share a recording" in same.out
-    moved = tmp_path / "moved.yaml"
-    text = first.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("  separation_m:"))
-    moved.write_text(text.replace(line, "  separation_m: 0.6"), encoding="utf-8")
+    moved = changed_params(first, tmp_path / "moved.yaml", "separation_m", 1.2)
     apart = run("compare", first, moved, "--max-sigma", "4", "--json")
     assert apart.code == 6
     assert "separation by" in apart.err
