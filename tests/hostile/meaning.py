@@ -143,11 +143,7 @@ def loses(every: int) -> Callable[[Track], Track]:
 
 def joints(change: Callable[[FloatArray], FloatArray]) -> Change:
     """Change the joint readings of every station."""
-    return lambda made: replace(
-        made,
-        observations=tuple(replace(o, joints=change(o.joints)) for o in made.observations),
-        joint_tracks=(),
-    )
+    return stations(lambda n, o, _: replace(o, joints=change(o.joints)))
 
 
 def joint(which: int, change: Callable[[float], float]) -> Change:
@@ -163,22 +159,16 @@ def joint(which: int, change: Callable[[float], float]) -> Change:
 
 def late_joints(seconds: float) -> Change:
     """Joint readings with delayed stamps."""
+    shift_ns = round(seconds * 1e9)
 
     def change(made: Extraction) -> Extraction:
-        shift_ns = round(seconds * 1e9)
-        observations = tuple(
-            replace(
-                o,
-                joints=np.array(
-                    [t.at(np.array([o.time_ns - shift_ns]))[0] for t in made.joint_tracks[o.log]]
-                ),
-            )
-            for o in made.observations
-        )
-        tracks = tuple(
-            tuple(replace(t, time_ns=t.time_ns + shift_ns) for t in each) for each in made.joint_tracks
-        )
-        return replace(made, observations=observations, joint_tracks=tracks)
+        def read(o: Observation) -> FloatArray:
+            before = np.array([o.time_ns - shift_ns])
+            return np.array([track.at(before)[0] for track in made.joint_tracks[o.log]])
+
+        observations = tuple(replace(o, joints=read(o)) for o in made.observations)
+        tracks = (tuple(replace(t, time_ns=t.time_ns + shift_ns) for t in each) for each in made.joint_tracks)
+        return replace(made, observations=observations, joint_tracks=tuple(tracks))
 
     return change
 
@@ -268,12 +258,8 @@ def focal(left: float, right: float) -> Change:
     """Focal lengths in the infos, times the true ones."""
 
     def change(rig: CameraRig) -> CameraRig:
-        scaled = {}
-        for side, factor in (("left", left), ("right", right)):
-            camera = rig.each[["left", "right"].index(side)]
-            K = camera.K * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
-            scaled[side] = replace(camera, K=K)
-        return with_pair(rig, **scaled)
+        of_pair = zip(rig.each, (left, right), strict=True)
+        return with_pair(rig, *(replace(c, K=c.K * (1 + (x - 1) * np.diag([1, 1, 0]))) for c, x in of_pair))
 
     return cameras(change)
 
@@ -298,9 +284,11 @@ def baseline(factor: float) -> Change:
 def exchanged_infos(rig: CameraRig) -> CameraRig:
     """The infos of both cameras exchanged, with their frames in place."""
     left, right = rig.each[0], rig.each[1]
-    return with_pair(
-        rig, left=replace(right, frame_id=left.frame_id), right=replace(left, frame_id=right.frame_id)
-    )
+    exchanged = {
+        "left": replace(right, frame_id=left.frame_id),
+        "right": replace(left, frame_id=right.frame_id),
+    }
+    return with_pair(rig, **exchanged)
 
 
 def square(factor: float) -> Change:
@@ -345,9 +333,7 @@ def nominal_wheels(radius: float, separation: float) -> Change:
     def change(made: Extraction) -> Extraction:
         was = made.rig.nominal.wheels
         assert was is not None
-        new = WheelGeometry(
-            radius * was.radius_right_m, radius * was.radius_left_m, separation * was.separation_m
-        )
+        new = WheelGeometry.of(was.vector * [radius, radius, separation])
         nominal = replace(made.rig.nominal, wheels=new)
         return replace(made, rig=replace(made.rig, nominal=nominal))
 
@@ -404,9 +390,8 @@ def other_drive(track: Track) -> Track:
     """The readings of another recording."""
     robot = tick_robot()
     other = ideal_extraction(robot, plan_route(robot, stations=STATIONS, seed=9), NOISE, 9).wheels[0].right
-    return replace(
-        track, value=np.interp(np.arange(len(track.value)), np.arange(len(other.value)), other.value)
-    )
+    value = np.interp(np.arange(len(track.value)), np.arange(len(other.value)), other.value)
+    return replace(track, value=value)
 
 
 def one_wheel(made: Extraction) -> Extraction:
@@ -657,12 +642,8 @@ def outcome(name: str) -> Outcome:
 
 
 def _cause(case: Wrong, message: str) -> str:
-    named = (
-        bool(case.cause)
-        and "no known mistake" not in message
-        and re.search(case.cause, message, re.IGNORECASE) is not None
-    )
-    return "right cause" if named else "other cause"
+    named = case.cause and re.search(case.cause, message, re.IGNORECASE)
+    return "right cause" if named and "no known mistake" not in message else "other cause"
 
 
 def main() -> None:

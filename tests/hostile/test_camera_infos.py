@@ -1,7 +1,5 @@
 """A camera_info that does not belong to the images: named, and the result within 4 sigmas of the truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

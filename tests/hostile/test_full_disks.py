@@ -49,13 +49,11 @@ def solved(tmp_path):
     "size", [*(pytest.param(size, marks=pytest.mark.long) for size in ("16k", "64k")), "128k"]
 )
 def test_a_disk_that_fills_while_the_output_is_written(solved, size):
-    result = on_a_small_disk(
-        solved, size, "cp -r old disk/out", "calibrate", "e.npz", "-o", "disk/out", "--force", "--jobs", 1
-    )
+    command = ("calibrate", "e.npz", "-o", "disk/out", "--force", "--jobs", 1)
+    result = on_a_small_disk(solved, size, "cp -r old disk/out", *command)
     assert result.returncode == 7, result.stderr
-    assert result.stderr.startswith(
-        "error: disk/out: cannot be written: No space left on device\nhint: check free"
-    )
+    said = "error: disk/out: cannot be written: No space left on device\nhint: check free"
+    assert result.stderr.startswith(said)
     assert result.stdout.split() == ["disk:", "out", "disk/out:", "params.yaml"]
 
 
@@ -72,9 +70,8 @@ def test_a_full_directory_for_temporary_files(sample_logs, tmp_path):
     (tmp_path / "log.mcap").write_bytes(packed)
     result = on_a_small_disk(tmp_path, "512k", "true", "inspect", "log.mcap")
     assert result.returncode == 8, result.stderr
-    assert (
-        "cannot be written: No space left on device\nhint: free space there, or set TMPDIR" in result.stderr
-    )
+    said = "cannot be written: No space left on device\nhint: free space there, or set TMPDIR"
+    assert said in result.stderr
     assert result.stdout.split() == ["disk:"]
 
 

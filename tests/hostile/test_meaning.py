@@ -1,7 +1,5 @@
 """Recordings that can be read and are wrong: none passes with a wrong result, unless it cannot be seen."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A machine without enough memory: the command says so."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.command import python

@@ -1,11 +1,10 @@
 """Outputs when the process is killed, when names try to steer, and when the output is a link."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 from dataclasses import replace
+from itertools import groupby
 
 import pytest
 from ruamel.yaml import YAML
@@ -16,32 +15,23 @@ from tests.conftest import REPOSITORY
 from tests.report.example import Page
 
 
-def killed_everywhere(folder, existing, exchange) -> list[list[str]]:
-    result = python("-m", "tests.hostile.kill_points", folder, existing, exchange, cwd=REPOSITORY)
-    assert result.returncode == 0, result.stderr
-    return [line.split() for line in result.stdout.splitlines()]
-
-
-def test_killed_while_a_new_directory_is_written(tmp_path):
-    moments = killed_everywhere(tmp_path / "w", "new", "exchange")
+@pytest.mark.parametrize(
+    ("existing", "exchange", "states"),
+    [
+        ("new", "exchange", ["none", "new"]),
+        ("existing", "exchange", ["old", "new"]),  # at no moment is there neither
+        ("existing", "no exchange", ["old", "none", "new"]),  # the old one then lies beside it, whole
+    ],
+)
+def test_killed_at_any_moment(tmp_path, existing, exchange, states):
+    """First what was there, and from one moment on all of the new output."""
+    done = python("-m", "tests.hostile.kill_points", tmp_path / "w", existing, exchange, cwd=REPOSITORY)
+    assert done.returncode == 0, done.stderr
+    moments = [line.split() for line in done.stdout.splitlines()]
     assert len(moments) >= 8
-    states = [line[1] for line in moments]
-    assert set(states) == {"none", "new"}
-    assert states == sorted(states, reverse=True)  # nothing, and from one moment on all of it
-
-
-def test_killed_while_an_old_directory_is_replaced(tmp_path):
-    moments = killed_everywhere(tmp_path / "w", "existing", "exchange")
-    states = [line[1] for line in moments]
-    assert set(states) == {"old", "new"}  # at no moment is there neither
-    assert states == sorted(states, reverse=True)
-
-
-def test_killed_where_directories_cannot_change_places(tmp_path):
-    """There is a moment with neither in place; the old one then lies beside it, whole."""
-    moments = killed_everywhere(tmp_path / "w", "existing", "no exchange")
-    assert {line[1] for line in moments} == {"old", "none", "new"}
-    assert all(line[2:] == ["aside"] for line in moments if line[1] == "none")
+    assert [state for state, _ in groupby(line[1] for line in moments)] == states
+    if existing == "existing":
+        assert all(line[2:] == ["aside"] for line in moments if line[1] == "none")
 
 
 EVIL = "x</script><img src=x onerror=alert(1)>\x1b[2J\u202e$\\frac{1}{$ {{7*7}} 'q' \"dq\""
@@ -149,10 +139,5 @@ def test_links_as_outputs(sample_logs, tmp_path, command, name):
     assert (tmp_path / "precious/params.yaml").read_text() == "precious"
     assert (tmp_path / "precious.txt").read_text() == "precious"
     assert not (tmp_path / "nowhere").exists()
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "dangling",
-        "file",
-        "link",
-        "precious",
-        "precious.txt",
-    ]
+    names = ["dangling", "file", "link", "precious", "precious.txt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == names

@@ -11,6 +11,7 @@ import zlib
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import cv2
 import lz4.frame
 import numpy as np
 import pytest
@@ -119,12 +120,10 @@ def test_a_chunk_that_decompresses_without_end(tmp_path, method, honest):
     size = 2**28
     stored = BOMBS[method](size)
     path = tmp_path / "log.mcap"
-    path.write_bytes(
-        MAGIC + HEADER + chunk(method, stored, size if honest else 1000) + record(2, bytes(20)) + MAGIC
-    )
-    with pytest.raises(
-        RecordingError, match=r"states a decompressed size|states 1000 bytes|nothing usable"
-    ) as caught:
+    bomb = chunk(method, stored, size if honest else 1000)
+    path.write_bytes(MAGIC + HEADER + bomb + record(2, bytes(20)) + MAGIC)
+    said = "states a decompressed size|states 1000 bytes|nothing usable"
+    with pytest.raises(RecordingError, match=said) as caught:
         read(path)
     assert caught.value.hint
 
@@ -202,8 +201,6 @@ def png(width: int, height: int) -> bytes:
 
 def jpeg(width: int, height: int) -> bytes:
     """A small picture whose frame header says that it is large."""
-    import cv2
-
     data = bytearray(cv2.imencode(".jpg", np.zeros((16, 16), np.uint8))[1].tobytes())
     at = data.index(b"\xff\xc0")
     data[at + 5 : at + 9] = struct.pack(">HH", height, width)
@@ -221,8 +218,6 @@ def test_a_compressed_picture_of_60000_by_60000(make):
 @pytest.mark.parametrize(("kind", "name"), [(".tiff", "TIFF"), (".bmp", "BMP"), (".webp", "WebP")])
 def test_other_kinds_of_pictures_are_named_and_not_tried(kind, name):
     """What OpenCV would open beside JPEG and PNG is more than a robot's camera sends."""
-    import cv2
-
     message = r.compressed(np.zeros((8, 8), np.uint8), ".png")(r.ROS2)
     message.data = cv2.imencode(kind, np.zeros((8, 8), np.uint8))[1].ravel()
     with pytest.raises(RecordingError, match=f"^the image is {name}, not JPEG or PNG$"):
@@ -283,10 +278,8 @@ def test_json_that_is_deeper_than_the_stack(tmp_path):
     path = tmp_path / "log.mcap"
     deep = b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}"
     schema = ("sensor_msgs/JointState", "jsonschema", b"{}")
-    messages = (
-        r.Raw("/joint_states", k, data, schema, "json")
-        for k, data in enumerate((deep, b'{"name": ["pan"], "position": [1.0]}'), 1)
-    )
+    payloads = (deep, b'{"name": ["pan"], "position": [1.0]}')
+    messages = [r.Raw("/joint_states", k, data, schema, "json") for k, data in enumerate(payloads, 1)]
     r.write_raw(path, messages, profile="")
     with bounded(), open_recording([path]) as recording:
         assert read_description(recording).joint_names == {"/joint_states": ("pan",)}
@@ -298,9 +291,8 @@ def test_metadata_cannot_name_files_outside_its_directory(tmp_path, escape):
     folder = tmp_path / "log"
     folder.mkdir()
     inside = r.write_mcap(folder / "log.mcap", r.world(6))
-    (folder / "metadata.yaml").write_text(
-        f"rosbag2_bagfile_information:\n  relative_file_paths: [{escape}, log.mcap]\n"
-    )
+    names = f"{escape}, log.mcap"
+    (folder / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths: [{names}]\n")
     with open_recording([folder]) as recording:
         assert [part.path for part in recording.parts] == [inside]
         assert secret not in [part.path for part in recording.parts]

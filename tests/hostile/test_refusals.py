@@ -1,7 +1,5 @@
 """Every line of docs/validation/refusals.md, on the whole command."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.command import run

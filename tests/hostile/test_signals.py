@@ -1,7 +1,5 @@
 """Commands that are ended by signals, at many moments: the old or the new output whole, and nothing else left."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -85,9 +83,7 @@ def cleaned(process, number, everyone, folder):
     assert "Traceback" not in err
     assert not list((folder / "tmp").iterdir())
     left, deadline = semaphores() - before, time.monotonic() + 30
-    while (
-        left & semaphores() and time.monotonic() < deadline
-    ):  # those of other tests at the same time go away
+    while left & semaphores() and time.monotonic() < deadline:  # those of other tests go away
         time.sleep(0.2)
     assert not left & semaphores()
     if code == 128 + number:
@@ -100,12 +96,8 @@ def cleaned(process, number, everyone, folder):
 @pytest.mark.parametrize(
     ("number", "everyone"),
     [
-        (TERM, False),
-        (HUP, True),
-        (INT, True),
-        pytest.param(TERM, True, marks=pytest.mark.long),
-        pytest.param(HUP, False, marks=pytest.mark.long),
-        pytest.param(INT, False, marks=pytest.mark.long),
+        *((TERM, False), (HUP, True), (INT, True)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((TERM, True), (HUP, False), (INT, False))),
     ],
 )
 def test_calibrate(sample_logs, tmp_path, number, everyone):
@@ -151,9 +143,7 @@ def test_simulate(tmp_path, number):
     ("number", "everyone"),
     [
         (TERM, True),
-        pytest.param(HUP, False, marks=pytest.mark.long),
-        pytest.param(TERM, False, marks=pytest.mark.long),
-        pytest.param(HUP, True, marks=pytest.mark.long),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((HUP, False), (TERM, False), (HUP, True))),
     ],
 )
 def test_batch(sample_logs, tmp_path, tmp_path_factory, number, everyone):
@@ -335,9 +325,8 @@ def test_at_any_moment_of_a_replacement(sample_logs, tmp_path, number, count, of
         assert not list((tmp_path / "tmp").iterdir())
         if code == 128 + number:
             changed = (tmp_path / "out/params.yaml").stat().st_ino != old
-            assert err.splitlines()[-1].startswith(
-                "interrupted: written" if changed else "interrupted: nothing"
-            )
+            said = "interrupted: written" if changed else "interrupted: nothing"
+            assert err.splitlines()[-1].startswith(said)
     process = started(["calibrate", *logs], tmp_path)
     process.communicate()
     assert whole_or_nothing(tmp_path)
