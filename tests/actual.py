@@ -150,8 +150,7 @@ class ActualRobot:
         for k, name in enumerate(rig.names[1:], 1):
             T = poses[k].copy()
             turn, shift = (
-                np.array([self._of(f"{kind}_{name}_{letter}") for letter in "xyz"])
-                for kind in ("turn", "shift")
+                [self._of(f"{kind}_{name}_{letter}") for letter in "xyz"] for kind in ("turn", "shift")
             )
             T[:3, :3] = Rotation.from_rotvec(turn).as_matrix() @ T[:3, :3]
             T[:3, 3] += shift
@@ -197,9 +196,8 @@ class ActualRobot:
 
     def _of_each(self, name: str) -> FloatArray:
         """(J,) a constant of every joint."""
-        return np.array(
-            [self._of(name.format(joint_key(self.stated, joint))) for joint in self.stated.joint_names]
-        )
+        keys = (joint_key(self.stated, joint) for joint in self.stated.joint_names)
+        return np.array([self._of(name.format(key)) for key in keys])
 
     def positions(self, route: Route, times_s: FloatArray) -> FloatArray:
         """(n, J) what the encoders measure at given times, rad: the route's joint positions, within the backlash.
@@ -317,12 +315,8 @@ def constant_kinds(robot: SimulatedRobot) -> dict[str, str]:
         kinds[f"backlash_{key}"] = "backlash"
     kinds |= {"time_joints": "clock", "time_wheels": "clock"}
     kinds |= {f"focal_aspect_{side}": "focal_aspect" for side in rig.names}
-    kinds |= {
-        "board_twist": "board_bend",
-        "board_shear": "board_shear",
-        "lean_roll": "lean",
-        "lean_pitch": "lean",
-    }
+    kinds |= {"board_twist": "board_bend", "board_shear": "board_shear"}
+    kinds |= {"lean_roll": "lean", "lean_pitch": "lean"}
     return kinds | {f"time_{name}": "stereo_clock" for name in rig.names[1:]} | {"readout": "readout"}
 
 
@@ -343,11 +337,8 @@ def draw(
     if unknown := chosen - set(PRIORS) - set(of):
         raise ValueError(f"unknown kinds or constants: {', '.join(sorted(unknown))}")
     units = dict(zip(of, random.normal(size=len(of)), strict=True))
-    return {
-        name: float(scale * PRIORS[kind] * units[name])
-        for name, kind in of.items()
-        if name in chosen or kind in chosen
-    }
+    drawn = {name: kind for name, kind in of.items() if {name, kind} & chosen}
+    return {name: float(scale * PRIORS[kind] * units[name]) for name, kind in drawn.items()}
 
 
 def station_times_s(route: Route, stations: int = 40) -> FloatArray:
@@ -373,12 +364,9 @@ def floor_poses(
         turns, lifts: (N, 2) and (N,).
         still: whether the base never moves.
     """
-    poses = np.array(
-        [
-            pose((0.0, 0.0, float(lift)), Rotation.from_rotvec([roll, pitch, 0.0]))
-            for (roll, pitch), lift in zip(floor_rad * turns, floor_m * lifts, strict=True)
-        ]
-    )
+    rotations = (Rotation.from_rotvec([roll, pitch, 0.0]) for roll, pitch in floor_rad * turns)
+    heights = (floor_m * lifts).tolist()
+    poses = np.array([pose((0.0, 0.0, z), turn) for z, turn in zip(heights, rotations, strict=True)])
     return np.repeat(poses[:1], len(poses), axis=0) if still else poses
 
 
@@ -454,9 +442,8 @@ class ImperfectWorld(World):
     def actual(self) -> ActualRobot:
         """The robot as it is."""
         kinds = {*PRIORS} - NOT_RENDERED if self.scenario.motion == "moving" else None
-        return ActualRobot(
-            self.robot, draw(self.robot, np.random.default_rng([self.scenario.seed, 5]), kinds=kinds)
-        )
+        random = np.random.default_rng([self.scenario.seed, 5])
+        return ActualRobot(self.robot, draw(self.robot, random, kinds=kinds))
 
     @property
     def noise(self) -> Noise:

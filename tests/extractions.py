@@ -36,7 +36,7 @@ from tests.actual import (
     rolled_as_read,
     station_times_s,
 )
-from tests.robots import corners_of, rig_of
+from tests.robots import corners_of, hidden, rig_of
 
 _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
@@ -194,11 +194,8 @@ def _wheel_track(
 ) -> WheelTrack:
     # The track is linear between the segment boundaries and the stations' times, so it must contain both.
     late_s = actual.constants.get("time_wheels", 0.0)
-    moments = np.unique(
-        np.concatenate(
-            [np.arange(0, route.duration_s, _TRACK_STEP_S), route.drive.breaks_s + late_s, stamps_s]
-        )
-    )
+    regular = np.arange(0, route.duration_s, _TRACK_STEP_S)
+    moments = np.unique(np.concatenate([regular, route.drive.breaks_s + late_s, stamps_s]))
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
     angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels, actual.stated.slip)
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
@@ -384,19 +381,16 @@ def extraction_of(
         by = len(shown) if rig.calibrated else 1  # cameras that the board pose is from
         found = board_pose(own.some(range(by)), corners_k, own_pixels[:by], sigmas[:by], T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
-        square_m = route.board.square_m or 0.0
         estimated = corners_k @ found.T_c_k[:3, :3].T + found.T_c_k[:3, 3]
         points = StereoPoints(estimated, np.zeros((len(corners_k), 3, 3)), 0.0)
         if by > 1:
             points = triangulate(own, own_pixels, sigmas)
         if isinstance(points, Miss):
             raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
-        corners = [
-            Corners(at, sigma, 1)
-            if k in shown
-            else Corners(np.zeros_like(at), 1.0, 0, np.zeros(len(at), bool))
-            for k, at in enumerate(pixels)
-        ]
+        square_m = route.board.square_m or 0.0
+        if not actual.as_stated:
+            square_m = square_from_points(points.points_c, route.board.grid())
+        corners = [Corners(at, sigma, 1) if k in shown else hidden(at) for k, at in enumerate(pixels)]
         observations.append(
             Observation(
                 log=0,
@@ -410,9 +404,7 @@ def extraction_of(
                 points_cov=points.points_cov,
                 T_c_k=T_c_k if exact else found.T_c_k,
                 T_c_k_cov=found.T_c_k_cov,
-                square_m=square_m
-                if actual.as_stated
-                else square_from_points(points.points_c, route.board.grid()),
+                square_m=square_m,
                 reprojection_px=found.rms_px,
             )
         )

@@ -19,6 +19,7 @@ from mobilecal_cli.model import (
     HeadChain,
     JointLink,
     Nominal,
+    Observation,
     Rig,
 )
 from mobilecal_cli.simulate.robot import (
@@ -99,13 +100,8 @@ def _three(robot: SimulatedRobot) -> SimulatedRobot:
     beside = pose((0.2, 0.01, -0.02), Rotation.from_euler("xyz", (1.0, -2.0, 0.5), degrees=True))
     aside = pose((-0.1, 0.0, 0.03), Rotation.from_euler("xyz", (0.0, -16.0, 1.0), degrees=True))
     mounted = {"front": np.eye(4), "beside": beside, "aside": aside}
-    infos = (
-        left,
-        right,
-        replace(
-            left, frame_id="aside_optical", K=left.K * [[1.1, 1.0, 1.0], [1.0, 1.1, 1.0], [1.0, 1.0, 1.0]]
-        ),
-    )
+    longer = left.K * [[1.1, 1.0, 1.0], [1.0, 1.1, 1.0], [1.0, 1.0, 1.0]]
+    infos = (left, right, replace(left, frame_id="aside_optical", K=longer))
     return replace(robot, name=f"{robot.name}_three", infos=infos, mounted=mounted)
 
 
@@ -156,56 +152,42 @@ CONFIGURATIONS = {
 }
 
 
+def hidden(pixels: FloatArray) -> Corners:
+    """No corner in view, in place of some."""
+    return Corners(np.zeros_like(pixels), 1.0, 0, np.zeros(len(pixels), dtype=np.bool_))
+
+
+def _seen_by(o: Observation, rig: CameraRig, board: FloatArray, k: int) -> Observation:
+    """An observation with the board's pose from the corners of camera k alone, the only one of a rig."""
+    found = pose_from_one(rig, board, [o.views[k].pixels], [o.views[k].sigma_px])
+    assert not isinstance(found, Miss)
+    points_c, rms_px = se3.act(found.T_c_k[None], board)[0], found.rms_px
+    return replace(o, points_c=points_c, T_c_k=found.T_c_k, T_c_k_cov=found.T_c_k_cov, reprojection_px=rms_px)
+
+
 def with_one_view(extraction: Extraction, camera_of: Mapping[int, int]) -> Extraction:
     """The same, with the board in one camera alone at some stations: index of the station → index of that camera."""
     rig, board = extraction.rig.cameras, extraction.board.grid() * (extraction.board.square_m or 0.0)
     observations = list(extraction.observations)
     for i, k in camera_of.items():
         o = observations[i]
-        found = pose_from_one(rig.some([k]), board, [o.views[k].pixels], [o.views[k].sigma_px])
-        assert not isinstance(found, Miss)
-        hidden = Corners(np.zeros_like(o.views[k].pixels), 1.0, 0, np.zeros(len(board), dtype=np.bool_))
-        views = tuple(view if other == k else hidden for other, view in enumerate(o.views))
-        points_c = se3.act(found.T_c_k[None], board)[0]
-        observations[i] = replace(
-            o,
-            views=views,
-            points_c=points_c,
-            T_c_k=found.T_c_k,
-            T_c_k_cov=found.T_c_k_cov,
-            reprojection_px=found.rms_px,
-        )
+        views = tuple(view if other == k else hidden(o.views[k].pixels) for other, view in enumerate(o.views))
+        observations[i] = replace(_seen_by(o, rig.some([k]), board, k), views=views)
     return replace(extraction, observations=tuple(observations))
 
 
 def alone(extraction: Extraction, k: int) -> Extraction:
     """What camera k alone measures of a recording: its corners, and the board's pose from them."""
     cameras = extraction.rig.cameras
-    rig = CameraRig(
-        ("camera",), (cameras.each[k],), (np.eye(4),), cameras.rectified, (cameras.R_rect[k],), "camera"
-    )
+    each, R_rect = (cameras.each[k],), (cameras.R_rect[k],)
+    rig = CameraRig(("camera",), each, (np.eye(4),), cameras.rectified, R_rect, "camera")
     board, observations = extraction.board.grid() * extraction.board.square_m, []
     for o in extraction.observations:
-        view = o.views[k]
-        found = pose_from_one(rig, board, [view.pixels], [view.sigma_px])
-        assert not isinstance(found, Miss)
-        observations.append(
-            replace(
-                o,
-                views=(view,),
-                points_c=se3.act(found.T_c_k[None], board)[0],
-                points_cov=np.zeros_like(o.points_cov),
-                T_c_k=found.T_c_k,
-                T_c_k_cov=found.T_c_k_cov,
-                reprojection_px=found.rms_px,
-            )
-        )
+        seen = _seen_by(o, rig, board, k)
+        observations.append(replace(seen, views=(o.views[k],), points_cov=np.zeros_like(o.points_cov)))
     nominal = extraction.rig.nominal
     if nominal.T_h_reference is not None:
         T = nominal.T_h_reference @ se3.inverse(cameras.T_c_reference) @ cameras.T_c_each[k]
         nominal = replace(nominal, T_h_reference=T)
-    return replace(
-        extraction,
-        rig=replace(extraction.rig, cameras=rig, nominal=nominal),
-        observations=tuple(observations),
-    )
+    rig = replace(extraction.rig, cameras=rig, nominal=nominal)
+    return replace(extraction, rig=rig, observations=tuple(observations))

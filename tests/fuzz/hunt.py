@@ -107,9 +107,8 @@ def _work(
 def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
     """Try so many cases."""
     workers = workers or os.cpu_count() or 1
-    context = mp.get_context(
-        "forkserver"
-    )  # a process that dies is replaced by a fork of one that has all modules
+    # A process that dies is replaced by a fork of one that has all modules.
+    context = mp.get_context("forkserver")
     context.set_forkserver_preload(["tests.fuzz.hunt"])
     reports = context.SimpleQueue()  # what a process put is there, even if it dies next
     haul, last = Haul(), first + count
@@ -138,9 +137,8 @@ def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
                 continue
             running.remove((process, case))
             if process.exitcode != 0 or case.value >= 0:
-                haul.findings.append(
-                    f"case {case.value}: the process ended with {process.exitcode}: hang or crash"
-                )
+                ended = f"the process ended with {process.exitcode}: hang or crash"
+                haul.findings.append(f"case {case.value}: {ended}")
                 haul.outcomes["", "FOUND hang or crash"] += 1
                 if case.value + workers < last:
                     running.append(start(case.value + workers))

@@ -190,28 +190,21 @@ def _in_json(path: Path) -> None:
     """Messages of JSON, without checksums so that damage reaches them."""
     picture = base64.b64encode(cv2.imencode(".png", r.picture(1))[1].tobytes()).decode()
     header = {"stamp": {"sec": 5, "nanosec": 7}, "frame_id": ""}
+    left = {"timestamp": _STAMP, "frame_id": "left", "format": "png", "data": picture}
+    right = {
+        "timestamp": _STAMP,
+        "frame_id": "right",
+        "width": 2,
+        "height": 2,
+        "step": 2,
+        "encoding": "mono8",
+    }
+    joints = {"header": header, "name": ["pan", "tilt"], "position": [0.1, 0.2]}
     kinds = {
         "/left/camera_info": ("foxglove.CameraCalibration", _INFO),
-        "/left/image_raw": (
-            "foxglove.CompressedImage",
-            {"timestamp": _STAMP, "frame_id": "left", "format": "png", "data": picture},
-        ),
-        "/right/image/compressed": (
-            "foxglove.RawImage",
-            {
-                "timestamp": _STAMP,
-                "frame_id": "right",
-                "width": 2,
-                "height": 2,
-                "step": 2,
-                "encoding": "mono8",
-                "data": "AAEC",
-            },
-        ),
-        "/joint_states": (
-            "sensor_msgs/JointState",
-            {"header": header, "name": ["pan", "tilt"], "position": [0.1, 0.2]},
-        ),
+        "/left/image_raw": ("foxglove.CompressedImage", left),
+        "/right/image/compressed": ("foxglove.RawImage", right | {"data": "AAEC"}),
+        "/joint_states": ("sensor_msgs/JointState", joints),
         "/ticks": ("encoders", {"header": header, "counts": [5, 6]}),
     }
     messages = (
@@ -229,9 +222,8 @@ def _in_protobuf(path: Path) -> None:
     info = {key: value for key, value in _INFO.items() if key != "timestamp"}
     with path.open("wb") as stream, ProtobufWriter(stream, enable_crcs=False) as writer:
         for k in range(4):
-            writer.write_message(
-                "/left/camera_info", CameraCalibration(timestamp=stamp, **info), 5 * 10**9 + k
-            )
+            calibration = CameraCalibration(timestamp=stamp, **info)
+            writer.write_message("/left/camera_info", calibration, 5 * 10**9 + k)
             picture = CompressedImage(timestamp=stamp, frame_id="left", data=data, format="png")
             writer.write_message("/left/image_raw", picture, 5 * 10**9 + k)
 
@@ -262,9 +254,8 @@ def _pictures_only(path: Path) -> None:
     with open_recording([path]) as recording:
         recording.log_times()
         read_description(recording)
-        sources = Sources(
-            image=dict.fromkeys(("left", "right"), "/left/image_raw"), info={}, joints=(), wheels={}
-        )
+        images = dict.fromkeys(("left", "right"), "/left/image_raw")
+        sources = Sources(image=images, info={}, joints=(), wheels={})
         for picture in pictures_near(recording, sources, [recording.start_ns or 0]):
             assert picture is not None
         for message in recording.messages([info.name for info in recording.topics]):
@@ -284,18 +275,15 @@ def targets(folder: Path) -> dict[str, Target]:
         if not path.is_dir():
             files = {path.name: files[path.name]}
         found[name] = Target(files, "" if path.is_dir() else path.name, _read)
-    for name, write, use in (
-        ("mcap-json", _in_json, _foreign),
-        ("mcap-protobuf", _in_protobuf, _pictures_only),
-    ):
+    foreign = (("mcap-json", _in_json, _foreign), ("mcap-protobuf", _in_protobuf, _pictures_only))
+    for name, write, use in foreign:
         path = folder / f"{name}.mcap"
         write(path)
         found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", use)
     sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
-    found["draft.yaml"] = Target(
-        {"rig.yaml": draft([sample / "paper_robot.mcap"]).text.encode()}, "rig.yaml", _rig
-    )
+    drafted = draft([sample / "paper_robot.mcap"]).text.encode()
+    found["draft.yaml"] = Target({"rig.yaml": drafted}, "rig.yaml", _rig)
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()
     extraction = extraction_to_npz(small)
@@ -307,14 +295,12 @@ def targets(folder: Path) -> dict[str, Target]:
     with zipfile.ZipFile(io.BytesIO(extraction)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     found["npz-members"] = Target(members, "extraction.npz", _solved, zipped=True)
-    unchecked = r.write_mcap(
-        folder / "unchecked.mcap", items, enable_crcs=False, compression=CompressionType.NONE
-    )
+    plain = {"enable_crcs": False, "compression": CompressionType.NONE}
+    unchecked = r.write_mcap(folder / "unchecked.mcap", items, **plain)
     found["mcap-no-checksums"] = Target({"log.mcap": unchecked.read_bytes()}, "log.mcap", _read)
     found["inspect-no-checksums"] = Target({"log.mcap": unchecked.read_bytes()}, "log.mcap", _glance)
-    found["inspect"] = Target(
-        {"log.mcap": r.write_mcap(folder / "inspect.mcap", items).read_bytes()}, "log.mcap", _glance
-    )
+    usual = r.write_mcap(folder / "inspect.mcap", items)
+    found["inspect"] = Target({"log.mcap": usual.read_bytes()}, "log.mcap", _glance)
     return found
 
 

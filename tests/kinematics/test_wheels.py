@@ -31,8 +31,8 @@ def one_leg(*steps: tuple[float, float]) -> Increments:
 
 # Base on a circle of radius 1 m for 90 degrees: the right wheel runs on 1.25 m, the left on 0.75 m.
 QUARTER = np.array([1.25 * math.pi / 2 / 0.2, 0.75 * math.pi / 2 / 0.25])
-# On the spot, each wheel runs 0.25 m times the angle, forward on the right, back on the left.
-ON_THE_SPOT = 0.25 * np.array([1 / 0.2, -1 / 0.25])
+# On the spot by 90 degrees, each wheel runs 0.25 m times the angle, forward on the right, back on the left.
+TURN = math.pi / 2 * 0.25 * np.array([1 / 0.2, -1 / 0.25])
 
 
 @pytest.mark.parametrize(
@@ -41,17 +41,10 @@ ON_THE_SPOT = 0.25 * np.array([1 / 0.2, -1 / 0.25])
         pytest.param([(5.0, 4.0)], 0.0, (1.0, 0.0), id="straight ahead: both wheels roll 1 m"),
         pytest.param([QUARTER], math.pi / 2, (1.0, 1.0), id="quarter circle to the left"),
         pytest.param(
-            [share * QUARTER for share in (0.1, 0.25, 0.05, 0.6)],
-            math.pi / 2,
-            (1.0, 1.0),
-            id="the same arc in many steps",
+            [s * QUARTER for s in (0.1, 0.25, 0.05, 0.6)], math.pi / 2, (1.0, 1.0), id="in many steps"
         ),
-        pytest.param(
-            [1.5 * math.pi * ON_THE_SPOT], 1.5 * math.pi, (0.0, 0.0), id="three quarter turns are not wrapped"
-        ),
-        pytest.param(
-            [math.pi / 2 * ON_THE_SPOT, (2 / 0.2, 2 / 0.25)], math.pi / 2, (0.0, 2.0), id="turn, then drive"
-        ),
+        pytest.param([3 * TURN], 1.5 * math.pi, (0.0, 0.0), id="three quarter turns are not wrapped"),
+        pytest.param([TURN, (2 / 0.2, 2 / 0.25)], math.pi / 2, (0.0, 2.0), id="turn, then drive"),
     ],
 )
 def test_motions_by_hand(steps, psi_rad, t_m):
@@ -124,16 +117,15 @@ def test_an_arc_in_pieces_is_the_same_arc(right, left):
 
 def test_cut_at_interpolates_and_keeps_nanoseconds():
     start = 1_700_000_000_000_000_000
-    track = WheelTrack.at_same_times(
-        start + np.array([0, 10, 20, 30]), [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0]
-    )
+    rolled_rad = [0.0, 1.0, 1.0, 3.0], [0.0, 2.0, 2.0, 2.0]
+    track = WheelTrack.at_same_times(start + np.array([0, 10, 20, 30]), *rolled_rad)
     steps = cut_at(track, start + np.array([5, 15, 25]))
     assert steps.legs == 2
     assert steps.totals_rad == pytest.approx(np.array([[0.5, 1.0], [1.0, 0.0]]))
     assert steps.right_rad == pytest.approx([0.5, 1.0])  # the standstill from 10 to 20 leaves no step
 
 
-def test_select_and_join_renumber_legs():
+def test_legs_are_renumbered_and_one_without_motion_stands_still():
     steps = Increments(np.arange(4.0), np.arange(4.0) + 1, np.array([0, 1, 1, 3]), 4)
     chosen = steps.select(np.array([1, 3]))
     assert chosen.legs == 2
@@ -141,9 +133,6 @@ def test_select_and_join_renumber_legs():
     both = join([steps, chosen])
     assert both.legs == 6
     assert both.totals_rad == pytest.approx(np.vstack([steps.totals_rad, chosen.totals_rad]))
-
-
-def test_a_leg_without_motion_stands_still():
     steps = Increments(np.array([1.0]), np.array([1.0]), np.array([1]), 3)
     motion = integrate(steps, WHEELS)
     assert np.all(motion.t_m[[0, 2]] == 0)
@@ -182,22 +171,11 @@ def test_the_step_of_an_encoder():
     assert encoder_step_rad(np.floor(smooth / 0.021) * 0.021) == pytest.approx(0.021)
     assert encoder_step_rad(smooth) == 0.0
     assert encoder_step_rad(np.zeros(5)) == 0.0
-
-
-def readings(ticks, step=0.0021):
-    """Readings of an encoder whose changes are these numbers of ticks."""
-    return step * np.cumsum(np.append(7, ticks))
-
-
-def test_the_step_is_the_greatest_common_divisor_of_the_changes():
     random = np.random.default_rng(1)
     for ticks in ((2, 3, 5), (6, 10, 15), (4, 9), (20, 21, 23, 26)):
         found = encoder_step_rad(readings(random.choice(ticks, 300)))
         assert found == pytest.approx(0.0021 * np.gcd.reduce(ticks), rel=1e-6), ticks
     assert encoder_step_rad(readings([2, -3, 5])) == pytest.approx(0.0021, rel=1e-6)
-
-
-def test_the_step_survives_corrupted_changes_and_rounding():
     random = np.random.default_rng(2)
     changes = 0.0021 * random.choice([0, 1, 2, 3, 5, 8], 400)
     changes[random.choice(400, 3, replace=False)] = 0.0021 * np.array([0.37, 1.61, 12.4])
@@ -205,6 +183,11 @@ def test_the_step_survives_corrupted_changes_and_rounding():
     ticks = np.cumsum(random.choice([2, 3, 5, 7], 400))
     assert encoder_step_rad(np.round(0.021 * ticks, 4)) == pytest.approx(0.021, rel=1e-3)
     assert encoder_step_rad((0.021 * ticks).astype(np.float32)) == pytest.approx(0.021, rel=1e-3)
+
+
+def readings(ticks, step=0.0021):
+    """Readings of an encoder whose changes are these numbers of ticks."""
+    return step * np.cumsum(np.append(7, ticks))
 
 
 @pytest.mark.parametrize("count", [5, 10, 30, 100, 5000])

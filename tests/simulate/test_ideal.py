@@ -1,7 +1,5 @@
 """Ideal extractions: exact without noise, by transforms written out here; as noisy as stated with it."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import get_args
 
@@ -65,9 +63,8 @@ def test_points_and_pixels_are_the_boards_corners_exactly(name):
     grid_k = extraction.board.grid() * extraction.board.square_m
     assert extraction.board.square_m == route.board.square_m
     for o in extraction.observations:
-        np.testing.assert_allclose(
-            o.points_c, grid_k @ o.T_c_k[:3, :3].T + o.T_c_k[:3, 3], rtol=0, atol=1e-14
-        )
+        points_c = grid_k @ o.T_c_k[:3, :3].T + o.T_c_k[:3, 3]
+        np.testing.assert_allclose(o.points_c, points_c, rtol=0, atol=1e-14)
         for camera, T_c_x, corners in zip(rig.each, rig.T_c_each, o.views, strict=True):
             T = np.linalg.inv(T_c_x) @ o.T_c_k
             at = cv2.projectPoints(grid_k, cv2.Rodrigues(T[:3, :3])[0], T[:3, 3], camera.K, camera.D)[0]
@@ -92,10 +89,8 @@ def test_each_noise_is_as_large_as_stated():
     assert np.std(off(lambda o: o.views[1].pixels)) == pytest.approx(0.2, rel=0.1)
     assert np.std(off(lambda o: o.joints)) == pytest.approx(np.radians(0.05), rel=0.5)
     # The points carry their own covariance: the mean of the normalized squares of 3 numbers is 3.
-    squares = [
-        (p := a.points_c - b.points_c)[:, None] @ np.linalg.solve(a.points_cov, p[:, :, None])
-        for a, b in pairs
-    ]
+    away = [(a.points_c - b.points_c, a.points_cov) for a, b in pairs]
+    squares = [p[:, None] @ np.linalg.solve(cov, p[:, :, None]) for p, cov in away]
     assert np.mean(squares) == pytest.approx(3.0, rel=0.15)
     for side in ("right_rad", "left_rad"):
         truth, measured = (np.diff(getattr(e.wheels[0], side)) for e in (exact, noisy))

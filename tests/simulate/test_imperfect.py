@@ -1,7 +1,5 @@
 """Imperfect robots: every constant against a computation written out here with OpenCV, and the noise's statistics."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -34,10 +32,8 @@ from tests.robots import corners_of
 JOINT_KEYS = {
     **{name: {"pan_joint": "pan", "tilt_joint": "tilt"} for name in ("tick", "skid_steer", "odometry_only")},
     "paper": {
-        "torso_pitch_joint": "torso_pitch_joint",
-        "torso_roll_joint": "torso_roll_joint",
-        "head_pan_joint": "pan",
-        "head_tilt_joint": "tilt",
+        **{name: name for name in ("torso_pitch_joint", "torso_roll_joint")},
+        **{"head_pan_joint": "pan", "head_tilt_joint": "tilt"},
     },
 }
 CROSS = {(0, 0, 1): "xy", (0, 1, 0): "xz", (1, 0, 0): "yz"}
@@ -99,25 +95,16 @@ def same_pixels(extraction, expected):
 def expected_pixels(name, motion="standard", points_k=None, joints=None, **cameras):
     robot, route = ROBOTS[name](), route_of(name, motion)
     points_k = corners_of(route) if points_k is None else points_k
-    return [
-        both(robot.rig_cameras, board_in_camera(robot, route, t, joints), points_k, **cameras)
-        for t in station_times_s(route)
-    ]
+    poses = (board_in_camera(robot, route, t, joints) for t in station_times_s(route))
+    return [both(robot.rig_cameras, T_c_k, points_k, **cameras) for T_c_k in poses]
 
 
 def test_the_constants_of_a_pan_tilt_robot():
     kinds = constant_kinds(tick_robot())
-    cameras = {
-        f"{start}_{side}{end}"
-        for side in ("left", "right")
-        for start, ends in {
-            "focal": [""],
-            "focal_aspect": [""],
-            "principal": ["_x", "_y"],
-            "distortion": ["_radial_1", "_radial_2", "_tangential_x", "_tangential_y"],
-        }.items()
-        for end in ends
-    }
+    of_camera = ("focal_{}", "focal_aspect_{}", "principal_{}_x", "principal_{}_y")
+    terms = ("radial_1", "radial_2", "tangential_x", "tangential_y")
+    of_camera += tuple(f"distortion_{{}}_{term}" for term in terms)
+    cameras = {name.format(side) for side in ("left", "right") for name in of_camera}
     stereo = {"stereo_r_x", "stereo_r_y", "stereo_r_z", "baseline_y", "baseline_z", "baseline_scale"}
     board = {"square_scale", "square_aspect", "board_bend_x", "board_bend_y", "board_twist", "board_shear"}
     pan = {"pan_zero", "pan_scale", "pan_axis_x", "pan_axis_y", "pan_position_x", "pan_position_y"}
@@ -204,13 +191,8 @@ def test_the_board_is_larger_oblong_bent_and_twisted():
     xi, eta = x / 0.32 - 1, y / 0.2 - 1
     z = 0.004 * (1 - xi**2) - 0.003 * (1 - eta**2) + 0.002 * xi * eta
     points_k = np.stack([x * 1.02 * 1.005, y * 1.02 * 0.995, z], axis=1)
-    constants = {
-        "square_scale": 0.02,
-        "square_aspect": 0.01,
-        "board_bend_x": 0.004,
-        "board_bend_y": -0.003,
-    }
-    extraction = seen("tick", constants | {"board_twist": 0.002})
+    constants = {"square_scale": 0.02, "square_aspect": 0.01, "board_twist": 0.002}
+    extraction = seen("tick", constants | {"board_bend_x": 0.004, "board_bend_y": -0.003})
     same_pixels(extraction, expected_pixels("tick", points_k=points_k))
     # The measured squares show the scale, the stated ones remain.
     assert np.mean([o.square_m for o in extraction.observations]) == pytest.approx(0.0816, rel=2e-3)
@@ -225,10 +207,8 @@ def test_axes_and_positions_of_the_joints(name):
         a, b = (AXES[letter] for letter in letters)
         tilted = replace(joint, axis=tuple(turned(0.03 * a - 0.02 * b)[:3, :3] @ joint.axis))
         moved = replace(joint, xyz_m=tuple(np.array(joint.xyz_m) + 0.02 * a - 0.01 * b))
-        for constant, changed, values in (
-            ("axis", tilted, (0.03, -0.02)),
-            ("position", moved, (0.02, -0.01)),
-        ):
+        changes = (("axis", tilted, (0.03, -0.02)), ("position", moved, (0.02, -0.01)))
+        for constant, changed, values in changes:
             constants = {f"{key}_{constant}_{letters[k]}": values[k] for k in (0, 1)}
             joints = [changed if j is joint else j for j in robot.joints]
             same_pixels(seen(name, constants), expected_pixels(name, joints=joints))
@@ -314,9 +294,8 @@ def test_the_floor_rolls_pitches_and_lifts_the_base_at_every_station():
     noise = Noise(floor_rad=np.radians(0.1), floor_m=0.0005)
     found = []
     for seed in range(40):
-        for o, t in zip(
-            seen("tick", {}, noise=noise, seed=seed).observations, station_times_s(route), strict=True
-        ):
+        stations = seen("tick", {}, noise=noise, seed=seed).observations
+        for o, t in zip(stations, station_times_s(route), strict=True):
             T_c_v = board_in_camera(robot, route, t) @ np.linalg.inv(
                 route.T_w_k
             )  # of an even floor, to world
@@ -340,10 +319,8 @@ def test_each_wheel_has_a_scale_error_of_its_own_on_each_leg():
     shares = []
     for seed in range(60):
         noisy = seen("tick", {}, noise=Noise(wheel_share=0.01), seed=seed)
-        legs = [
-            [np.diff(getattr(e.wheels[0], side).at(stamps)) for side in ("right", "left")]
-            for e in (truth, noisy)
-        ]
+        wheels = [(e.wheels[0].right, e.wheels[0].left) for e in (truth, noisy)]
+        legs = [[np.diff(wheel.at(stamps)) for wheel in both_wheels] for both_wheels in wheels]
         shares.append(np.array(legs[1]) / np.array(legs[0]) - 1)
         if seed == 0:  # within a leg the error is in proportion
             rest_s = route.rests_s[0, 1]
@@ -389,11 +366,8 @@ def test_a_rolling_shutter_and_a_late_right_camera():
                 expected = both(rig, T_c_k, corners_k[k : k + 1])[side][0]
                 np.testing.assert_allclose(pixels[k], expected, rtol=0, atol=1e-3)
     plain = seen("tick", {}, "moving")
-    moved = [
-        np.linalg.norm(a.views[0].pixels - b.views[0].pixels, axis=1).max()
-        for a, b in zip(extraction.observations, plain.observations, strict=True)
-    ]
-    assert np.max(moved) > 0.5
+    pairs = zip(extraction.observations, plain.observations, strict=True)
+    assert max(np.linalg.norm(a.views[0].pixels - b.views[0].pixels, axis=1).max() for a, b in pairs) > 0.5
 
 
 def test_sag_and_gravity_play_change_the_reading_of_the_tilt_alone():
@@ -414,9 +388,8 @@ def test_heavy_tails_keep_the_variance_of_the_wheels_noise():
     for heavy in (False, True):
         parts = []
         for seed in range(10):
-            noisy = imperfect_extraction(
-                tick_robot(), route, Imperfection({}, level, Outside(heavy_tails=heavy)), seed
-            )
+            what = Imperfection({}, level, Outside(heavy_tails=heavy))
+            noisy = imperfect_extraction(tick_robot(), route, what, seed)
             a, b = np.diff(truth), np.diff(noisy.wheels[0].right_rad)
             turning = np.abs(a) > 1e-6
             parts.append((b - a)[turning] / np.sqrt(np.abs(a[turning])))
@@ -430,10 +403,8 @@ def test_heavy_tails_keep_the_variance_of_the_wheels_noise():
 
 def test_the_half_of_a_board_on_another_sheet_is_displaced():
     board = plan_route(tick_robot(), "standard", stations=4, seed=0).board
-    whole, halves = (
-        OutsideRobot(tick_robot(), {}, outside).corners_k(board)
-        for outside in (Outside(), Outside(sheet_m=0.0003))
-    )
+    boards = (OutsideRobot(tick_robot(), {}, o) for o in (Outside(), Outside(sheet_m=0.0003)))
+    whole, halves = (robot.corners_k(board) for robot in boards)
     beyond = board.grid()[:, 0] > (board.columns - 1) / 2
     assert beyond.any()
     assert not beyond.all()

@@ -36,6 +36,10 @@ def recorded(folder: Path, scenario: Scenario, name: str = "log", world_of=World
     return out
 
 
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
 def contents(path: Path, scenario: Scenario):
     """Everything that a calibration reads: robot description, signals and decoded images."""
     robot = ROBOTS[scenario.robot]()
@@ -77,11 +81,8 @@ def reference(once):
 def test_every_container_holds_the_same_values(once, reference, container):
     scenario = replace(SMALL, container=container)
     description, signals, pictures = contents(once(scenario), scenario)
-    for found, expected in (
-        (description.infos, reference[0].infos),
-        (signals, reference[1]),
-        (pictures, reference[2]),
-    ):
+    same_parts = ((description.infos, reference[0].infos), (signals, reference[1]), (pictures, reference[2]))
+    for found, expected in same_parts:
         pairs, wanted = list(flat(found)), list(flat(expected))
         assert [name for name, _ in pairs] == [name for name, _ in wanted]
         for (name, value), (_, same) in zip(pairs, wanted, strict=True):
@@ -93,11 +94,7 @@ def test_every_container_holds_the_same_values(once, reference, container):
 @pytest.mark.parametrize("container", ["mcap", "bag", "rosbag2"])
 def test_the_same_scenario_gives_the_same_bytes(once, tmp_path, container):
     scenario = replace(SMALL, container=container)
-    first, again = (
-        {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
-        for folder in (once(scenario).parent, recorded(tmp_path, scenario).parent)
-    )
-    assert first == again
+    assert files(once(scenario).parent) == files(recorded(tmp_path, scenario).parent)
 
 
 def test_readings_are_the_truth_within_the_stated_noise(reference):
@@ -178,10 +175,8 @@ def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(once, name):
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
     nominal = robot.nominal_wheels
-    radii = {
-        side: {urdf.cylinder_radius_m[urdf.joints[name].child] for name in names}
-        for side, names in robot.wheel_joints.items()
-    }
+    links = {side: [urdf.joints[name].child for name in names] for side, names in robot.wheel_joints.items()}
+    radii = {side: {urdf.cylinder_radius_m[link] for link in each} for side, each in links.items()}
     assert radii == {"left": {nominal.radius_left_m}, "right": {nominal.radius_right_m}}
 
 
@@ -257,16 +252,11 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
     for i, o in enumerate(expected.observations):
         for side, corners in (("left", o.views[0]), ("right", o.views[1])):
             grey = pictures[f"{side} {signals.images[side].time_ns[i]}"]
-            found = cv2.cornerSubPix(
-                grey, np.array(corners.pixels[:, None], dtype=np.float32), (5, 5), (-1, -1), (3, 50, 1e-4)
-            )
+            start = np.array(corners.pixels[:, None], dtype=np.float32)
+            found = cv2.cornerSubPix(grey, start, (5, 5), (-1, -1), (3, 50, 1e-4))
             assert np.abs(found[:, 0] - corners.pixels).max() < 0.1
-            assert (
-                np.abs(
-                    corners.pixels - stated.observations[i].views[["left", "right"].index(side)].pixels
-                ).max()
-                > 0.5
-            )
+            as_stated = stated.observations[i].views[side == "right"].pixels
+            assert np.abs(corners.pixels - as_stated).max() > 0.5
         for j, name in enumerate(robot.joint_names):
             track = signals.joints[name]
             assert track.at(np.array([o.time_ns]))[0] == pytest.approx(o.joints[j], abs=1e-8)
@@ -325,6 +315,15 @@ def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):
     with pytest.raises(OutputError, match="not a regular file"):
         simulate(SMALL, out, force=True)
     assert (out / "thesis.tex").read_text() == "precious"
+    # Nor what was not simulated.
+    out = recorded(tmp_path, SMALL, "other")
+    truth_path(out).unlink()
+    before = out.read_bytes()
+    with pytest.raises(
+        OutputError, match=r"not written by mobilecal simulate: there is no other\.truth\.yaml"
+    ):
+        simulate(SMALL, out, force=True)
+    assert out.read_bytes() == before
 
 
 @pytest.mark.parametrize(("container", "existing"), [("mcap", True), ("bag", False), ("rosbag2", True)])
@@ -332,7 +331,7 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container,
     scenario = replace(SMALL, container=container)
     if existing:
         recorded(tmp_path, scenario)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = files(tmp_path)
 
     def full(*_: object) -> str:
         raise OSError(28, "No space left on device")
@@ -340,13 +339,13 @@ def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container,
     monkeypatch.setattr(World, "truth", full)
     with pytest.raises(OutputError, match="No space left on device"):
         simulate(scenario, tmp_path / f"log{SUFFIXES[container]}", force=True)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert files(tmp_path) == before
     assert not list(tmp_path.glob(".*"))
 
 
 def test_a_failing_last_move_brings_the_old_recording_back(tmp_path, monkeypatch):
     out = recorded(tmp_path, SMALL)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    before = files(tmp_path)
     rename = placing._rename
 
     def refuse(source: Path, target: Path, flag: int) -> bool:
@@ -357,14 +356,5 @@ def test_a_failing_last_move_brings_the_old_recording_back(tmp_path, monkeypatch
     monkeypatch.setattr(placing, "_rename", refuse)
     with pytest.raises(OutputError, match="Input/output error"):
         simulate(replace(SMALL, seed=5), out, force=True)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert files(tmp_path) == before
     assert not list(tmp_path.glob(".*"))
-
-
-def test_force_keeps_a_recording_that_was_not_simulated(tmp_path):
-    out = recorded(tmp_path, SMALL)
-    truth_path(out).unlink()
-    before = out.read_bytes()
-    with pytest.raises(OutputError, match=r"not written by mobilecal simulate: there is no log\.truth\.yaml"):
-        simulate(SMALL, out, force=True)
-    assert out.read_bytes() == before

@@ -1,7 +1,5 @@
 """Rendered corners, measured by an independent saddle point fit, against OpenCV's projection."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -67,10 +65,7 @@ def through_lens(lens):
         pytest.param(board_pose(1.3), id="frontal"),
         pytest.param(board_pose(1.6, 4, 25, -30), id="tilted"),
         pytest.param(board_pose(2.4, -8, -20, 15), id="far"),
-        pytest.param(
-            board_pose(1.7, 45, 10, 10),
-            id="diagonal",
-        ),
+        pytest.param(board_pose(1.7, 45, 10, 10), id="diagonal"),
         pytest.param(board_pose(1.7, 2, 5, 8, (0.35, 0.2)), id="in the corner"),
         pytest.param(board_pose(1.5, 180, 5, 5), id="upside down"),
     ],
@@ -112,9 +107,8 @@ def test_the_square_outside_corner_0_is_dark_and_a_white_margin_lies_around(lens
 
 def test_a_white_square_runs_into_the_margin_without_a_line(lens, through_lens):
     T_c_k = board_pose(1.2)
-    across = np.stack(
-        [np.linspace(8.5, 9.5, 60), np.full(60, -0.5), np.zeros(60)], axis=1
-    )  # a white outer square
+    a_white_outer_square = [np.linspace(8.5, 9.5, 60), np.full(60, -0.5), np.zeros(60)]
+    across = np.stack(a_white_outer_square, axis=1)
     u, v = projected(lens, T_c_k, across * BOARD.square_m).T
     picture = through_lens.picture(T_c_k)
     line = map_coordinates(picture, [v, u], order=1)

@@ -1,7 +1,5 @@
 """Routes keep the board in view, rest at their stations and move as their name says."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import get_args
 
@@ -111,8 +109,5 @@ def test_the_same_seed_gives_the_same_route_and_another_seed_another():
     assert np.array_equal(first.knots_rad, again.knots_rad)
     assert first.drive.stretches == again.drive.stretches
     assert first.drive.stretches != other.drive.stretches
-
-
-def test_a_board_too_large_to_be_seen_is_refused():
     with pytest.raises(ConfigError, match="whole board"):
         plan_route(ROBOTS["paper"](), "standard", 4, Board(9, 6, 0.5))
