@@ -76,7 +76,4 @@ def test_a_route_comes_from_both_sides():
     sides = approach_direction(EXTRACTION)
     np.testing.assert_allclose(sides, plain(EXTRACTION), atol=1e-9)
     assert {-1.0, 1.0} <= set(sides.ravel())
-
-
-def test_no_tracks_no_sides():
     assert not approach_direction(dataclasses.replace(EXTRACTION, joint_tracks=())).any()

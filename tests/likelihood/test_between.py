@@ -8,20 +8,20 @@ from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import Parameters, WheelGeometry
 
 
-def test_between_variance_of_two_equal_weights():
-    """Values 0 and 4, own variance 1: the sample variance 8 less the own variance."""
-    assert between_variance(np.array([0.0, 4.0]), np.array([1.0, 1.0])) == pytest.approx(7.0)
-
-
-def test_between_variance_of_unequal_weights():
-    """Weights 1, 1/4, 1/4 and values 0, 3, 6: mean 1.5, Q = 2.25 + 0.5625 + 5.0625, spare = 1.5 - 1.125 / 1.5."""
-    found = between_variance(np.array([0.0, 3.0, 6.0]), np.array([1.0, 2.0, 2.0]))
-    assert found == pytest.approx((7.875 - 2) / 0.75)
-
-
-@pytest.mark.parametrize("values", [[1.0, 1.5], [3.0]])
-def test_no_between_variance_without_signs_of_it(values):
-    assert between_variance(np.array(values), np.ones(len(values))) == 0.0
+@pytest.mark.parametrize(
+    ("values", "std", "variance"),
+    [
+        # The sample variance 8 less the own variance.
+        ([0.0, 4.0], [1.0, 1.0], 7.0),
+        # Weights 1, 1/4, 1/4: mean 1.5, Q = 2.25 + 0.5625 + 5.0625, spare = 1.5 - 1.125 / 1.5.
+        ([0.0, 3.0, 6.0], [1.0, 2.0, 2.0], (7.875 - 2) / 0.75),
+        ([1.0, 1.5], [1.0, 1.0], 0.0),
+        ([3.0], [1.0], 0.0),
+    ],
+)
+def test_between_variance_by_hand(values, std, variance):
+    assert between_variance(np.array(values), np.array(std)) == pytest.approx(variance, abs=1e-15)
+    assert few_logs_factor(np.array([3.0]), np.array([1.0]), 0.0) == 1.0
 
 
 @pytest.mark.parametrize(("spread", "most"), [(2.0, 1.0), (20.0, 0.97)])
@@ -43,10 +43,6 @@ def test_few_recordings_that_differ_are_as_uncertain_as_stated(logs, spread, mos
         naive.append(abs(mean) < 2 * sigma)
     assert 0.94 < np.mean(inside) <= most
     assert np.mean(naive) < 0.9
-
-
-def test_one_recording_has_no_factor():
-    assert few_logs_factor(np.array([3.0]), np.array([1.0]), 0.0) == 1.0
 
 
 def test_predicted_errors_by_hand():

@@ -13,9 +13,8 @@ def test_a_direction_that_the_data_show_counts_as_far_as_it_is_off():
     """Data of variance 0.02 that are 3 off the prior of 0 ± 1: 3 / sqrt(1 + 0.02), but for the patterns left out."""
     variance = 0.02
     posterior = variance / (1 + variance)
-    chi2, dof, value, std = _without_prior(
-        np.array([3 * (1 - posterior)]), np.array([[posterior]]), np.ones(1)
-    )
+    off = np.array([3 * (1 - posterior)])
+    chi2, dof, value, std = _without_prior(off, np.array([[posterior]]), np.ones(1))
     assert dof == 1
     assert chi2 == pytest.approx(9 / (1 + variance), rel=2 * UNDERSTATED * posterior)
     assert value == pytest.approx([3.0])

@@ -38,12 +38,9 @@ class Case:
         disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives
         extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)
         seen = extraction.observations[:STATIONS]
-        extraction = replace(
-            extraction,
-            observations=tuple(replace(o, log=k * logs // len(seen)) for k, o in enumerate(seen)),
-            wheels=extraction.wheels * logs,
-            joint_tracks=extraction.joint_tracks * logs,
-        )
+        seen = tuple(replace(o, log=k * logs // len(seen)) for k, o in enumerate(seen))
+        tracks = {"wheels": extraction.wheels * logs, "joint_tracks": extraction.joint_tracks * logs}
+        extraction = replace(extraction, observations=seen, **tracks)
         # The left wheel's encoder is four times finer.
         steps = {"encoder_step_rad": np.array([0.02, 0.005])}
         self.data = replace(dataset_of(extraction, constants), **steps)
@@ -61,22 +58,13 @@ class Case:
         shared = random.normal(size=self.sizes[0]) * 1e-3
         boards = random.normal(size=(logs, 6)) * 1e-3
         step = Step(shared, boards, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
-        self.lin = Posterior.at(
-            self.data,
-            truth.plus(self.data, step),
-            inliers,
-            NOISE,
-            Priors.none(self.data.layout, truth.parameters),
-        )
+        priors = Priors.none(self.data.layout, truth.parameters)
+        self.lin = Posterior.at(self.data, truth.plus(self.data, step), inliers, NOISE, priors)
 
     def displaced(self, x):
         shared, boards, base, own = np.split(x, np.cumsum(self.sizes)[:3])
-        parts = (
-            part.reshape(rows, -1)
-            for part, rows in ((boards, self.data.logs), (base, STATIONS), (own, STATIONS))
-        )
-        step = Step(shared, *parts)
-        return self.lin.state.plus(self.data, step)
+        stations = base.reshape(STATIONS, -1), own.reshape(STATIONS, -1)
+        return self.lin.state.plus(self.data, Step(shared, boards.reshape(self.data.logs, -1), *stations))
 
     def residuals(self, x):
         state = self.displaced(x)
@@ -90,17 +78,10 @@ class Case:
         read = np.hypot(NOISE.joint_rad, self.data.joints_between)
         sigma = np.where(self.lin.inliers.readings, read, 1.0)
         encoders = np.hypot(NOISE.encoder_rad * np.array([1, 0.25]), self.data.wheels_between)
-        return np.concatenate(
-            [
-                pixels.ravel(),
-                legs.ravel(),
-                (state.joint_errors / sigma).ravel(),
-                (state.encoder_errors / encoders).ravel(),
-                (state.sway / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]).ravel(),
-                self.innovations(state.processes),
-                state.stamp_errors / NOISE.stamp_s,
-            ]
-        )
+        readings = state.joint_errors / sigma, state.encoder_errors / encoders
+        sway = state.sway / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]
+        errors = *readings, sway, self.innovations(state.processes), state.stamp_errors / NOISE.stamp_s
+        return np.concatenate([part.ravel() for part in (pixels, legs, *errors)])
 
     def innovations(self, values):
         """Of each process from its covariance sigma^2 exp(-d / l) in closed form, whitened."""
@@ -124,10 +105,8 @@ class Case:
         for k, name in enumerate(self.data.layout.names):
             if name.startswith("time_"):
                 step[k] = 2e-2
-        columns = [
-            (self.residuals(h * e) - self.residuals(-h * e)) / (2 * h)
-            for h, e in zip(step, np.eye(size), strict=True)
-        ]
+        steps = zip(step, np.eye(size), strict=True)
+        columns = [(self.residuals(h * e) - self.residuals(-h * e)) / (2 * h) for h, e in steps]
         J = np.stack(columns, axis=1)
         # The world is the base at the first station of its recording.
         first = self.sizes[0] + self.sizes[1] + self.width * np.flatnonzero(self.data.first)
@@ -191,8 +170,7 @@ def test_back_substitution_solves_the_dense_equations(case):
     n = case.sizes[0]
     step = np.random.default_rng(1).normal(size=n) * 1e-3
     other = np.linalg.solve(H[n:, n:], -g[n:] - H[n:, :n] @ step)
-    found = case.lin.normal.step(step)
-    assert (
-        np.abs(np.concatenate([found.boards.ravel(), found.base.ravel(), found.own.ravel()]) - other).max()
-        < 1e-4 * np.abs(other).max()  # in motion, rates are secants over 40 ms
-    )
+    made = case.lin.normal.step(step)
+    found = np.concatenate([made.boards.ravel(), made.base.ravel(), made.own.ravel()])
+    # In motion, rates are secants over 40 ms.
+    assert np.abs(found - other).max() < 1e-4 * np.abs(other).max()

@@ -43,9 +43,8 @@ def table(monkeypatch):
 def shaken():
     """A recording of a robot whose torso is pitched further than it reads at odd stations."""
     robot = paper_robot()
-    extraction = ideal_extraction(
-        robot, plan_route(robot, seed=1), Noise(0.2, 0.003, 0.0, np.radians(0.05)), seed=1
-    )
+    noise = Noise(0.2, 0.003, 0.0, np.radians(0.05))
+    extraction = ideal_extraction(robot, plan_route(robot, seed=1), noise, seed=1)
     seen = list(extraction.observations)
     for k in range(1, len(seen), 2):
         seen[k] = replace(seen[k], joints=seen[k].joints - SHIFT_RAD * np.eye(len(seen[k].joints))[0])
@@ -60,9 +59,8 @@ def test_a_made_up_constant_is_estimated_and_reported():
     assert abs(found.value - SHIFT_RAD) < 4 * found.std
     assert found.std < 0.3 * found.prior
     assert next(e for e in solution.evidence if e.kind == "shaky").part == "torso"
-    meaning, value, _, _, unit, *_ = rows_of(
-        made(solution, extraction), "description", "Estimated constants"
-    )["shaky_joint"]
+    rows = rows_of(made(solution, extraction), "description", "Estimated constants")
+    meaning, value, _, _, unit, *_ = rows["shaky_joint"]
     assert SHAKY.meaning in meaning
     assert (unit, float(value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 
@@ -92,11 +90,8 @@ def test_the_derivative_of_a_made_up_constant():
 def test_every_kind_of_the_table_has_rows():
     of_others = {"camera_rotation", "camera_position"}
     of_pairs = {"stereo_rotation", "baseline_direction", "baseline_length"}
-    for robot, lacks in (
-        (paper_robot(), of_others),
-        (tick_robot(), of_others),
-        (three_on_pan_tilt(), of_pairs),
-    ):
+    lacking = ((paper_robot(), of_others), (tick_robot(), of_others), (three_on_pan_tilt(), of_pairs))
+    for robot, lacks in lacking:
         rows = nuisance.table(robot.rig_cameras, chain_of(robot))
         assert {row.kind for row in rows} | {"board_corners"} == {kind.name for kind in KINDS} - lacks
         names = [row.name for row in rows]

@@ -1,7 +1,5 @@
 """Errors of projected points, against steps along the axes of the covariance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -49,7 +47,7 @@ def test_pixels_spread_as_predicted(moved):
     assert max(predicted) > 1.2 * min(predicted)
 
 
-def test_points_ahead_spread_as_predicted(moved):
+def test_points_ahead_spread_as_predicted_and_the_covariance_is_that_of_expected_errors(moved):
     solution, _, steps = moved
     distances = np.array([0.3, 2.0, 5.0])
     ahead = np.column_stack([np.zeros((3, 2)), distances])
@@ -57,10 +55,6 @@ def test_points_ahead_spread_as_predicted(moved):
     predicted = ahead_std_m(solution, distances)
     np.testing.assert_allclose(predicted, np.sqrt(np.sum(spread**2, axis=(1, 2))), rtol=1e-3)
     assert predicted[1] == pytest.approx(solution.uncertainty.at_work.point_m, rel=1e-9)
-
-
-def test_its_covariance_is_that_of_the_expected_errors(moved):
-    solution = moved[0]
     C, at_work = solution.uncertainty.camera, solution.uncertainty.at_work
     assert np.sqrt(np.trace(C[:3, :3])) == pytest.approx(at_work.camera_rad, rel=1e-9)
     assert np.sqrt(np.trace(C[3:6, 3:6])) == pytest.approx(at_work.camera_m, rel=1e-9)
