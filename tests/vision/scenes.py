@@ -68,23 +68,17 @@ def pose(
 
 def random_pose(rng: np.random.Generator, board: Board, square_m: float) -> np.ndarray:
     z = rng.uniform(0.9, 1.6)
-    tilt = rng.uniform(-0.5, 0.5, 3)
-    return pose(
-        0.06 + 0.1 * z * rng.uniform(-1, 1), 0.1 * z * rng.uniform(-1, 1), z, tuple(tilt), board, square_m
-    )
+    tilt = tuple(rng.uniform(-0.5, 0.5, 3))
+    x, y = 0.06 + 0.1 * z * rng.uniform(-1, 1), 0.1 * z * rng.uniform(-1, 1)
+    return pose(x, y, z, tilt, board, square_m)
 
 
 def opencv_pixels(camera: Camera, points: np.ndarray) -> np.ndarray:
     """(M, 3) points in the camera's frame → (M, 2) px, by OpenCV."""
-    zero = np.zeros(3)
-    if camera.distortion == "equidistant":
-        pixels = cv2.fisheye.projectPoints(
-            np.ascontiguousarray(points)[:, None], zero, zero, camera.K, camera.D
-        )[0]
-    else:
-        D = camera.D if len(camera.D) else np.zeros(5)
-        pixels = cv2.projectPoints(np.ascontiguousarray(points), zero, zero, camera.K, D)[0]
-    return pixels.reshape(-1, 2)
+    zero, points = np.zeros(3), np.ascontiguousarray(points)[:, None]
+    D = camera.D if len(camera.D) else np.zeros(5)
+    project = cv2.fisheye.projectPoints if camera.distortion == "equidistant" else cv2.projectPoints
+    return project(points, zero, zero, camera.K, D)[0].reshape(-1, 2)
 
 
 def seen(
@@ -92,12 +86,8 @@ def seen(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Corners in c (M, 3), and their true pixels in both images."""
     points_c = se3.act(T_c_k, square_m * board.grid())
-    T_r_c = np.linalg.inv(rig.T_c_each[1])
-    return (
-        points_c,
-        opencv_pixels(rig.each[0], points_c),
-        opencv_pixels(rig.each[1], se3.act(T_r_c, points_c)),
-    )
+    points_r = se3.act(np.linalg.inv(rig.T_c_each[1]), points_c)
+    return points_c, opencv_pixels(rig.each[0], points_c), opencv_pixels(rig.each[1], points_r)
 
 
 @cache
@@ -118,9 +108,8 @@ def _rays(camera: Camera) -> np.ndarray:
         x, y = ray[..., 0], ray[..., 1]
         q = x * x + y * y
         radial = 1 + q * (k1 + q * (k2 + q * k3))
-        shift = np.stack(
-            [2 * p1 * x * y + p2 * (q + 2 * x * x), p1 * (q + 2 * y * y) + 2 * p2 * x * y], axis=-1
-        )
+        along_x, along_y = 2 * p1 * x * y + p2 * (q + 2 * x * x), p1 * (q + 2 * y * y) + 2 * p2 * x * y
+        shift = np.stack([along_x, along_y], axis=-1)
         ray = (target - shift) / radial[..., None]
     return ray
 
@@ -199,9 +188,8 @@ def painted(
     paint[inside] += np.where(corners[0][0], dark - light, 0.0)
     cover[inside] += corners[0][1]
     # Where its corners lie in one square, so does the whole pixel.
-    cut = np.any(
-        [values != first for c in corners[1:] for values, first in zip(c, corners[0], strict=True)], axis=0
-    )
+    others = ((values, first) for c in corners[1:] for values, first in zip(c, corners[0], strict=True))
+    cut = np.any([values != first for values, first in others], axis=0)
     rows, columns = np.nonzero(cut)
     edge = (rows + v0, columns + u0)
     parts = [on_board(edge, du, dv)[:2] for dv, du in product(offset, offset)]

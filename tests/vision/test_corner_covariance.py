@@ -19,9 +19,7 @@ def covariances(random: np.random.Generator, count: int) -> np.ndarray:
     """Of very different sizes and directions, px^2."""
     size = 0.02 * np.exp(random.normal(0, 1, (count, 2)))
     angle = random.uniform(0, np.pi, count)
-    turn = np.stack(
-        [np.stack([np.cos(angle), -np.sin(angle)], -1), np.stack([np.sin(angle), np.cos(angle)], -1)], 1
-    )
+    turn = np.moveaxis(np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]), -1, 0)
     return turn @ (size[:, :, None] ** 2 * np.eye(2)) @ np.swapaxes(turn, 1, 2)
 
 
@@ -33,10 +31,8 @@ def test_points_and_pose_use_every_corner_for_what_it_is_worth():
     roots = [np.linalg.cholesky(c) for c in cov]
     nees, plain = [], []
     for _ in range(60):
-        a, b = (
-            p + (r @ random.normal(size=(54, 2, 1)))[..., 0]
-            for p, r in zip((left, right), roots, strict=True)
-        )
+        both = zip((left, right), roots, strict=True)
+        a, b = (p + (r @ random.normal(size=(54, 2, 1)))[..., 0] for p, r in both)
         for noise, errors in ((cov, nees), ((0.03, 0.03), plain)):
             points = triangulate(rig, a, b, *noise)
             assert not isinstance(points, Miss)
@@ -54,9 +50,8 @@ def test_an_average_keeps_the_claims_apart():
     _, left, _ = seen(rig, T, BOARD, 0.05)
     cov = covariances(random, 54)
     root = np.linalg.cholesky(cov)
-    found = [
-        Detection(left + (root @ random.normal(size=(54, 2, 1)))[..., 0], 0.03, cov=cov) for _ in range(400)
-    ]
+    noisy = (left + (root @ random.normal(size=(54, 2, 1)))[..., 0] for _ in range(400))
+    found = [Detection(pixels, 0.03, cov=cov) for pixels in noisy]
     average = StationCorners.of(found, BOARD).average(BOARD, rig.each[0])
     usual = np.median(np.trace(cov, axis1=1, axis2=2)) / 2
     own = average.cov_px2 - cov / 400

@@ -1,7 +1,5 @@
 """The corner model against truth: rendered boards whose corners are known to a thousandth of a pixel."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
@@ -39,9 +37,8 @@ def scenes():
 
 
 def eight_bit(picture, noise_grey, random):
-    return np.clip(np.round(picture + noise_grey * random.normal(size=picture.shape)), 0, 255).astype(
-        np.uint8
-    )
+    noisy = picture + noise_grey * random.normal(size=picture.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
 
 
 def rms(errors):

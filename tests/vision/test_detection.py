@@ -24,6 +24,10 @@ def truth(T_c_k: np.ndarray, board: Board = BOARD, camera=CAMERA) -> np.ndarray:
     return opencv_pixels(camera, se3.act(T_c_k, SQUARE_M * board.grid()))
 
 
+def shown(T_c_k: np.ndarray = FACING, **drawn: float) -> np.ndarray:
+    return render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, **drawn)
+
+
 def real(folder: Path, pattern: str) -> list[Path]:
     files = sorted(folder.rglob(pattern))
     assert files
@@ -39,12 +43,8 @@ def grey(path: Path) -> np.ndarray:
 @pytest.fixture(scope="module")
 def boards(shared_data: Path) -> list[Path]:
     """Every real image of a 9 x 6 board: OpenCV's 14, MRPT's 8, and left10."""
-    stereo = shared_data / "stereo"
-    return [
-        *real(stereo / "opencv_samples", "*.jpg"),
-        *real(stereo / "mrpt_stereo_calib", "*.jpg"),
-        *real(stereo / "unpaired", "*.jpg"),
-    ]
+    folders = ("opencv_samples", "mrpt_stereo_calib", "unpaired")
+    return [path for name in folders for path in real(shared_data / "stereo" / name, "*.jpg")]
 
 
 class TestRendered:
@@ -73,9 +73,7 @@ class TestRendered:
     def test_claimed_noise_is_the_noise(self) -> None:
         errors, claims = [], []
         for seed in range(5):
-            found = detected(
-                detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, noise=5, seed=seed), 9, 6)
-            )
+            found = detected(detect(shown(noise=5, seed=seed), 9, 6))
             errors.append(found.pixels - truth(FACING))
             claims.append(found.sigma_px)
         assert np.mean(claims) == pytest.approx(np.sqrt(np.mean(np.square(errors))), rel=0.25)
@@ -86,9 +84,8 @@ class TestRendered:
         for roll in np.radians([0, 50, 95, 140, 185, 230, 275, 320][columns % 3 :: 3]):
             T_c_k = pose(0.0, 0.0, 1.0, (0, 0, roll), board, SQUARE_M)
             T_c_k[:3, :3] = se3.exp_so3(np.array([0.3, -0.2, 0.0])) @ T_c_k[:3, :3]
-            found = detected(
-                detect(render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2), columns, rows)
-            )
+            image = render(CAMERA, T_c_k, board, SQUARE_M, blur_px=0.7, supersample=2)
+            found = detected(detect(image, columns, rows))
             expected = truth(T_c_k, board).reshape(rows, columns, 2)
             # Determined by the square colors as far as possible.
             possible = {(8, 8): (0, 1, 2, 3), (8, 6): (0, 2), (7, 7): (0, 2)}.get((columns, rows), (0,))
@@ -99,17 +96,13 @@ class TestRendered:
     def test_part_of_a_larger_board_is_refused(self, wanted: tuple[int, int]) -> None:
         for roll in (0.0, 1.5):
             T_c_k = pose(0.0, 0.0, 0.9, (0, 0, roll), BOARD, SQUARE_M)
-            miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), *wanted))
+            miss = missed(detect(shown(T_c_k), *wanted))
             assert miss.reason == "board extends beyond the grid"
 
-    def test_narrow_outer_squares(self) -> None:
-        found = detected(detect(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, outer=0.4), 9, 6))
-        assert np.abs(found.pixels - truth(FACING)).max() < 0.12
-
-    def test_low_contrast(self) -> None:
-        image = render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7, dark=100, light=118, noise=0.7)
-        found = detected(detect(image, 9, 6))
-        assert np.abs(found.pixels - truth(FACING)).max() < 0.3
+    def test_narrow_outer_squares_and_low_contrast(self) -> None:
+        for image, most in ((shown(outer=0.4), 0.12), (shown(dark=100, light=118, noise=0.7), 0.3)):
+            found = detected(detect(image, 9, 6))
+            assert np.abs(found.pixels - truth(FACING)).max() < most
 
     def test_second_board_of_the_same_size(self) -> None:
         near = pose(-0.18, -0.05, 0.9, (0.1, 0.2, 0.0), BOARD, 0.03)
@@ -131,7 +124,7 @@ class TestRendered:
     @pytest.mark.parametrize(("x", "y"), [(-0.32, 0.0), (0.34, 0.0), (0.0, 0.3)])
     def test_cut_off_by_the_border(self, x: float, y: float) -> None:
         T_c_k = pose(x, y, 0.9, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
-        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7), 9, 6))
+        miss = missed(detect(shown(T_c_k), 9, 6))
         assert miss.reason == "board partly occluded or outside the image"
 
     @pytest.mark.parametrize("squares", [0.3, 0.4])
@@ -139,7 +132,7 @@ class TestRendered:
         """All inner corners are in the image, one or two outer squares are not."""
         T_c_k = pose(0.0, 0.0, 0.9, (0.1, 0.0, 0.35), BOARD, SQUARE_M)
         right = truth(T_c_k)[:, 0].max() + squares * smallest_edge_px(truth(T_c_k).reshape(6, 9, 2))
-        image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=1)[:, : int(right)]
+        image = shown(T_c_k, noise=1)[:, : int(right)]
         found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - truth(T_c_k)).max() < 0.1
         for wrong in ((8, 6), (9, 5), (10, 6)):
@@ -148,23 +141,21 @@ class TestRendered:
     def test_the_border_cuts_a_side_of_the_board(self) -> None:
         T_c_k = pose(0.0, 0.0, 0.9, (0.1, 0.0, 0.0), BOARD, SQUARE_M)
         right = int(truth(T_c_k)[:, 0].max()) + 10  # a third of a square
-        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7)[:, :right], 9, 6))
+        miss = missed(detect(shown(T_c_k)[:, :right], 9, 6))
         assert miss.reason == "board partly occluded or outside the image"
         assert "of the board's 70 squares are outside the image" in miss.detail
 
     @pytest.mark.parametrize("cover", [(0, 2), (0, 0), (4, 3), (8, 5)])
     def test_hidden_corners(self, cover: tuple[int, int]) -> None:
-        image = np.array(render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7))
+        image = np.array(shown())
         x, y = truth(FACING).reshape(6, 9, 2)[cover[1], cover[0]]
         cv2.circle(image, (int(x), int(y)), 24, 110, -1)
         assert isinstance(detect(image, 9, 6), Miss)
 
     def test_far_away(self) -> None:
         T_c_k = pose(0.0, 0.0, 5.2, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
-        assert missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6)).reason in (
-            "squares too small",
-            "no board found",
-        )
+        miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6))
+        assert miss.reason in ("squares too small", "no board found")
         T_c_k = pose(0.0, 0.0, 4.1, (0.1, 0.1, 0.0), BOARD, SQUARE_M)
         miss = missed(detect(render(CAMERA, T_c_k, BOARD, SQUARE_M), 9, 6))
         assert miss.reason == "squares too small"
@@ -179,7 +170,7 @@ class TestRendered:
         assert missed(detect(cv2.GaussianBlur(sharp, (0, 0), 9), 9, 6)).reason == "blurred"
 
     def test_strides_and_read_only_pictures(self) -> None:
-        image = render(CAMERA, FACING, BOARD, SQUARE_M, blur_px=0.7)
+        image = shown()
         padded = np.zeros((480, 704), dtype=np.uint8)
         padded[:, :640] = image
         padded.setflags(write=False)
@@ -189,9 +180,8 @@ class TestRendered:
         np.testing.assert_array_equal(plain.pixels, strided.pixels)
 
     def test_large_picture(self) -> None:
-        image = cv2.resize(
-            render(CAMERA, FACING, BOARD, SQUARE_M), (1280, 960), interpolation=cv2.INTER_CUBIC
-        )
+        sharp = render(CAMERA, FACING, BOARD, SQUARE_M)
+        image = cv2.resize(sharp, (1280, 960), interpolation=cv2.INTER_CUBIC)
         found = detected(detect(image, 9, 6))
         assert np.abs(found.pixels - ((truth(FACING) + 0.5) * 2 - 0.5)).max() < 0.25
 
@@ -234,17 +224,12 @@ class TestReal:
 
 
 class TestSize:
-    def test_every_real_picture_votes_right(self, boards: list[Path]) -> None:
-        vote = identify_size(grey(path) for path in boards)
+    @pytest.mark.parametrize(("enough", "pictures"), [({}, 23), ({"enough": 3}, 3)])
+    def test_every_real_picture_votes_right(self, boards: list[Path], enough: dict, pictures: int) -> None:
+        vote = identify_size((grey(path) for path in boards), **enough)
         assert vote.size == (9, 6)
-        assert vote.votes == {(9, 6): 23}
-        assert vote.pictures == 23
-
-    def test_three_that_agree_are_enough(self, boards: list[Path]) -> None:
-        vote = identify_size((grey(path) for path in boards), enough=3)
-        assert vote.size == (9, 6)
-        assert vote.votes == {(9, 6): 3}
-        assert vote.pictures == 3
+        assert vote.votes == {(9, 6): pictures}
+        assert vote.pictures == pictures
 
     @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 7), (11, 8), (4, 3)])
     def test_rendered(self, columns: int, rows: int) -> None:

@@ -14,9 +14,8 @@ from tests.vision.scenes import K
 SQUARE_M = 0.06
 # Head axes: x forward, y left, z up; the camera looks forward, and is mounted a little askew.
 R_H_C = se3.exp_so3(np.array([0.05, -0.1, 0.08])) @ np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-UPRIGHT = np.array(
-    [[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]
-)  # board: x to the right, y down, z away from the base
+# Board: x to the right, y down, z away from the base.
+UPRIGHT = np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 LYING = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
 
 
@@ -26,10 +25,8 @@ def observed(
     """Both cameras see the board where the first one sees points (M, 3)."""
     corners = Corners((points @ K.T)[:, :2] / points[:, 2:] if pixels is None else pixels, 0.1, 1)
     none, pose_cov = np.zeros(0), 1e-6 * np.eye(6)
-    views = (corners, corners)
-    return Observation(
-        0, station, 1000 * station, True, none, none, views, points, cov, T, pose_cov, SQUARE_M, 0.1
-    )
+    measured = (corners, corners), points, cov, T, pose_cov, SQUARE_M, 0.1
+    return Observation(0, station, 1000 * station, True, none, none, *measured)
 
 
 def world(
@@ -63,10 +60,9 @@ def same_numbering(resolved: tuple[Observation, ...], truth: list[Observation], 
     """All stations differ from the truth by one and the same turn, in all their parts."""
     for k in range(4) if board.columns == board.rows else (0, 2):
         wanted = [renumbered(o, board, k) for o in truth if o.station in {s.station for s in resolved}]
-        if all(
-            np.allclose(s.points_c, w.points_c, atol=1e-12) for s, w in zip(resolved, wanted, strict=True)
-        ):
-            for s, w in zip(resolved, wanted, strict=True):
+        both = list(zip(resolved, wanted, strict=True))
+        if all(np.allclose(s.points_c, w.points_c, atol=1e-12) for s, w in both):
+            for s, w in both:
                 np.testing.assert_allclose(s.T_c_k, w.T_c_k, atol=1e-9)
                 np.testing.assert_array_equal(s.views[0].pixels, w.views[0].pixels)
                 np.testing.assert_array_equal(s.views[1].pixels, w.views[1].pixels)

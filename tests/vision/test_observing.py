@@ -83,26 +83,21 @@ def test_errors_common_to_all_shots_are_no_smaller_for_averaging() -> None:
     assert found.views[0].sigma_px == pytest.approx(0.2, rel=0.3)
 
 
-def test_shots_missing_in_one_picture_are_left_out() -> None:
+def test_shots_missing_in_one_picture_and_one_that_moved_are_left_out():
     left, right = pairs(4, 0.1)
     left[1] = Miss("blurred", "borders are 0.8 squares wide")
     found = observed(observe(0, station(4), left, right, RIG, BOARD, SQUARE_M))
     assert found.views[0].pictures == found.views[1].pictures == 3
+    left, right = pairs(5, 0.05)
+    left[4] = Detection(left[4].pixels + 2.0, 0.05)
+    found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
+    assert found.views[0].pictures == 4
 
 
 def test_no_pair() -> None:
     hidden, none = HIDDEN, Miss("no board found", "none")
-    result = rejected(
-        observe(
-            0,
-            station(3),
-            [hidden, none, hidden],
-            [none, none, hidden],
-            RIG,
-            BOARD,
-            0.06,
-        )
-    )
+    both = [hidden, none, hidden], [none, none, hidden]
+    result = rejected(observe(0, station(3), *both, RIG, BOARD, 0.06))
     assert result.reason == "board partly occluded or outside the image"
     assert result.detail == (
         "3 stereo pairs; left: 2 x board partly occluded or outside the image (7 x 6 seen); 1 x no board found (none); "
@@ -130,13 +125,6 @@ def test_one_camera_of_a_pair(k: int, stated: float | None, hidden: Miss | None)
         assert rejected(resolve_square(measured, None)).reason == "size of the squares unknown"
 
 
-def test_a_shot_that_moved_is_left_out() -> None:
-    left, right = pairs(5, 0.05)
-    left[4] = Detection(left[4].pixels + 2.0, 0.05)
-    found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
-    assert found.views[0].pictures == 4
-
-
 def test_a_rest_that_is_none() -> None:
     left, right = pairs(6, 0.05)
     drifting = [Detection(d.pixels + 3.0 * i, 0.05) for i, d in enumerate(left)]
@@ -145,16 +133,12 @@ def test_a_rest_that_is_none() -> None:
     assert "drift by 7.5" in result.detail
 
 
-def test_left_and_right_of_different_boards() -> None:
+def test_other_boards_and_squares_are_rejected():
     other = pose(0.05, 0.1, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
-    result = rejected(
-        observe(0, station(), pairs(1, 0.05)[0], pairs(1, 0.05, T_c_k=other)[1], RIG, BOARD, SQUARE_M)
-    )
+    (left, _), (_, right) = pairs(1, 0.05), pairs(1, 0.05, T_c_k=other)
+    result = rejected(observe(0, station(), left, right, RIG, BOARD, SQUARE_M))
     assert result.reason == "left and right images inconsistent"
     assert "px" in result.detail
-
-
-def test_wrong_square() -> None:
     result = rejected(observe(0, station(), *pairs(1, 0.05), RIG, BOARD, 0.08))
     assert result.reason == "unexpected square size"
     assert result.detail == "triangulated squares are 60.0 mm wide, expected 80.0 mm"
@@ -198,14 +182,8 @@ def test_snapshot() -> None:
 def test_real_pairs_show_squares_of_30_mm(shared_data: Path) -> None:
     sides_mm = []
     for i in range(1, 8):
-        left, right = (
-            detect(
-                cv2.imread(str(shared_data / f"stereo/opencv_samples/{side}0{i}.jpg"), cv2.IMREAD_GRAYSCALE),
-                9,
-                6,
-            )
-            for side in ("left", "right")
-        )
+        paths = (shared_data / f"stereo/opencv_samples/{side}0{i}.jpg" for side in ("left", "right"))
+        left, right = (detect(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), 9, 6) for path in paths)
         found = observed(observe(0, station(), [left], [right], bouguet(), BOARD, None))
         assert found.square_m == pytest.approx(0.030, abs=0.05e-3)
         assert found.reprojection_px < 0.2

@@ -42,16 +42,13 @@ def test_the_noise_is_true_for_few_corners_too(
     assert np.sqrt(np.mean(squares)) == pytest.approx(NOISE_PX, rel=0.08)
 
 
-def test_without_the_lens_the_same_corners_look_rough() -> None:
+def test_without_the_lens_the_same_corners_look_rough():
     """Why the camera's model is used: a board of 6 x 4 under a fisheye lens, without any noise."""
     rig, board = stereo_rig("fisheye"), Board(6, 4)
     _, left, _ = seen(rig, random_pose(np.random.default_rng(1), board, 0.08), board, 0.08)
     grid = left.reshape(4, 6, 2)
     assert fit_grid(grid).sigma_px > 0.1
     assert roughness_px(rig.each[0], grid) < 1e-6
-
-
-def test_a_wrong_corner_shows() -> None:
     rig, board = stereo_rig("raw"), Board(6, 4)
     _, left, _ = seen(rig, random_pose(np.random.default_rng(2), board, 0.08), board, 0.08)
     left[8] += 1.0

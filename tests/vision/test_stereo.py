@@ -20,9 +20,8 @@ SQUARE_M = 0.06
 @pytest.mark.parametrize("seed", range(4))
 def test_exact_pixels_give_exact_points(kind: str, seed: int) -> None:
     rig = stereo_rig(kind)
-    points_c, left, right = seen(
-        rig, random_pose(np.random.default_rng(seed), BOARD, SQUARE_M), BOARD, SQUARE_M
-    )
+    T_c_k = random_pose(np.random.default_rng(seed), BOARD, SQUARE_M)
+    points_c, left, right = seen(rig, T_c_k, BOARD, SQUARE_M)
     found = triangulate(rig, left, right, 0.1, 0.2)
     assert isinstance(found, StereoPoints)
     np.testing.assert_allclose(found.points_c, points_c, atol=1e-12)
@@ -37,13 +36,9 @@ def test_covariance_is_the_spread(kind: str) -> None:
     sigma_left, sigma_right, runs = 0.08, 0.16, 200
     errors, epipolar = [], []
     for _ in range(runs):
-        found = triangulate(
-            rig,
-            left + sigma_left * rng.standard_normal(left.shape),
-            right + sigma_right * rng.standard_normal(right.shape),
-            sigma_left,
-            sigma_right,
-        )
+        noisy_left = left + sigma_left * rng.standard_normal(left.shape)
+        noisy_right = right + sigma_right * rng.standard_normal(right.shape)
+        found = triangulate(rig, noisy_left, noisy_right, sigma_left, sigma_right)
         assert isinstance(found, StereoPoints)
         errors.append(found.points_c - points_c)
         epipolar.append(found.rms_px)
