@@ -1,7 +1,5 @@
 """Calibrations side by side."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -61,9 +59,8 @@ def test_rotation_is_in_the_heads_frame():
 @pytest.mark.parametrize(("radius_m", "broken"), [(0.101, 0), (0.2, 1)])
 def test_an_unobservable_radius_that_no_nominal_value_explains(radius_m, broken):
     std = np.array([*STD[:6], 3e-3, *STD[7:]])
-    blind = robot(
-        observable=(True,) * 6 + (False, True, True), wheels=WheelGeometry(radius_m, 0.1, 0.5), std=std
-    )
+    observable = (True,) * 6 + (False, True, True)
+    blind = robot(observable=observable, wheels=WheelGeometry(radius_m, 0.1, 0.5), std=std)
     found = Limits().broken_by(difference(robot(), blind))
     assert len(found) == broken
     if broken:
@@ -86,9 +83,8 @@ def test_no_conclusion_about_an_unobservable_parameter():
 def test_a_limit_in_sigma_needs_observable_parameters():
     blind = robot(observable=(True,) * 8 + (False,), std=np.array([*STD[:8], 0.1]))
     assert Limits(sigma=4).broken_by(difference(robot(), robot(log="b"))) == []
-    assert Limits(sigma=4).broken_by(difference(robot(), blind)) == [
-        "no conclusion about separation: unobservable"
-    ]
+    broken = Limits(sigma=4).broken_by(difference(robot(), blind))
+    assert broken == ["no conclusion about separation: unobservable"]
 
 
 def test_calibrations_without_standard_deviations_have_no_test():
@@ -120,17 +116,15 @@ def test_the_text_has_digits_that_match_the_sigma():
     assert "probability by chance 100 %" in text
 
 
+NOTHING_SHARED = "have no parameter that both determine with a standard deviation"
+
+
 @pytest.mark.parametrize(
     ("t_x", "std", "said", "value"),
     [
         (2.8, STD, "Changed: from a to b, at most 989.9 sigma (t_x).", True),
         (0.003, STD, "Unchanged: from a to b, at most 1.1 sigma (t_x).", False),
-        (
-            2.8,
-            None,
-            "Unknown: a and b have no parameter that both determine with a standard deviation.",
-            None,
-        ),
+        (2.8, None, f"Unknown: a and b {NOTHING_SHARED}.", None),
     ],
 )
 def test_the_first_line_says_whether_the_robot_changed(t_x, std, said, value):
@@ -161,11 +155,7 @@ def test_chance_is_uniform_over_unchanged_robots():
     rng = np.random.default_rng(1)
     chances = []
     for _ in range(400):
-        pair = [robot(se3.transform(np.eye(3), rng.normal(size=3) * 2e-3)) for _ in range(2)]
-        pair = [
-            CalibratedRobot(p.parent_frame, p.child_frame, p.T_parent_child, p.wheels,
-                            Knowledge(p.knowledge.covariance, [False] * 3 + [True] * 3 + [False] * 3))
-            for p in pair
-        ]  # fmt: skip
+        moved = [se3.transform(np.eye(3), rng.normal(size=3) * 2e-3) for _ in range(2)]
+        pair = [robot(T, observable=[False] * 3 + [True] * 3 + [False] * 3) for T in moved]
         chances.append(difference(*pair).chance)
     assert 0.06 < np.mean(np.array(chances) < 0.1) < 0.14

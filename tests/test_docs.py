@@ -1,11 +1,8 @@
 """The documentation: generated pages are up to date, links lead somewhere, the pages build."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re
-import subprocess
 import sys
 
 import jsonschema
@@ -15,7 +12,7 @@ import yaml
 from mobilecal_cli import errors
 from mobilecal_cli.export.extraction import _OLDEST_READ, SCHEMA_VERSION
 from mobilecal_cli.likelihood.nuisance import KINDS
-from tests.command import run
+from tests.command import python, run
 from tests.conftest import REPOSITORY
 from tests.hostile.refusals import extraction
 
@@ -31,37 +28,24 @@ def generator_of(name):
     return module
 
 
-@pytest.fixture(scope="module")
-def generator():
-    return generator_of("errors")
+@pytest.mark.parametrize(
+    ("name", "made"), [("errors", "catalogue"), ("options", "page"), ("schema", "schema")]
+)
+def test_what_is_generated_is_up_to_date(name, made):
+    generator = generator_of(name)
+    assert generator.TARGET.read_text(encoding="utf-8") == getattr(generator, made)(), "run: make docs"
 
 
-@pytest.fixture(scope="module")
-def catalogue(generator):
-    return generator.catalogue()
-
-
-def test_the_error_catalogue_is_up_to_date(generator, catalogue):
-    assert generator.TARGET.read_text(encoding="utf-8") == catalogue, "run: make docs"
-
-
-def test_every_kind_of_error_has_its_own_code_and_exit_code(generator):
+def test_every_error_has_its_own_code_and_exit_code_and_says_what_to_do():
+    """Except for errors of the readers about a single image, which become rejections with their own cure."""
+    generator = generator_of("errors")
     kinds = generator.KINDS.values()
     assert len({kind.code for kind in kinds}) == len({kind.exit_code for kind in kinds}) == 7
     assert {kind.exit_code for kind in kinds} == {2, 3, 4, 5, 6, 7, 8}
     assert issubclass(errors.QualityError, errors.MobilecalError)
-
-
-def test_every_error_says_what_to_do(catalogue):
-    """Except for errors of the readers about a single image, which become rejections with their own cure."""
-    lines = [line.split(" | ") for line in catalogue.splitlines() if line.startswith("| ")]
+    lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/pixels"}
-
-
-def test_the_options_are_up_to_date():
-    options = generator_of("options")
-    assert options.TARGET.read_text(encoding="utf-8") == options.page(), "run: make docs"
 
 
 def test_the_table_of_formats_is_up_to_date():
@@ -73,9 +57,8 @@ def test_the_table_of_formats_is_up_to_date():
 
 def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():
     text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
-    written, oldest, newest_old = re.search(
-        r"its schema version\s\((\d+)\); versions (\d+) to (\d+) are still read", text
-    ).groups()
+    stated = r"its schema version\s\((\d+)\); versions (\d+) to (\d+) are still read"
+    written, oldest, newest_old = re.search(stated, text).groups()
     assert int(written) == SCHEMA_VERSION
     assert [int(oldest), int(newest_old)] == [_OLDEST_READ, SCHEMA_VERSION - 1]
 
@@ -118,11 +101,7 @@ def test_the_readme_links_to_every_page_for_users():
     linked = (REPOSITORY / "README.md").read_text(encoding="utf-8")
     pages = {path.relative_to(REPOSITORY).as_posix() for path in PAGES if path.parent != REPOSITORY}
     # The command-line page links to the options; the others are for the documentation's own site.
-    others = {
-        "docs/index.md",
-        "docs/reference/options.md",
-        "docs/reference/python-api.md",
-    }
+    others = {f"docs/{name}.md" for name in ("index", "reference/options", "reference/python-api")}
     # One summary links to the pages with all figures.
     figures = {page for page in pages if page.startswith("docs/validation/")} - {"docs/validation/index.md"}
     summary = (DOCS / "validation" / "index.md").read_text(encoding="utf-8")
@@ -132,19 +111,7 @@ def test_the_readme_links_to_every_page_for_users():
 
 @pytest.mark.long
 def test_the_pages_are_built_without_a_warning(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "sphinx",
-        "-W",
-        "--keep-going",
-        "-q",
-        "-b",
-        "html",
-        DOCS,
-        tmp_path / "html",
-    ]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    done = python("-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", DOCS, tmp_path / "html")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert (tmp_path / "html" / "tutorial" / "first-calibration.html").is_file()
@@ -166,11 +133,6 @@ def test_the_workflow_and_the_image_name_commands_and_files_that_exist():
     dockerfile = (DOCS / "how-to" / "Dockerfile").read_text(encoding="utf-8")
     for line in re.findall(r"^COPY (.*)$", dockerfile, flags=re.MULTILINE):
         assert all((REPOSITORY / name).exists() for name in line.split()[:-1])
-
-
-def test_the_schema_is_that_of_the_types():
-    schema = generator_of("schema")
-    assert schema.TARGET.read_text(encoding="utf-8") == schema.schema(), "run: make docs"
 
 
 def test_a_printed_report_fits_its_schema(tmp_path):

@@ -1,7 +1,5 @@
 """All commands of the tutorial and the how-to pages, run in a shell: `make pages`."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -79,16 +77,12 @@ def test_every_command_of_a_page_works(page, bench, tmp_path):
 def test_the_differences_that_the_tutorial_states(bench, tmp_path):
     """Between the methods: no larger than stated, and not much smaller."""
     text = (DOCS / "tutorial" / "first-calibration.md").read_text(encoding="utf-8")
-    said = re.search(
-        r"at most ([\d.]+) degrees per rotation axis, ([\d.]+) mm per translation axis and\s+([\d.]+) mm",
-        text,
-    )
+    limits = r"([\d.]+) degrees per rotation axis, ([\d.]+) mm per translation axis and\s+([\d.]+) mm"
+    said = re.search(f"at most {limits}", text)
     params = bench / "result" / "params.yaml"
     linear = tmp_path / "linear"
-    done = shell(
-        f"mobilecal calibrate {bench / 'result/extraction.npz'} --method linear --output {linear} -q",
-        tmp_path,
-    )
+    recording = bench / "result" / "extraction.npz"
+    done = shell(f"mobilecal calibrate {recording} --method linear --output {linear} -q", tmp_path)
     assert done.returncode == 0, done.stderr
     compared = shell(f"mobilecal compare {params} {linear / 'params.yaml'} --json", tmp_path)
     (difference,) = json.loads(compared.stdout)["against_first"]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -92,25 +90,17 @@ def test_keyframes_spread_over_the_motion():
 
 
 def test_a_long_rest_gives_few_pictures():
-    plan = planned(
-        signals(lambda t: staircase(t, rest_s=60), lambda t: 3 * staircase(t, rest_s=60), duration_s=488),
-        ("pan",),
-    )
+    long = signals(lambda t: staircase(t, rest_s=60), lambda t: 3 * staircase(t, rest_s=60), duration_s=488)
+    plan = planned(long, ("pan",))
     assert len(plan.stations) == 8
     assert all(len(station.shots) == SHOTS_PER_REST for station in plan.stations)
 
 
-def test_unequal_clocks_of_the_cameras_pair_the_nearest():
+def test_unequal_clocks_of_the_cameras_pair_the_nearest_and_each_picture_once():
     left, right = ns([0, 1, 2, 3]), ns([0.02, 0.98, 1.01, 3.01])
     pairs = pair_images(left, right, 0.1)
-    assert [((s.times_ns[0] - START) / S, (s.times_ns[1] - START) / S) for s in pairs] == [
-        (0, 0.02),
-        (1, 1.01),
-        (3, 3.01),
-    ]
-
-
-def test_each_picture_is_in_one_pair_only():
+    at = [tuple((time_ns - START) / S for time_ns in shot.times_ns) for shot in pairs]
+    assert at == [(0, 0.02), (1, 1.01), (3, 3.01)]
     pairs = pair_images(ns([0, 0.03, 0.06]), ns([0.04]), 0.1)
     assert len(pairs) == 1
     assert pairs[0].times_ns[0] == ns(0.03)
@@ -185,15 +175,12 @@ def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
 AT_REST = signals(staircase, lambda t: 3 * staircase(t))
 
 
-def test_stamps_that_are_as_planned_change_nothing():
+def test_stamps_in_place_of_those_of_the_plan():
     plan, found = restamped(AT_REST)
     assert [s.shots for s in found.stations] == [s.shots for s in plan.stations]
     assert [s.time_ns for s in found.stations] == [s.time_ns for s in plan.stations]
     assert [s.joints.tolist() for s in found.stations] == [s.joints.tolist() for s in plan.stations]
     assert found.wheels is plan.wheels
-
-
-def test_stamps_of_their_own():
     plan, found = restamped(AT_REST, lambda ns: ns + S // 100, lambda ns: ns + S // 50)
     assert len(found.stations) == 8
     for station, planned in zip(found.stations, plan.stations, strict=True):
@@ -233,9 +220,10 @@ def test_pictures_without_a_stamp_are_dropped():
 
 
 def test_of_equal_stamps_one_is_kept():
-    plan, found = restamped(
-        AT_REST, lambda ns: ns - (ns - START) % (S // 2), lambda ns: ns - (ns - START) % (S // 2)
-    )
+    def halves(ns):
+        return ns - (ns - START) % (S // 2)
+
+    plan, found = restamped(AT_REST, halves, halves)
     for station, planned in zip(found.stations, plan.stations, strict=True):
         left = [pair.times_ns[0] for pair in station.shots]
         assert len(left) == len(set(left)) < len(planned.shots)
@@ -294,9 +282,8 @@ def test_images_repeated_in_motion_are_not_used():
     images = {side: repeating(times, np.repeat(times[::3], 3)) for side in ("left", "right")}
     swing = signals(lambda t: np.sin(3 * t), lambda t: 0.5 * t, images=images)
     plan = planned(swing, ("pan",), everything=True)
-    assert [pair.times_ns[0] for station in plan.stations for pair in station.shots] == ns(
-        times[::3]
-    ).tolist()
+    used = [pair.times_ns[0] for station in plan.stations for pair in station.shots]
+    assert used == ns(times[::3]).tolist()
 
 
 @pytest.mark.parametrize("frozen", ["right", "left and right"])
@@ -322,37 +309,26 @@ def lost_after(seconds, begin=0.0):
     return {side: indexed(ns(np.arange(begin + 0.1, seconds, 0.2))) for side in ("left", "right")}
 
 
-def test_images_that_are_left_out_were_recorded():
-    left_out = {side: ns(np.arange(14.1, 24, 0.2)) for side in ("left", "right")}
-    both = lost_after(14.0)
-    one = {**both, "right": indexed(ns(np.arange(0.1, 24, 0.2)))}
-    for images, left_out_ns in ((both, left_out), (one, {"left": left_out["left"]})):
-        log = signals(staircase, staircase, images=images, left_out_ns=left_out_ns)
-        assert not any("images for" in note for note in planned(log, ("pan",)).notes)
+BOTH = lost_after(14.0)
+ONE = {**BOTH, "right": indexed(ns(np.arange(0.1, 24, 0.2)))}
+LEFT_OUT = {side: ns(np.arange(14.1, 24, 0.2)) for side in ("left", "right")}
+DURING_RESTS = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in range(8)])
 
 
-@pytest.mark.parametrize(("images", "words"), [
-    (lost_after(14.0), "No images for 10 s, from 14 s after the first reading on, while the robot moves."),
-    (lost_after(24.0, begin=9.0), "No images for 9 s, from 0 s after the first reading on"),
-    (lost_after(23.0), None),
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"images": BOTH}, "No images for 10 s, from 14 s after the first reading on, while the robot moves."),
+    ({"images": lost_after(24.0, begin=9.0)}, "No images for 9 s, from 0 s after the first reading on"),
+    ({"images": lost_after(23.0)}, None),
+    ({"images": {"left": indexed(ns(DURING_RESTS))}}, None),
+    ({"images": lost_after(26.0), "duration_s": 60.0}, None),  # it waits at the end
+    ({"images": BOTH, "left_out_ns": LEFT_OUT}, None),  # recorded, but not used
+    ({"images": ONE, "left_out_ns": {"left": LEFT_OUT["left"]}}, None),
 ])  # fmt: skip
-def test_cameras_that_stop_while_the_robot_moves_are_named(images, words):
-    plan = planned(signals(staircase, lambda t: 3 * staircase(t), images=images), ("pan",))
-    notes = [note for note in plan.notes if "No images" in note]
+def test_cameras_that_stop_while_the_robot_moves_are_named(changes, words):
+    plan = planned(signals(staircase, lambda t: 3 * staircase(t), **changes), ("pan",))
+    notes = [note for note in plan.notes if "images for" in note]
     assert bool(notes) == (words is not None)
     assert words is None or words in notes[0]
-
-
-def test_images_of_rests_alone_are_no_silence():
-    taken = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in range(8)])
-    images = {"left": indexed(ns(taken))}
-    plan = planned(signals(staircase, lambda t: 3 * staircase(t), images=images), ("pan",))
-    assert not any("No images" in note for note in plan.notes)
-
-
-def test_a_robot_that_waits_at_the_end_needs_no_images():
-    still = signals(staircase, lambda t: 3 * staircase(t), duration_s=60.0, images=lost_after(26.0))
-    assert not any("No images" in note for note in planned(still, ("pan",)).notes)
 
 
 def test_cameras_that_are_not_triggered_together_count_alone_in_motion():

@@ -1,7 +1,5 @@
 """From a simulated recording to the calibrated robot: the whole walk of a new user in a shell, with `make pages`."""
 
-from __future__ import annotations
-
 import pytest
 
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
