@@ -103,9 +103,8 @@ def _with_section(page: str, section: str) -> str:
     """The page with a section in place of the one with the same heading."""
     heading = section.splitlines()[0]
     parts = re.split(r"^(?=## )", page, flags=re.MULTILINE)
-    return (
-        "\n\n".join((section if part.splitlines()[0] == heading else part).strip() for part in parts) + "\n"
-    )
+    changed = [section if part.splitlines()[0] == heading else part for part in parts]
+    return "\n\n".join(part.strip() for part in changed) + "\n"
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 from mobilecal_cli.readers.pixels import decode_image
 from mobilecal_cli.vision import Detection, detect
 from mobilecal_cli.vision.grid_map import fit_grid
-from tests.bench.pictures import BOARD, View, view
+from tests.bench.pictures import BOARD, View, nearest, view
 from tests.bench.study import paragraph, table
 
 _DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
@@ -48,9 +48,7 @@ def _errors(data: bytes, kind: str, seen: View) -> np.ndarray | None:
     if not isinstance(found, Detection):
         return None
     corners = found.pixels.reshape(seen.truth.shape)
-    return min(
-        (way - seen.truth for way in (corners, corners[::-1, ::-1])), key=lambda e: float(np.abs(e).max())
-    )
+    return nearest(seen, corners, corners[::-1, ::-1])
 
 
 def _mosaics(seed: int) -> list[_Mosaic]:
@@ -122,10 +120,8 @@ def negatives() -> str:
     """Number of boards in real images without one."""
     paths = sorted((_DATA / "stereo" / "negatives_no_board").glob("*.*g"))
     sizes = (9, 6), (6, 4), (13, 9), (7, 5), (4, 3)
-    images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
-    found = sum(
-        isinstance(detect(image, *size), Detection) for image in images for size in sizes if image is not None
-    )
+    images = [image for path in paths if (image := cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)) is not None]
+    found = sum(isinstance(detect(image, *size), Detection) for image in images for size in sizes)
     return f"{found} of {len(images) * len(sizes)}"
 
 

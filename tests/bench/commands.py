@@ -28,16 +28,9 @@ def main(moving: Path, folder: Path, repeats: int = REPEATS) -> str:
         for name, command in commands.items():
             imports, own = spent([sys.executable, "-c", _IMPORTS]), spent(command)
             runs[name].append((*imports, *own))
-    rows = [
-        [
-            name,
-            f"{median(r[0] for r in some):.2f}",
-            f"{median(r[2] for r in some):.2f}",
-            f"{median(r[2] / r[0] for r in some):.2f}",
-            f"{median(r[3] / r[1] for r in some):.2f}",
-        ]
-        for name, some in runs.items()
-    ]
-    return table(
-        ["command", "imports (s)", "command (s)", "ratio of wall time", "ratio of processor time"], rows
-    )
+    rows = []
+    for name, some in runs.items():
+        each = zip(*((r[0], r[2], r[2] / r[0], r[3] / r[1]) for r in some), strict=True)
+        rows.append([name, *(f"{median(values):.2f}" for values in each)])
+    head = ["command", "imports (s)", "command (s)", "ratio of wall time", "ratio of processor time"]
+    return table(head, rows)

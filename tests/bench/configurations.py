@@ -55,12 +55,8 @@ def _against(found: Fit, robot: SimulatedRobot) -> tuple[float, float]:
     return nees(found.parameters, known.covariance, robot, kept), float(np.abs(error / known.std[kept]).max())
 
 
-_WHEELS = {
-    "two joints": "joint_states",
-    "four joints": "four_joints",
-    "counters": "ticks",
-    "odometry": "odometry",
-}
+_WHEELS = {"two joints": "joint_states", "four joints": "four_joints"}
+_WHEELS |= {"counters": "ticks", "odometry": "odometry"}
 _CONTAINERS = ("mcap", "bag", "rosbag2", "mcap-ros1", "rosbag2-mcap")
 
 
@@ -76,9 +72,8 @@ def recordings() -> None:
         for name in robot.mounted if cameras > 2 else ():
             flags |= _placed(robot, name)
         with tempfile.TemporaryDirectory() as folder:
-            log = Path(folder) / (
-                "log" if container.startswith("rosbag2") else f"log.{container[:4].strip('-')}"
-            )
+            suffix = "" if container.startswith("rosbag2") else f".{container[:4].strip('-')}"
+            log = Path(folder) / f"log{suffix}"
             simulate(Scenario(robot="this", container=container, seed=cameras), log)
             cells = [cameras, chain, wheels, container]
             try:

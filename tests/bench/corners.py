@@ -16,7 +16,7 @@ from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.bench import cameras
-from tests.bench.pictures import BOARD, View, bound_px, empty, view
+from tests.bench.pictures import BOARD, View, bound_px, empty, nearest, shortest_edge_px, view
 from tests.bench.study import paragraph, table
 from tests.vision.scenes import bouguet
 
@@ -33,18 +33,16 @@ _DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "stereo"
 
 def sub_pix(image: np.ndarray, corners: np.ndarray, most: int = 11) -> np.ndarray:
     """cornerSubPix with a window that follows the smallest square, as good as it gets: (rows, columns, 2) px."""
-    edge = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
-    half = int(np.clip(0.5 * edge - 0.5, 2, most))
+    half = int(np.clip(0.5 * shortest_edge_px(corners) - 0.5, 2, most))
     until = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 40, 1e-3)
     start = corners.reshape(-1, 1, 2).astype(np.float32)
-    return np.asarray(cv2.cornerSubPix(image, start, (half, half), (-1, -1), until), float).reshape(
-        corners.shape
-    )
+    found = cv2.cornerSubPix(image, start, (half, half), (-1, -1), until)
+    return np.asarray(found, float).reshape(corners.shape)
 
 
 def ours(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """The product's refinement and fit from the same start."""
-    edge = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
+    edge = shortest_edge_px(corners)
     start = refine_widely(image, refine_widely(image, corners, edge, True), edge, True)
     return fit_corners(image, start, True).pixels.reshape(corners.shape)
 
@@ -60,13 +58,10 @@ class Errors:
 def errors_of(seen: View, image: np.ndarray, seed: int, noise_grey: float | None = None) -> Errors:
     """Both refinements from one start, beside the bound."""
     start = seen.truth + _START_PX * np.random.default_rng([seed, 9]).normal(size=seen.truth.shape)
-    squares = {
-        name: (how(image, start) - seen.truth) ** 2
-        for name, how in (("cornerSubPix", sub_pix), ("mobilecal", ours))
-    }
-    return Errors(
-        seen.edge_px, squares | {"bound": np.repeat(bound_px(seen, noise_grey)[..., None] ** 2, 2, axis=-1)}
-    )
+    hows = {"cornerSubPix": sub_pix, "mobilecal": ours}
+    squares = {name: (how(image, start) - seen.truth) ** 2 for name, how in hows.items()}
+    bound = np.repeat(bound_px(seen, noise_grey)[..., None] ** 2, 2, axis=-1)
+    return Errors(seen.edge_px, squares | {"bound": bound})
 
 
 def rms(found: Iterable[Errors], name: str) -> float:
@@ -79,9 +74,8 @@ def _random(seed: int) -> Errors:
     return errors_of(seen, seen.taken(seed), seed)
 
 
-_FIXED = tuple(
-    [("blur", v, "px") for v in (0.5, 0.8, 1.2, 2.0)] + [("noise", v, "gray") for v in (0.5, 1.0, 2.0, 4.0)]
-)
+_FIXED = [("blur", v, "px") for v in (0.5, 0.8, 1.2, 2.0)]
+_FIXED += [("noise", v, "gray") for v in (0.5, 1.0, 2.0, 4.0)]
 
 
 def _cases(seed: int) -> dict[str, Errors]:
@@ -114,13 +108,12 @@ def accuracy(views: int) -> str:
     with ProcessPoolExecutor() as pool:
         drawn = list(pool.map(_random, range(views), chunksize=5))
         large = [e for e in drawn if e.edge_px >= _EDGES[0][0]]
-        by_size = {
-            f"squares of {a:.0f} to {b:.0f} px": [e for e in large if a <= e.edge_px < b] for a, b in _EDGES
-        }
         tried = list(pool.map(_cases, range(max(views // 4, 12)), chunksize=2))
-    by_case = {
-        name: [case[name] for case in tried if case[name].edge_px >= _EDGES[0][0]] for name in tried[0]
-    }
+    by_size, by_case = {}, {}
+    for a, b in _EDGES:
+        by_size[f"squares of {a:.0f} to {b:.0f} px"] = [e for e in large if a <= e.edge_px < b]
+    for name in tried[0]:
+        by_case[name] = [case[name] for case in tried if case[name].edge_px >= _EDGES[0][0]]
     rows = _lines({"all, squares of 7 px and more": large} | by_size | by_case)
     return table(_HEAD, rows)
 
@@ -177,8 +170,7 @@ def _judged(find: Finder, seen: View, image: np.ndarray) -> _Found:
     if corners is None:
         return _Found(False, False, np.zeros(0), seconds)
     # Which corner comes first is a matter of convention: the nearest of the four ways counts.
-    ways = (corners, corners[::-1, ::-1], corners[:, ::-1], corners[::-1])
-    off = min((way - seen.truth for way in ways), key=lambda error: float(np.abs(error).max()))
+    off = nearest(seen, corners, corners[::-1, ::-1], corners[:, ::-1], corners[::-1])
     right = bool(np.linalg.norm(off, axis=-1).max() <= max(2.0, 0.3 * seen.edge_px))
     return _Found(right, not right, off**2 if right else np.zeros(0), seconds)
 
@@ -188,13 +180,8 @@ def _row(name: str, found: list[_Found], without: list[tuple[bool, float]]) -> l
     wrong = sum(f.wrong for f in found) + sum(there for there, _ in without)
     error = np.sqrt(np.mean(np.concatenate([f.squares.ravel() for f in right])))
     times = np.median([f.seconds for f in right]), np.median([seconds for _, seconds in without])
-    return [
-        name,
-        f"{len(right)} of {len(found)}",
-        str(wrong),
-        f"{error:.3f}",
-        *(f"{1e3 * t:.1f}" for t in times),
-    ]
+    ms = (f"{1e3 * t:.1f}" for t in times)
+    return [name, f"{len(right)} of {len(found)}", str(wrong), f"{error:.3f}", *ms]
 
 
 def _empty_times(find: Finder, image: np.ndarray) -> tuple[bool, float]:
@@ -228,18 +215,14 @@ def detectors(views: int) -> str:
             found[name].append(_judged(find, seen, seen.taken(seed)))
         followed.append(_followed(seed, seen))
     walls = [empty(seed) for seed in range(EMPTY)]
-    rows = [
-        _row(name, found[name], [_empty_times(find, wall) for wall in walls])
-        for name, find in FINDERS.items()
-    ]
-    again = _row(
-        "mobilecal, tracked from the last image", [f for f in followed if f is not None], [(False, 0.0)]
-    )
+    rows = []
+    for name, find in FINDERS.items():
+        rows.append(_row(name, found[name], [_empty_times(find, wall) for wall in walls]))
+    tracked = [f for f in followed if f is not None]
+    again = _row("mobilecal, tracked from the last image", tracked, [(False, 0.0)])
     rows.insert(1, [*again[:-1], ""])
-    return table(
-        ["", "found", "wrong", "error (px)", "ms per image with a board", "ms per image without a board"],
-        rows,
-    )
+    head = ["", "found", "wrong", "error (px)", "ms per image with a board", "ms per image without a board"]
+    return table(head, rows)
 
 
 _HALF_WINDOWS = (3, 5, 11)  # the tutorials' is 11; boards whose outer squares are narrow stand 3
@@ -284,17 +267,14 @@ def real_pairs() -> str:
         squares: dict[str, list[float]] = {how: [] for how in hows}
         epipolar: dict[str, list[float]] = {how: [] for how in hows}
         for first in sorted((_DATA / folder).rglob("*left*.jpg")):
-            pair = [
-                cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-                for path in (first, first.with_name(first.name.replace("left", "right")))
-            ]
+            paths = first, first.with_name(first.name.replace("left", "right"))
+            pair = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in paths]
             found = [detect(image, 9, 6) for image in pair if image is not None]
             if len(found) < 2 or not all(isinstance(d, Detection) for d in found):
                 continue
             corners = [d.pixels.reshape(6, 9, 2) for d in found if isinstance(d, Detection)]
-            others = [
-                [sub_pix(i, c, most) for i, c in zip(pair, corners, strict=True)] for most in _HALF_WINDOWS
-            ]
+            both = list(zip(pair, corners, strict=True))
+            others = [[sub_pix(i, c, most) for i, c in both] for most in _HALF_WINDOWS]
             for how, some in zip(hows, (corners, *others), strict=True):
                 flat = [_flat_px(c, side) if calibrated else c.reshape(-1, 2) for side, c in enumerate(some)]
                 squares[how] += [_homography_px(f, 9, 6) for f in flat]
@@ -302,9 +282,8 @@ def real_pairs() -> str:
                     epipolar[how].append(_epipolar_px(*flat))
         for how in hows:
             across = f"{np.sqrt(np.mean(epipolar[how])):.4f}" if calibrated else ""
-            rows.append(
-                [f"{name}, {how}", str(len(squares[how])), f"{np.sqrt(np.mean(squares[how])):.4f}", across]
-            )
+            residual = f"{np.sqrt(np.mean(squares[how])):.4f}"
+            rows.append([f"{name}, {how}", str(len(squares[how])), residual, across])
     return table(["", "images", "homography residual (px)", "epipolar residual (px)"], rows)
 
 

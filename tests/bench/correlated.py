@@ -48,6 +48,10 @@ def one_run(name: str, floor_m: float, wheel_m: float, seed: int) -> Run:
     return run_of_case(correlated(name, floor_m, wheel_m), seed)
 
 
+def _remarkable(run: Run) -> bool:
+    return run.level != "PASS" or run.false_pass or run.nees[3] > _WORTH_A_LINE
+
+
 def main() -> None:
     """All cells; runs as an argument (100 by default; fewer for many images), then parts of names of recordings."""
     asked = Study.begun(100)
@@ -62,7 +66,7 @@ def main() -> None:
         for floor_m, wheel_m in LENGTHS:
             results = results_of(one_run, name, floor_m, wheel_m, seeds=seeds)
             error, std, nees = (
-                np.array([getattr(r, part) for r in results]) for part in ("error", "std", "nees")
+                np.array([getattr(r, of) for r in results]) for of in ("error", "std", "nees")
             )
             ratio = rms(error / std)
             line(
@@ -76,9 +80,7 @@ def main() -> None:
                 *summary(std, ROBOTS["pan-tilt"]()),
                 f"{np.mean([r.seconds for r in results]):.1f}",
             )
-            print_runs(
-                results, lambda r: r.level != "PASS" or r.false_pass or r.nees[3] > _WORTH_A_LINE, seeds
-            )
+            print_runs(results, _remarkable, seeds)
 
 
 if __name__ == "__main__":

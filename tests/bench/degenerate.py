@@ -22,14 +22,8 @@ from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
 from tests.extractions import ideal_extraction
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
-_CASES = (
-    ("head_fixed", ""),
-    ("pan_only", ""),
-    ("straight", ""),
-    ("spin", ""),
-    ("base_fixed", ""),
-    ("standard", "head_eye"),
-)
+_CASES = [(motion, "") for motion in ("head_fixed", "pan_only", "straight", "spin", "base_fixed")]
+_CASES += [("standard", "head_eye")]
 _STATIONS = 12
 _DERIVED = ("camera position", "straight: distance", "straight: heading", "heading per turn")
 
@@ -55,18 +49,14 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
     robot, route = paper_robot(), route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
     extraction = ideal_extraction(robot, route, DISTURBED, seed)
     rig = replace(extraction.rig, noise=GIVEN)
-    nominal = (
-        Parameters(robot.T_h_c, robot.wheels) if fix else drawn_nominal(robot, np.random.default_rng(seed))
-    )
+    nominal = drawn_nominal(robot, np.random.default_rng(seed))
     if fix:
-        nominal = Parameters(robot.T_h_c, drawn_nominal(robot, np.random.default_rng(seed)).wheels)
+        nominal = Parameters(robot.T_h_c, nominal.wheels)
     T_h_reference = nominal.T_h_c @ rig.cameras.T_c_reference
     rig = replace(rig, nominal=Nominal(T_h_reference, WheelGeometry.of(nominal.wheels.vector)))
     try:
-        solution = solve(
-            as_described(replace(extraction, rig=rig)),
-            constraints=constraints_of([fix] if fix else [], [], []),
-        )
+        constraints = constraints_of([fix] if fix else [], [], [])
+        solution = solve(as_described(replace(extraction, rig=rig)), constraints=constraints)
     except SolveError as error:
         return np.full(9 + len(_DERIVED), np.nan), (f"refused: {error.message[:40]}",)
     known = solution.uncertainty

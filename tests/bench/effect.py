@@ -17,6 +17,7 @@ from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.actual import station_times_s
 from tests.bench.corners import sub_pix
+from tests.bench.pictures import shortest_edge_px
 from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
 from tests.extractions import Noise, ideal_extraction
@@ -49,8 +50,7 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 def _found(image: np.ndarray, start: np.ndarray, how: str) -> Corners:
     if how == "cornerSubPix":
         return Corners(sub_pix(image, start).reshape(-1, 2), 0.05, 1)
-    edge = min(np.linalg.norm(np.diff(start, axis=axis), axis=-1).min() for axis in (0, 1))
-    fit = fit_corners(image, refine_widely(image, start, edge, True), True)
+    fit = fit_corners(image, refine_widely(image, start, shortest_edge_px(start), True), True)
     claimed = float(np.sqrt(np.median(np.trace(fit.cov, axis1=1, axis2=2) / 2)))
     return Corners(fit.pixels, claimed, 1, relative_cov=fit.cov / claimed**2)
 
@@ -63,9 +63,8 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
     for i, observation in enumerate(extraction.observations):
         both = []
         for picture, truth in (pictures[i], pictures[STATIONS + i]):
-            image = np.clip(np.round(picture + _GREY * random.normal(size=picture.shape)), 0, 255).astype(
-                np.uint8
-            )
+            noisy = np.round(picture + _GREY * random.normal(size=picture.shape))
+            image = np.clip(noisy, 0, 255).astype(np.uint8)
             both.append(_found(image, truth + _START_PX * random.normal(size=truth.shape), how))
             off.append(both[-1].pixels - truth.reshape(-1, 2))
         measured = measured_anew(rig, observation, points_k, *both)
@@ -79,9 +78,8 @@ def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]
     robot, number = paper_robot(), seed // RUNS_PER_ROUTE
     # A hundredth of the usual noise of wheels and joints shows the effect of the corners alone.
     share = 0.01 if quiet else 1.0
-    base = ideal_extraction(
-        robot, route_of(STATIONS, number), Noise(0.0, share * WHEEL, 0.0, share * JOINT_RAD), seed
-    )
+    noise = Noise(0.0, share * WHEEL, 0.0, share * JOINT_RAD)
+    base = ideal_extraction(robot, route_of(STATIONS, number), noise, seed)
     result = {}
     for how in ("cornerSubPix", "mobilecal"):
         extraction, corner_px = _with_corners(base, number, seed, how)
@@ -100,11 +98,9 @@ def main(runs: int = RUNS) -> str:
     text = []
     for quiet in (False, True):
         found = list(map_runs(one_run, [(seed, quiet) for seed in range(runs)]))
-        noise = (
-            "reduced to a hundredth"
-            if quiet
-            else "as in the [results](results.md#maximum-likelihood-against-the-truth)"
-        )
+        noise = "as in the [results](results.md#maximum-likelihood-against-the-truth)"
+        if quiet:
+            noise = "reduced to a hundredth"
         title = f"Wheel and joint noise {noise}, {runs} runs of N = {STATIONS}; root-mean-square errors."
         rows, size = [], {}
         for how in ("cornerSubPix", "mobilecal"):

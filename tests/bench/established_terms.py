@@ -80,14 +80,9 @@ class Terms:
         self._legs = []
         for leg, root in enumerate(roots):
             own = slice(ends[leg], ends[leg + 1])
-            alone = replace(
-                steps,
-                right_rad=steps.right_rad[own],
-                left_rad=steps.left_rad[own],
-                leg=np.zeros(ends[leg + 1] - ends[leg], dtype=np.int64),
-                legs=1,
-            )
-            self._legs.append((alone, root))
+            right, left = steps.right_rad[own], steps.left_rad[own]
+            first = np.zeros(len(right), dtype=np.int64)
+            self._legs.append((replace(steps, right_rad=right, left_rad=left, leg=first, legs=1), root))
         self._T_r_c = se3.inverse(data.cameras.T_c_each[1])
 
     def first(self) -> Unknowns:

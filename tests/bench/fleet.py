@@ -14,7 +14,6 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from mobilecal_cli import calibrate as progress
-from mobilecal_cli.calibrate import batch as cluster
 from mobilecal_cli.calibrate import batch as fleet
 from mobilecal_cli.calibrate.batch import RECORDS
 from mobilecal_cli.simulate.record import simulate
@@ -61,18 +60,16 @@ def main() -> None:
                     kept.update(_records(folder / "cluster"))
 
             began = time.perf_counter()
-            fleet.batch(logs, folder / "cluster", run=cluster.run_on(address), progress=progress)
+            fleet.batch(logs, folder / "cluster", run=fleet.run_on(address), progress=progress)
             cluster_s = time.perf_counter() - began
         tables = [(folder / run / "summary.csv").read_text(encoding="utf-8") for run in ("here", "cluster")]
         verdicts = Counter(row["verdict"] for row in csv.DictReader(tables[0].splitlines()))
         redone = sum(_records(folder / "cluster")[robot] != time_ns for robot, time_ns in kept.items())
         print(f"\n{robots} robots: {', '.join(f'{n} {verdict}' for verdict, n in sorted(verdicts.items()))}")
-        print(
-            f"tables alike: {tables[0] == tables[1]}; done when the worker was killed: {len(kept)}, done twice: {redone}"
-        )
-        print(
-            f"s: {here_s:.0f} here, {again_s:.1f} here once more, {cluster_s:.0f} on the cluster (one worker from half-way on)"
-        )
+        alike = tables[0] == tables[1]
+        print(f"tables alike: {alike}; done when the worker was killed: {len(kept)}, done twice: {redone}")
+        on_cluster = f"{cluster_s:.0f} on the cluster (one worker from half-way on)"
+        print(f"s: {here_s:.0f} here, {again_s:.1f} here once more, {on_cluster}")
 
 
 if __name__ == "__main__":

@@ -35,9 +35,8 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
         if not began or began[-1][0] != stage:
             began.append((stage, time.perf_counter()))
 
-    steps.calibrate(
-        [log], out, flags={"stations": stations}, force=True, progress=progress, jobs=os.cpu_count() or 1
-    )
+    flags, jobs = {"stations": stations}, os.cpu_count() or 1
+    steps.calibrate([log], out, flags=flags, force=True, progress=progress, jobs=jobs)
     began.append(("", time.perf_counter()))
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):
@@ -49,9 +48,8 @@ def main(source: Path, folder: Path, rounds: int = 5) -> str:
     """Table 5; `source` is a recording without stops, as JPEGs. Each round runs all lengths in sequence."""
     logs = {minutes: stretched(source, folder / f"{minutes}min.mcap", minutes) for minutes in MINUTES}
     runs = [(stations, minutes) for stations, lengths in _LENGTHS.items() for minutes in lengths]
-    found = [
-        {run: measured("growth", logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)
-    ]
+    tasks = {run: ("growth", logs[run[1]], folder / "out", run[0]) for run in runs}
+    found = [{run: measured(*task) for run, task in tasks.items()} for _ in range(rounds)]
     rows = []
     for run in runs:
         stations, minutes = run
@@ -62,13 +60,10 @@ def main(source: Path, folder: Path, rounds: int = 5) -> str:
     growth = []
     for stations, lengths in _LENGTHS.items():
         for short, long in itertools.pairwise(lengths):
-            a, b = (stations, short), (stations, long)
-            cells = [
-                _grown([of[b][stage] / of[a][stage] for of in found])
-                if min(of[a][stage] for of in found) > 0.05
-                else ""
-                for stage in (*_STAGES, "mb")
-            ]
+            a, b, cells = (stations, short), (stations, long), []
+            for stage in (*_STAGES, "mb"):
+                shown = min(of[a][stage] for of in found) > 0.05
+                cells.append(_grown([of[b][stage] / of[a][stage] for of in found]) if shown else "")
             growth.append([f"{short} to {long}: {long / short:.0f} times", stations, *cells])
     for log in logs.values():
         log.unlink()

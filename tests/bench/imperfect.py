@@ -144,9 +144,8 @@ class Case:
     def extraction(self, seed: int) -> Extraction:
         """One run."""
         robot = ROBOTS[self.robot]()
-        noise = self.noise_of(seed)
         outside = replace(self.outside, print_seed=seed) if self.outside.print_m else self.outside
-        what = Imperfection(self.constants(seed), noise, outside)
+        what = Imperfection(self.constants(seed), self.noise_of(seed), outside)
         extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
         extraction = as_recorded(robot, extraction, seed)
         return _twice(extraction) if self.twice else extraction
@@ -172,28 +171,18 @@ def as_recorded(robot: SimulatedRobot, extraction: Extraction, seed: int) -> Ext
     driver = robot.nominal_wheels
     assumed = replace(driver, separation_m=driver.separation_m * np.exp(ASSUMED_SHARE * random.normal()))
     tracks = tuple(_of_odometry(track, driver, assumed) for track in extraction.wheels)
-    rig = extraction.rig
-    wheels = {
-        side: replace(source, baked_in=assumed, separation_share=ASSUMED_SHARE)
-        for side, source in rig.sources.wheels.items()
-    }
-    rig = replace(
-        rig, sources=replace(rig.sources, wheels=wheels), nominal=replace(rig.nominal, wheels=assumed)
-    )
-    return replace(extraction, wheels=tracks, rig=rig)
+    rig, also = extraction.rig, {"baked_in": assumed, "separation_share": ASSUMED_SHARE}
+    wheels = {side: replace(source, **also) for side, source in rig.sources.wheels.items()}
+    sources, nominal = replace(rig.sources, wheels=wheels), replace(rig.nominal, wheels=assumed)
+    return replace(extraction, wheels=tracks, rig=replace(rig, sources=sources, nominal=nominal))
 
 
 def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
     sides = {}
     for side, own in (("right", track.right), ("left", track.left)):
-        steps = np.abs(np.diff(own.value, prepend=own.value[:1]))
-        each = [
-            Track(
-                own.time_ns, own.value + np.cumsum(OWN_SLIP * np.sqrt(steps) * random.normal(size=len(steps)))
-            )
-            for _ in range(2)
-        ]
-        sides[side] = [(f"{side} {k}", one) for k, one in enumerate(each)]
+        slip = OWN_SLIP * np.sqrt(np.abs(np.diff(own.value, prepend=own.value[:1])))
+        each = [own.value + np.cumsum(slip * random.normal(size=len(slip))) for _ in range(2)]
+        sides[side] = [(f"{side} {k}", Track(own.time_ns, value)) for k, value in enumerate(each)]
     notes: list[str] = []
     averaged = sides_of(sides, notes)
     assert not notes
@@ -229,11 +218,9 @@ def true_robot(robot: SimulatedRobot, extraction: Extraction, route: Route) -> S
 
 
 def _twice(extraction: Extraction) -> Extraction:
-    seen = [
-        replace(o, station=2 * o.station + k, time_ns=o.time_ns + k * _APART_NS)
-        for o in extraction.observations
-        for k in range(2)
-    ]
+    seen = []
+    for o in extraction.observations:
+        seen += [replace(o, station=2 * o.station + k, time_ns=o.time_ns + k * _APART_NS) for k in range(2)]
     return replace(extraction, observations=tuple(seen))
 
 

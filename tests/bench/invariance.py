@@ -18,6 +18,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, Case
 from tests.bench.study import conditions, head, line, measured
+from tests.extractions import joined
 from tests.pairs import with_views
 
 #: Cases, times of the priors that constants are drawn from, and number of recordings.
@@ -43,13 +44,10 @@ def recordings() -> list[tuple[str, Extraction]]:
 def shaken(extraction: Extraction) -> Extraction:
     """The same with 1e-6 px of noise on all corners."""
     random = np.random.default_rng(3)
-    seen = [
-        with_views(
-            o,
-            *(replace(v, pixels=v.pixels + _NOISE_PX * random.normal(size=v.pixels.shape)) for v in o.views),
-        )
-        for o in extraction.observations
-    ]
+    seen = []
+    for o in extraction.observations:
+        moved = (v.pixels + _NOISE_PX * random.normal(size=v.pixels.shape) for v in o.views)
+        seen.append(with_views(o, *(replace(v, pixels=at) for v, at in zip(o.views, moved, strict=True))))
     return replace(extraction, observations=tuple(seen))
 
 
@@ -64,21 +62,17 @@ def cut(extraction: Extraction, exchanged: bool = False) -> Extraction:
         return Track(track.time_ns[mine], track.value[mine])
 
     halves = [
-        (
-            seen[middle:] if late else seen[:middle],
-            WheelTrack(part(wheels.right, late), part(wheels.left, late)),
-            tuple(part(track, late) for track in joints),
+        replace(
+            extraction,
+            observations=tuple(
+                replace(o, station=k) for k, o in enumerate(seen[middle:] if late else seen[:middle])
+            ),
+            wheels=(WheelTrack(part(wheels.right, late), part(wheels.left, late)),),
+            joint_tracks=(tuple(part(track, late) for track in joints),),
         )
         for late in ((True, False) if exchanged else (False, True))
     ]
-    return replace(
-        extraction,
-        observations=tuple(
-            replace(o, log=log, station=k) for log, half in enumerate(halves) for k, o in enumerate(half[0])
-        ),
-        wheels=tuple(half[1] for half in halves),
-        joint_tracks=tuple(half[2] for half in halves),
-    )
+    return joined(*halves)
 
 
 VARIANTS = {

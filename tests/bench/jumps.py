@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -170,11 +171,8 @@ def one_change(case: Case, part: str, factor: float, seed: int, known: Solution)
     except MobilecalError as error:
         return Run(refused(error), False, None)
     result = judged(solution, extraction, after.last or after.robot)
-    off = [
-        abs(solution.constants[name].value - now[name]) / solution.constants[name].std
-        for name in after.constants
-        if name in solution.constants
-    ]
+    shown = {name: solution.constants[name] for name in after.constants if name in solution.constants}
+    off = [abs(found.value - now[name]) / found.std for name, found in shown.items()]
     named = [(jump.part, jump.station - first) for jump in solution.jumps]
     named += [("board", o.observations[-1] - first) for o in solution.outliers if o.kind == "slip"]
     return Run(result, result.beyond or max(off, default=0.0) > FIVE_SIGMA, named[0] if named else None)
@@ -187,9 +185,8 @@ def one_run(name: str, seed: int) -> tuple[Run, dict[tuple[str, float], Run]]:
     known = solve(extraction)
     same = judged(known, extraction, tick_robot())
     still = Run(same, same.beyond, (known.jumps[0].part, 0) if known.jumps else None)
-    return still, {
-        (part, factor): one_change(case, part, factor, seed, known) for part in CHANGES for factor in FACTORS
-    }
+    each = itertools.product(CHANGES, FACTORS)
+    return still, {change: one_change(case, *change, seed, known) for change in each}
 
 
 def _line(label: str, part: str, runs: list[Run]) -> None:
@@ -222,12 +219,13 @@ def study(name: str, runs: int) -> None:
             passed = [k for k, run in enumerate(each) if run.beyond and run.result.level == "PASS"]
             missed = [k for k, run in enumerate(each) if run.named is None] if factor == FACTORS[-1] else []
             refusals = [run.result.level for run in each if run.result.level.startswith("refused")]
-            for what, found in (
-                ("named", dict(others)),
-                ("false PASS, seeds", passed),
-                ("not named, seeds", missed),
-                ("", refusals),
-            ):
+            also = {
+                "named": dict(others),
+                "false PASS, seeds": passed,
+                "not named, seeds": missed,
+                "": refusals,
+            }
+            for what, found in also.items():
                 if found:
                     print(f"  {what} {found}")
 

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 from mobilecal_cli.simulate.record import simulate
@@ -15,14 +14,6 @@ from tests.bench.study import conditions, head, line
 
 #: Stops and stereo pairs per stop, with mono8 images of 640 x 480: about 0.1, 1 and 5 GB.
 SIZES = ((6, 28), (20, 82), (40, 204))
-
-
-@dataclass(frozen=True)
-class Spent:
-    """Time of a command, s, and its peak resident memory, MB."""
-
-    seconds: float
-    peak_mb: float
 
 
 #: The command, and at its end what the kernel says of its memory (a child's `ru_maxrss` has its parent's in it).
@@ -38,14 +29,14 @@ finally:
 """
 
 
-def spent(*arguments: str) -> Spent:
-    """Run `mobilecal` with arguments, in a process of its own."""
+def spent(*arguments: str) -> tuple[float, float]:
+    """Run `mobilecal` with arguments, in a process of its own: its peak resident memory, MB, and its time, s."""
     start = time.perf_counter()
     command = [sys.executable, "-c", _PROGRAM, *arguments, "--quiet"]
     done = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, check=False)
     if done.returncode not in (0, 6):
         raise RuntimeError(done.stderr)
-    return Spent(time.perf_counter() - start, int(done.stderr.split("VmHWM:")[1].split()[0]) / 1024)
+    return int(done.stderr.split("VmHWM:")[1].split()[0]) / 1024, time.perf_counter() - start
 
 
 def measured(container: str, stations: int, pairs: int, folder: Path) -> None:
@@ -57,7 +48,7 @@ def measured(container: str, stations: int, pairs: int, folder: Path) -> None:
     size = sum(p.stat().st_size for p in ([log] if log.is_file() else log.iterdir())) / 1e9
     calibrate = spent("calibrate", str(log), "--output", str(folder / "out"), "--force")
     inspect = spent("inspect", str(log))
-    used = (f"{value:.0f}" for each in (calibrate, inspect) for value in (each.peak_mb, each.seconds))
+    used = (f"{value:.0f}" for value in (*calibrate, *inspect))
     line(container, f"{size:.2f}", 2 * stations * pairs, *used)
 
 

@@ -17,7 +17,7 @@ from tests.bench.study import (
     DEGREES_MM,
     NINE_COLUMNS,
     NINE_RATIOS,
-    Study,
+    by_length,
     head,
     line,
     numbers,
@@ -81,9 +81,7 @@ def study(stations: int, runs: int) -> None:
 
 def main() -> None:
     """N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    runs = Study.begun(1000).runs
-    for stations in (12, 40):
-        study(stations, runs)
+    by_length(study)
 
 
 if __name__ == "__main__":

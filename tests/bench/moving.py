@@ -42,9 +42,8 @@ def main() -> None:
     line("rms error divided by the stated sigma", *numbers(rms(np.array(error) / std)))
     head("offset", "rms error (ms)", "mean stated sigma (ms)", "rms error over sigma")
     off, sigma = np.array(offset), np.array(offset_std)
-    for name, *values in zip(
-        _CLOCKS, 1e3 * rms(off), 1e3 * sigma.mean(axis=0), rms(off / sigma), strict=True
-    ):
+    columns = 1e3 * rms(off), 1e3 * sigma.mean(axis=0), rms(off / sigma)
+    for name, *values in zip(_CLOCKS, *columns, strict=True):
         line(name, *numbers(values))
     print(f"\nMean NEES / 9: {np.mean(each):.2f}. Runs with outliers: {sum(n > 0 for n in left_out)}.")
 

@@ -175,10 +175,8 @@ def study(name: str, robots: int) -> None:
     for label in solved[0][0]:
         row(label, [inside[label] for inside, _ in solved])
     path, widening, length, heading = np.mean([values for _, values in solved], axis=0)
-    print(
-        f"\nmean leg {path:.2f} m; variances times {widening:.3f}; systematic share: length {length:.2f}, "
-        f"heading {heading:.2f}"
-    )
+    shares = f"systematic share: length {length:.2f}, heading {heading:.2f}"
+    print(f"\nmean leg {path:.2f} m; variances times {widening:.3f}; {shares}")
 
 
 def main() -> None:

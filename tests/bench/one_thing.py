@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -24,34 +25,28 @@ from tests.bench.imperfect import (
 from tests.bench.study import Study, head, line, numbers, results_of
 from tests.extractions import STATION_NOISE, Outside
 
+_DEGREE = float(np.radians(1.0))
 _FLOOR = {"floor_rad": float(np.radians(0.05)), "floor_m": 0.0005}
 _STEREO = {f"stereo_r_{axis}": float(np.radians(0.02)) for axis in "xyz"}
+_POINTS = {f"principal_{side}_{axis}": 2 / 640 for side in ("left", "right") for axis in "xy"}
 #: Name → what is not as described, and the kinds that are a right answer to "what is wrong?".
 CASES: dict[str, tuple[Case, tuple[str, ...]]] = {"nothing": (Case(), ())}
 CASES |= {
     "stereo rotation 0.02 deg": (Case(fixed=_STEREO), ()),
     "baseline 0.3 %": (Case(fixed={"baseline_scale": 0.003}), ()),
     "focal lengths 0.3 %": (Case(fixed={"focal_left": 0.003, "focal_right": 0.003}), ()),
-    "principal points 2 px": (
-        Case(fixed={f"principal_{side}_{axis}": 2 / 640 for side in ("left", "right") for axis in "xy"}),
-        (),
-    ),
+    "principal points 2 px": (Case(fixed=_POINTS), ()),
     "joint axes 0.1 deg": (Case(kinds={"joint_axis": 1.0}), ()),
     "floor 0.05 deg and 0.5 mm": (Case(noise=replace(PERFECT, **_FLOOR)), ()),
 }
+_LENGTHS = ("square_size", "baseline_length")
 for _kind in PRIORS:
     _motion: Motion = "moving" if _kind in ("stereo_clock", "readout") else "standard"
+    _same = _LENGTHS if _kind in _LENGTHS else (_kind,)
     if _kind != "clock":
-        for _scale in (1.0, 5.0):
-            _same = (
-                ("square_size", "baseline_length")
-                if _kind in ("square_size", "baseline_length")
-                else (_kind,)
-            )
-            CASES[f"{_kind}, {_scale:g} prior sigma"] = (
-                Case(motion=_motion, kinds={_kind: _scale}),
-                _same if _scale > 1 else (),
-            )
+        for _scale, _right in ((1.0, ()), (5.0, _same)):
+            _case = Case(motion=_motion, kinds={_kind: _scale})
+            CASES[f"{_kind}, {_scale:g} prior sigma"] = (_case, _right)
 for _scale in (1.0, 5.0):
     _floor = {name: _scale * getattr(STATION_NOISE, name) for name in ("floor_rad", "floor_m")}
     CASES[f"floor, {_scale:g} times the guess"] = (Case(noise=replace(PERFECT, **_floor)), ())
@@ -61,14 +56,10 @@ for _scale in (1.0, 5.0):
     CASES[f"stamps in motion, {_scale:g} times the guess"] = (Case(motion="moving", noise=_stamps), ())
 CASES |= {
     "outside: heavy-tailed wheel noise": (Case(outside=Outside(heavy_tails=True)), ()),
-    "outside: sag of 0.1 deg with tilt": (Case(outside=Outside(sag_rad=float(np.radians(0.1)))), ()),
-    "outside: tilt play of 0.1 deg by gravity": (
-        Case(outside=Outside(gravity_play_rad=float(np.radians(0.1)))),
-        (),
-    ),
+    "outside: sag of 0.1 deg with tilt": (Case(outside=Outside(sag_rad=0.1 * _DEGREE)), ()),
+    "outside: tilt play of 0.1 deg by gravity": (Case(outside=Outside(gravity_play_rad=0.1 * _DEGREE)), ()),
 }
 
-_DEGREE = float(np.radians(1.0))
 _ROUGH = replace(PERFECT, floor_rad=STATION_NOISE.floor_rad, floor_m=STATION_NOISE.floor_m, floor_smooth=True)
 _WHILE = replace(_ROUGH, floor_length_m=0.3, wheel_share=STATION_NOISE.wheel_share, wheel_length_m=0.45)
 _LEANING = {"lean_roll": 0.1 * _DEGREE, "lean_pitch": 0.1 * _DEGREE}
@@ -78,41 +69,33 @@ _MILD = Case(
     noise=replace(USUAL, encoder_step_rad=2 * np.pi / 4096, floor_length_m=0.3, wheel_length_m=1.0),
     outside=Outside(sheet_m=0.0003),
 )
+_SHEETS, _PRINT = "twist and bend 1 mm, two sheets 0.3 mm apart", Outside(print_m=0.00015)
+_moving = partial(Case, motion="moving")
 CASES |= {
     f"stays: {name}": case
     for name, case in (
         ("floor smooth over 1 m", (Case(noise=replace(_ROUGH, floor_length_m=1.0)), ())),
-        (
-            "floor over 0.3 m, wheels over 0.45 m, 80 images",
-            (Case(motion="moving", images=80, noise=_WHILE), ()),
+        *(
+            (
+                f"floor over 0.3 m, wheels over 0.45 m, {images} images",
+                (_moving(images=images, noise=_WHILE), ()),
+            )
+            for images in (80, 400)
         ),
-        (
-            "floor over 0.3 m, wheels over 0.45 m, 400 images",
-            (Case(motion="moving", images=400, noise=_WHILE), ()),
+        *(
+            (f"board twisted by {mm:g} mm", (Case(fixed={"board_twist": 1e-3 * mm}), ("board_bend",)))
+            for mm in (0.5, 1, 3)
         ),
-        ("board twisted by 0.5 mm", (Case(fixed={"board_twist": 0.0005}), ("board_bend",))),
-        ("board twisted by 1 mm", (Case(fixed={"board_twist": 0.001}), ("board_bend",))),
-        ("board twisted by 3 mm", (Case(fixed={"board_twist": 0.003}), ("board_bend",))),
         ("board sheared by 0.1 deg", (Case(fixed={"board_shear": 0.1 * _DEGREE}), ("board_shear",))),
         ("base leans by 0.1 deg in roll and pitch", (Case(fixed=_LEANING), ("lean",))),
-        (
-            "print errors of 0.15 mm, 20 stations",
-            (Case(outside=Outside(print_m=0.00015)), ("board_corners",)),
+        *(
+            (f"print errors of 0.15 mm, {n} stations", (Case(stations=n, outside=_PRINT), ("board_corners",)))
+            for n in (20, 200)
         ),
-        (
-            "print errors of 0.15 mm, 200 stations",
-            (Case(stations=200, outside=Outside(print_m=0.00015)), ("board_corners",)),
-        ),
-        (
-            "mild everything, twist and bend 1 mm, two sheets 0.3 mm apart",
-            (_MILD, ("board_bend", "board_corners")),
-        ),
+        (f"mild everything, {_SHEETS}", (_MILD, ("board_bend", "board_corners"))),
         ("every image twice", (Case(twice=True), ())),
-        (
-            "right camera 3 ms late, moving",
-            (Case(motion="moving", fixed={"time_right": 0.003}), ("stereo_clock",)),
-        ),
-        ("rolling shutter of 10 ms, moving", (Case(motion="moving", fixed={"readout": 0.01}), ("readout",))),
+        ("right camera 3 ms late, moving", (_moving(fixed={"time_right": 0.003}), ("stereo_clock",))),
+        ("rolling shutter of 10 ms, moving", (_moving(fixed={"readout": 0.01}), ("readout",))),
     )
 }
 

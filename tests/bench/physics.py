@@ -122,9 +122,9 @@ def recorded(world: World, motion: str, stations: int, seed: int) -> Extraction:
             joints.append(state.qpos[[9, 10]].copy())
             bases.append(T_w_v)
     still = len(route.rests_s) > 0
-    at_s = (
-        route.rests_s.mean(axis=1) + 0.25 if still else np.linspace(1.0, route.duration_s - 1.0, 3 * stations)
-    )
+    at_s = np.linspace(1.0, route.duration_s - 1.0, 3 * stations)
+    if still:
+        at_s = route.rests_s.mean(axis=1) + 0.25
     observations, T_w_k = [], route.T_w_k.copy()
     T_w_k[2, 3] += bases[0][2, 3]
     for k in np.searchsorted(times, at_s).tolist():

@@ -63,6 +63,16 @@ class View:
         return image
 
 
+def nearest(seen: View, *ways: np.ndarray) -> np.ndarray:
+    """The errors of found corners, px, counted in the way that comes nearest to the truth."""
+    return min((way - seen.truth for way in ways), key=lambda error: float(np.abs(error).max()))
+
+
+def shortest_edge_px(corners: np.ndarray) -> float:
+    """The shortest side of a square, of (rows, columns, 2) corners."""
+    return min(float(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min()) for axis in (0, 1))
+
+
 def clutter(random: np.random.Generator) -> np.ndarray:
     """A wall with boxes, discs and stripes on it, (480, 640) gray levels."""
     wall = np.full((480, 640), random.uniform(70, 160))
@@ -70,9 +80,8 @@ def clutter(random: np.random.Generator) -> np.ndarray:
         x, y, grey = int(random.integers(640)), int(random.integers(480)), random.uniform(20, 230)
         kind = random.integers(3)
         if kind == 0:
-            cv2.rectangle(
-                wall, (x, y), (x + int(random.integers(15, 150)), y + int(random.integers(15, 120))), grey, -1
-            )
+            end = x + int(random.integers(15, 150)), y + int(random.integers(15, 120))
+            cv2.rectangle(wall, (x, y), end, grey, -1)
         elif kind == 1:
             cv2.circle(wall, (x, y), int(random.integers(8, 60)), grey, -1)
         else:
@@ -89,11 +98,8 @@ def _pose(random: np.random.Generator) -> np.ndarray:
     corners = [(i, j, 0.0) for i in (-_NEARER_SQUARES, BOARD.columns - 1 + _NEARER_SQUARES)
                for j in (-_NEARER_SQUARES, BOARD.rows - 1 + _NEARER_SQUARES)]  # fmt: skip
     while True:
-        z, way, tilt = (
-            random.uniform(0.6, 3.0),
-            random.uniform(-math.pi, math.pi),
-            math.radians(random.uniform(0, 60)),
-        )
+        z, way = random.uniform(0.6, 3.0), random.uniform(-math.pi, math.pi)
+        tilt = math.radians(random.uniform(0, 60))
         R = se3.exp_so3(tilt * np.array([math.cos(way), math.sin(way), 0.0]))
         R = R @ se3.exp_so3(np.array([0.0, 0.0, random.uniform(-0.5, 0.5)]))
         at = z * np.array([random.uniform(-0.5, 0.5), random.uniform(-0.4, 0.4), 1.0])
@@ -121,9 +127,8 @@ def view(seed: int, blur_px: float | None = None) -> View:
     side = BOARD.square_m or 0.0
     light, dark = random.uniform(130, 225), random.uniform(15, 60)
     wall = cv2.resize(clutter(random), None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_NEAREST)
-    picture = painted(
-        _finer(CAMERA), T, BOARD, side, picture=wall, dark=dark, light=light, supersample=_SUPERSAMPLE
-    )
+    tones = {"dark": dark, "light": light}
+    picture = painted(_finer(CAMERA), T, BOARD, side, picture=wall, supersample=_SUPERSAMPLE, **tones)
     lens = random.uniform(0.5, 1.2) if blur_px is None else blur_px
     noise = random.uniform(1, 4)
     picture = cv2.GaussianBlur(picture, (0, 0), _FINER * lens, borderType=cv2.BORDER_REPLICATE)
@@ -132,19 +137,19 @@ def view(seed: int, blur_px: float | None = None) -> View:
     falls, sinks = random.uniform(-0.3, 0.3), random.uniform(-0.2, 0.2)
     shade = (1 + falls * x) * (1 + sinks * y)
     truth = opencv_pixels(CAMERA, se3.act(T, side * BOARD.grid())).reshape(BOARD.rows, BOARD.columns, 2)
-    edge = min(float(np.linalg.norm(np.diff(truth, axis=axis), axis=-1).min()) for axis in (0, 1))
     there = np.round(truth).astype(int)
     half = (light - dark) / 2 * shade[there[..., 1], there[..., 0]]
-    return View(blurred * shade, truth, edge, math.hypot(lens, 1 / math.sqrt(12)), noise, half)
+    return View(
+        blurred * shade, truth, shortest_edge_px(truth), math.hypot(lens, 1 / math.sqrt(12)), noise, half
+    )
 
 
 def empty(seed: int) -> np.ndarray:
     """A picture without a board."""
     random = np.random.default_rng([seed, 3])
     light = cv2.GaussianBlur(clutter(random), (0, 0), random.uniform(0.5, 1.2))
-    return np.clip(np.round(light + random.uniform(1, 4) * random.normal(size=light.shape)), 0, 255).astype(
-        np.uint8
-    )
+    light += random.uniform(1, 4) * random.normal(size=light.shape)
+    return np.clip(np.round(light), 0, 255).astype(np.uint8)
 
 
 def bound_px(seen: View, noise_grey: float | None = None) -> np.ndarray:

@@ -65,9 +65,8 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
         (plan,), *_ = plan_recording(recording, rig, True)
         (detections,) = detect_all(workers, rig, board, [plan], False, lambda *_: None)
     seconds = time.perf_counter() - start
-    found = sum(
-        isinstance(d, Detection) for one in detections for side in one.found.values() for d in side.values()
-    )
+    each = (d for one in detections for side in one.found.values() for d in side.values())
+    found = sum(isinstance(d, Detection) for d in each)
     start = time.perf_counter()
     for item in measure_stations(0, rig.cameras, board, plan.stations[:_MEASURED], detections[:_MEASURED]):
         if isinstance(item, Measured):

@@ -78,16 +78,6 @@ def pairs_in(folder: Path) -> tuple[tuple[Pair, ...], tuple[int, int]]:
     return tuple(found), size
 
 
-def _stereo(
-    K: Sequence[FloatArray], D: Sequence[FloatArray], T_r_c: FloatArray, size: tuple[int, int]
-) -> CameraRig:
-    left, right = (
-        Camera(side, *size, np.asarray(K[k], float), np.ravel(D[k]), "plumb_bob")
-        for k, side in enumerate(("left", "right"))
-    )
-    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
-
-
 def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = False) -> CameraRig:
     """OpenCV's calibration: each camera by itself, then the pair; jointly: all together after that."""
     points = [_POINTS_K.astype(np.float32)] * len(pairs)
@@ -96,17 +86,17 @@ def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = Fals
     cameras = [part for _, K, D, *_ in own for part in (K, D)]
     flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3 if jointly else cv2.CALIB_FIX_INTRINSIC
     _, K_l, D_l, K_r, D_r, R, t, *_ = cv2.stereoCalibrate(points, *seen, *cameras, size, flags=flags)
-    return _stereo([K_l, K_r], [D_l, D_r], se3.transform(R, t[:, 0]), size)
+    left = Camera("left", *size, np.asarray(K_l, float), np.ravel(D_l), "plumb_bob")
+    right = Camera("right", *size, np.asarray(K_r, float), np.ravel(D_r), "plumb_bob")
+    return CameraRig.pair(left, right, se3.inverse(se3.transform(R, t[:, 0])), False, np.eye(3), np.eye(3))
 
 
 def wrong_intrinsics(true: CameraRig, folder: Path) -> CameraRig:
     """The pair with the wrong intrinsics that lie beside the pictures of OpenCV."""
     file = cv2.FileStorage(str(folder / "intrinsics_wrong.yml"), cv2.FILE_STORAGE_READ)
-    left, right = (
-        replace(camera, K=file.getNode(f"M{k}").mat(), D=np.ravel(file.getNode(f"D{k}").mat()))
-        for k, camera in ((1, true.each[0]), (2, true.each[1]))
-    )
-    return with_pair(true, left=left, right=right)
+    numbers = [(file.getNode(f"M{k}").mat(), np.ravel(file.getNode(f"D{k}").mat())) for k in (1, 2)]
+    each = zip(true.each, numbers, strict=True)
+    return with_pair(true, *(replace(camera, K=K, D=D) for camera, (K, D) in each))
 
 
 # -- what is made wrong -------------------------------------------------------------------------------
@@ -143,12 +133,9 @@ class Case:
         """What the estimate should find, to first order in the errors: constants that make the pair right again."""
         found = {name: -value for name, value in self.constants.items()}
         for side in self.k1:
-            camera, stated = (
-                rig.each[["left", "right"].index(side)] for rig in (true, Case(k1=self.k1).of(true))
-            )
-            found |= {
-                f"distortion_{side}_radial_{k}": value for k, value in enumerate(_radial(camera, stated), 1)
-            }
+            which = ["left", "right"].index(side)
+            terms = _radial(true.each[which], Case(k1=self.k1).of(true).each[which])
+            found |= {f"distortion_{side}_radial_{k}": value for k, value in enumerate(terms, 1)}
         return found
 
 
@@ -170,6 +157,7 @@ _TURN = float(np.radians(0.2))
 def cases(width: int) -> dict[str, Case]:
     """One thing at a time, then all of them; pictures of so many px."""
     px, both = 5 / width, ("left", "right")
+    points = {f"principal_{side}_{axis}": px for side in both for axis in "xy"}
     focal, point, turned = ("focal_length",), ("principal_point",), ("stereo_rotation",)
     found = {
         "nothing": Case(),
@@ -177,25 +165,20 @@ def cases(width: int) -> dict[str, Case]:
         "focal length of the left, +0.5 %": Case({"focal_left": 0.005}, right=focal),
         "principal point of the left, x, +5 px": Case({"principal_left_x": px}, right=point),
         "principal point of the left, y, +5 px": Case({"principal_left_y": px}, right=point),
-        "principal points of both, x and y, +5 px": Case(
-            {f"principal_{side}_{axis}": px for side in both for axis in "xy"}, right=point
-        ),
+        "principal points of both, x and y, +5 px": Case(points, right=point),
         "k1 of the left, +0.02": Case(k1={"left": 0.02}, right=("distortion",)),
         "k1 of both, +0.02": Case(k1={"left": 0.02, "right": 0.02}, right=("distortion",)),
     }
     for axis in "xyz":
-        found[f"right camera, turned by 0.2 deg about {axis}"] = Case(
-            {f"stereo_r_{axis}": _TURN}, right=turned
-        )
+        case = Case({f"stereo_r_{axis}": _TURN}, right=turned)
+        found[f"right camera, turned by 0.2 deg about {axis}"] = case
     length = ("baseline_length", "square_size")
     found["baseline, +0.5 %"] = Case({"baseline_scale": 0.005}, right=length)
     mixed = {f"focal_{side}": 0.005 for side in both} | {"principal_left_x": px, "baseline_scale": 0.005}
     mixed |= {f"stereo_r_{axis}": _TURN for axis in "xyz"}
     right = (*focal, *point, *turned, *length, "distortion")
-    found["focal lengths, principal point x, k1 of the left, turn about x, y, z, baseline"] = Case(
-        mixed, {"left": 0.02}, right
-    )
-    return found
+    everything = "focal lengths, principal point x, k1 of the left, turn about x, y, z, baseline"
+    return found | {everything: Case(mixed, {"left": 0.02}, right)}
 
 
 # -- the estimate -------------------------------------------------------------------------------------
@@ -236,13 +219,8 @@ def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
 def refusal(rig: CameraRig, pair: Pair) -> str | None:
     """Why the product refuses a station with this pair; None if it does not."""
     still = np.zeros(len(tick_robot().joint_names))
-    found = measure(
-        0,
-        Station(0, True, (), _SECOND_NS, still, still),
-        *([d] for d in pair),
-        rig,
-        _BOARD,
-    )
+    station = Station(0, True, (), _SECOND_NS, still, still)
+    found = measure(0, station, *([d] for d in pair), rig, _BOARD)
     settled = found if isinstance(found, Rejection) else resolve_square(found, _SQUARE_M)
     return settled.detail if isinstance(settled, Rejection) else None
 
@@ -313,14 +291,9 @@ class Estimate:
 # -- figures ------------------------------------------------------------------------------------------
 
 FIGURES = (
-    "mean error of the squares (mm)",
-    "their standard deviation (mm)",
-    "every other corner: rotation (deg)",
-    "translation (mm)",
-    "half boards: rotation (deg)",
-    "translation (mm)",
-    "reprojection (px)",
-)
+    "mean error of the squares (mm)", "their standard deviation (mm)", "every other corner: rotation (deg)",
+    "translation (mm)", "half boards: rotation (deg)", "translation (mm)", "reprojection (px)",
+)  # fmt: skip
 
 
 def _sides_mm(points: FloatArray) -> FloatArray:
@@ -466,15 +439,10 @@ def _study(true: CameraRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> 
         if name in of_case:
             found += list(_found_rows(name, of_case[name], true, (results["nothing"], result)))
     causes = ("refused stations", "corners left out", "contradictions named")
-    return "\n".join(
-        [
-            study.table(["wrong", *FIGURES], board),
-            study.table(
-                ["wrong", "constant", "to be found", "found with nothing wrong", "found", "sigma"], found
-            ),
-            study.table(["wrong", *causes, *(f"{cause}, {_BIG} times as wrong" for cause in causes)], named),
-        ]
-    )
+    heads = ["wrong", "constant", "to be found", "found with nothing wrong", "found", "sigma"]
+    tables = study.table(["wrong", *FIGURES], board), study.table(heads, found)
+    big_causes = (f"{cause}, {_BIG} times as wrong" for cause in causes)
+    return "\n".join([*tables, study.table(["wrong", *causes, *big_causes], named)])
 
 
 def bouguet() -> str:
@@ -484,17 +452,12 @@ def bouguet() -> str:
     odd, even = pairs[::2], pairs[1::2]
     intrinsics = ("distortion", "focal_length", "principal_point")
     direction = ("baseline_direction",)  # 1.1 and 1.2 degrees from the published one
-    more = {
-        "`intrinsics_wrong.yml`": Task(wrong_intrinsics(bouguet_rig(), folder), pairs, intrinsics),
-        "calibrated by OpenCV from pairs 1, 3, 5, 7; used on 2, 4, 6": Task(
-            by_opencv(odd, size), even, direction
-        ),
-        "calibrated by OpenCV from pairs 2, 4, 6; used on 1, 3, 5, 7": Task(
-            by_opencv(even, size), odd, direction
-        ),
-        "nothing; used on 2, 4, 6": Task(bouguet_rig(), even),
-        "nothing; used on 1, 3, 5, 7": Task(bouguet_rig(), odd),
-    }
+    more = {"`intrinsics_wrong.yml`": Task(wrong_intrinsics(bouguet_rig(), folder), pairs, intrinsics)}
+    halves = ("1, 3, 5, 7", odd, "2, 4, 6", even), ("2, 4, 6", even, "1, 3, 5, 7", odd)
+    for these, some, those, others in halves:
+        task = Task(by_opencv(some, size), others, direction)
+        more[f"calibrated by OpenCV from pairs {these}; used on {those}"] = task
+    more |= {f"nothing; used on {those}": Task(bouguet_rig(), others) for _, _, those, others in halves}
     return _study(bouguet_rig(), pairs, more)
 
 

@@ -23,7 +23,7 @@ from tests.bench.simulated import (
     route_of,
     spoiled,
 )
-from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.bench.study import NINE_RATIOS, by_length, head, line, numbers, results_of, rms
 from tests.truth import nees
 
 _FALSE = float(chi2.isf(1e-6, 9)) / 9
@@ -68,9 +68,7 @@ def study(stations: int, runs: int) -> None:
 
 def main() -> None:
     """N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    runs = Study.begun(1000).runs
-    for stations in (12, 40):
-        study(stations, runs)
+    by_length(study)
 
 
 if __name__ == "__main__":

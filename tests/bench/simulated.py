@@ -85,10 +85,8 @@ def spoiled(
         displaced[:3, :3] = Rotation.from_rotvec(random.normal(size=3) * np.radians(4)).as_matrix()
         displaced[:3, 3] = way / np.linalg.norm(way) * random.uniform(0.02, 0.15)
         T_c_k = seen[i].T_c_k @ displaced
-        both = [
-            Corners(at + PIXEL_PX * random.normal(size=at.shape), PIXEL_PX, 1)
-            for at in in_cameras(rig, T_c_k, corners_k)
-        ]
+        each = in_cameras(rig, T_c_k, corners_k)
+        both = [Corners(at + PIXEL_PX * random.normal(size=at.shape), PIXEL_PX, 1) for at in each]
         moved = measured_anew(rig, replace(seen[i], T_c_k=T_c_k), corners_k, *both)
         assert moved is not None
         seen[i] = moved

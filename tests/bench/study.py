@@ -85,9 +85,8 @@ def spent(command: list[str]) -> tuple[float, float]:
 def measured(module: str, *arguments: object, **environment: str) -> Any:
     """What a module of this package prints last, as JSON: measured in a process of its own."""
     command = [sys.executable, "-m", f"tests.bench.{module}", *map(str, arguments)]
-    done = subprocess.run(
-        command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | environment
-    )
+    variables = os.environ | environment
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=variables)
     return json.loads(done.stdout.splitlines()[-1])
 
 
@@ -95,6 +94,13 @@ def kernel_mb(name: str) -> float:
     """Memory of this process as reported by the kernel, MB: VmRSS, or VmHWM for its peak."""
     (line,) = (text for text in Path("/proc/self/status").read_text().splitlines() if text.startswith(name))
     return int(line.split()[1]) / 1024
+
+
+def by_length(study: Callable[[int, int], None]) -> None:
+    """A study with N = 12 and with N = 40; runs as an argument, 1,000 by default."""
+    runs = Study.begun(1000).runs
+    for stations in (12, 40):
+        study(stations, runs)
 
 
 def head(*columns: str, title: str = "") -> None:

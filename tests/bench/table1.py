@@ -40,12 +40,9 @@ def sample() -> None:
     extraction, _ = extract([_SAMPLE], load_rig(None))
     solutions = {method: solve(extraction, method) for method in ("linear", "paper", "lm")}
     linear = solutions["linear"].linear
-    print(
-        f"Sample log, {len(extraction.observations)} stations. Within 0.1 %: the wheels after round", end=" "
-    )
-    print(
-        f"{wheel_rounds(linear.history)}, all parameters after {linear.rounds_to_tolerance}; fixed after {linear.rounds}.\n"
-    )
+    rounds = f"the wheels after round {wheel_rounds(linear.history)}, all parameters after"
+    rounds += f" {linear.rounds_to_tolerance}; fixed after {linear.rounds}"
+    print(f"Sample log, {len(extraction.observations)} stations. Within 0.1 %: {rounds}.\n")
     head("", *NINE_COLUMNS, "Error (mm)")
     for method, solution in solutions.items():
         off = in_camera(solution.parameters, robot)
@@ -64,9 +61,8 @@ def monte_carlo() -> None:
             solution = solve(extraction, method)  # type: ignore[arg-type]
             results.append(in_camera(solution.parameters, robot))
         rounds.append(solution.linear.rounds_to_tolerance)
-    print(
-        f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: median {np.median(rounds):g}, maximum {max(rounds)}.\n"
-    )
+    counts = f"median {np.median(rounds):g}, maximum {max(rounds)}"
+    print(f"\nMonte Carlo, {_RUNS} runs, rms errors; rounds to 0.1 %: {counts}.\n")
     head("", *NINE_COLUMNS)
     for method, results in found.items():
         line(method, *numbers(rms(np.array(results))))

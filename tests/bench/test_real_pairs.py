@@ -1,7 +1,5 @@
 """Real stereo pairs with a wrong camera_info: the estimated cameras see the board better."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.bench.real_pairs import FIGURES, Estimate, Task, by_opencv, cases, figures, pairs_in

@@ -17,13 +17,8 @@ def one_run(name: str, scale: float, seed: int) -> Run:
 def main() -> None:
     """All cases; runs as an argument, 100 by default."""
     asked = Study.begun(100)
-    head(
-        "",
-        "times the prior",
-        *VERDICTS,
-        "contradictions, mean",
-        title=f"{asked.runs} runs each, levels estimated.",
-    )
+    title = f"{asked.runs} runs each, levels estimated."
+    head("", "times the prior", *VERDICTS, "contradictions, mean", title=title)
     for name in asked.chosen(CASES):
         for scale in (3.0, 5.0):
             results = results_of(one_run, name, scale, seeds=range(asked.runs))

@@ -66,13 +66,8 @@ def main() -> None:
     head("run", "legs", "radii and separation, mm", "off, published sigmas", "outliers", "time")
     for run in RUNS:
         legs = legs_of(run)
-        parts = {
-            "all": legs,
-            "first": legs[:3000],
-            "even": legs[::2],
-            "odd": legs[1::2],
-            "a tenth": legs[::10],
-        }
+        parts = {"all": legs, "first": legs[:3000], "even": legs[::2], "odd": legs[1::2]}
+        parts["a tenth"] = legs[::10]
         for what, part in parts.items():
             solved(run, what, part)
 
