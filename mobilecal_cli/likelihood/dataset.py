@@ -22,7 +22,8 @@ _OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `
 _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, not a motion
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
-_AROUND_NS = 150_000_000  # a joint that moves within this time of a station, but hardly there, turns back
+# A joint that moves within the longer of these intervals before and after a station, but hardly there, turns back.
+_AROUND_NS = np.array([-3, -1, 0, 1, 3]) * _INTERVAL_NS
 # The motion of a joint is taken over the first interval, or over so long a one that noise moves the joint by less than
 # `_STILL_RAD` within a usual offset of the clocks, but at most the second. Fewer changes show no noise.
 _LEAST_WIDTH_S, _MOST_WIDTH_S = 0.04, 0.1
@@ -202,12 +203,13 @@ def _approach_direction(
         for j, (track, width_ns, noise) in enumerate(zip(*of_log, strict=True)):
             moved = max(_MOVED_RAD, _NOISE_SIGMAS * noise)
             last = _last_motion(track, times_ns[mine], joints[mine, j], moved)
-            at = times_ns[mine]
-            before, here, after = (track.mean(at + by, width_ns) for by in (-_INTERVAL_NS, 0, _INTERVAL_NS))
-            ends = [np.abs(track.mean(at + by, width_ns) - here) for by in (-_AROUND_NS, _AROUND_NS)]
+            around_ns = times_ns[mine] + _AROUND_NS[:, None]
+            long_ago, before, here, after, later = track.mean(around_ns.ravel(), width_ns).reshape(
+                around_ns.shape
+            )
             rate = (here - before) / (_INTERVAL_NS * 1e-9)
             own = np.clip((after - before) / (2e-9 * _INTERVAL_NS) / _MOVING_RADPS, -1, 1)
-            turns = np.minimum(*ends) > moved
+            turns = np.minimum(np.abs(long_ago - here), np.abs(later - here)) > moved
             sides[mine, j] = np.where((np.abs(rate) > _MOVING_RADPS) | turns, own, last)
     return sides
 

@@ -44,7 +44,10 @@ def maximum_likelihood(
 
 
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
-    """Outliers under the stated priors, then the scales of the priors, and a fine fit at the end.
+    """Scales of the priors and outliers, decided one under the other, and a fine fit at the end.
+
+    Usually there are no outliers, and no scale is clearly above 1: then all measurements decide at once. Else, the
+    outliers come first, under the stated priors: a gross error of a measurement must not look like a wrong description.
 
     A part that moves in the middle of the recording may drive the scales so far that the fit has no end. Then it is
     the one under the stated priors: the jump explains the misfit, not the description.
@@ -52,8 +55,14 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     Raises:
         SolveError: see `maximum_likelihood`.
     """
+    initial = start or inference.initial()
+    noise, inliers = _supposed(inference, initial, {})
+    first = _first_fit(inference, initial, noise, inliers)
+    fit = _as_described(inference, first) if first.inliers.same(inliers) else None
+    if fit is not None:
+        return inference.estimate_noise(fit, FINE)
     held = replace(inference, scales_stay=True)
-    fit = _without_outliers(held, start or inference.initial(), {})
+    fit = _without_outliers(held, first)
     try:
         return _with_scales(inference, held, fit)
     except SolveError:
@@ -62,19 +71,33 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return held.estimate_noise(fit, FINE)
 
 
+def _as_described(inference: Inference, first: Fit) -> Fit | None:
+    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide."""
+    try:
+        fit = _corners_decided(inference, inference.estimate_noise(first))
+        wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
+        plain = not wide and fit.inliers.views.all() and once_decided(inference, fit) is None
+    except SolveError:
+        return None
+    return fit if plain else None
+
+
 def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
     """The fit with the scales of the priors, from one under the stated priors.
 
     Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if there
-    were any. Meanwhile the scales stay: a gross error of a measurement must not look like a wrong description.
+    were any. Meanwhile the scales stay.
     """
     # Anew from the supposed levels: a wrong description may have made them large.
     supposed = inference.first_noise(np.array([fit.noise.pixel_px]))
     fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, supposed))
     wider = fit.noise.wider
     if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
-        everything = fit.inliers.same(Inliers.all_of(inference.data))
-        fit = _decided(held, fit) if everything else _without_outliers(held, fit.lin.state.parameters, wider)
+        if fit.inliers.same(Inliers.all_of(inference.data)):
+            fit = _decided(held, fit)
+        else:
+            parameters = fit.lin.state.parameters
+            fit = _without_outliers(held, _first_fit(held, parameters, *_supposed(held, parameters, wider)))
     noisy = outliers.too_many(fit)
     fit = _with_all(inference, fit, noisy) if noisy else fit
     return replace(inference.estimate_noise(fit, FINE), noisy=noisy)
@@ -158,16 +181,18 @@ def _refitted(inference: Inference, fit: Fit, inliers: Inliers) -> Fit:
     return inference.estimate_noise(inference.fit(fit.lin.state, inliers, fit.noise))
 
 
-def _without_outliers(inference: Inference, initial: Parameters, wider: Mapping[str, float]) -> Fit:
-    """Initial fit, noise levels and outliers, for some scales of the priors."""
-    data = inference.data
-    everything = Inliers.all_of(data)
-    state = initial_state(data, initial, everything)
-    corners, boards, own_px = outliers.gross_corners(data, state)
+def _supposed(inference: Inference, initial: Parameters, wider: Mapping[str, float]) -> tuple[Noise, Inliers]:
+    """Noise levels and inliers to begin with, for some scales of the priors: no image or board that fits nothing."""
+    everything = Inliers.all_of(inference.data)
+    state = initial_state(inference.data, initial, everything)
+    corners, boards, own_px = outliers.gross_corners(inference.data, state)
     noise = replace(inference.first_noise(own_px), wider=wider)
-    inliers = replace(everything, corners=corners, views=boards)
-    fit = _first_fit(inference, initial, noise, inliers)
-    return _decided(inference, _corners_decided(inference, inference.estimate_noise(fit)))
+    return noise, replace(everything, corners=corners, views=boards)
+
+
+def _without_outliers(inference: Inference, first: Fit) -> Fit:
+    """Noise levels and outliers, from a first fit."""
+    return _decided(inference, _corners_decided(inference, inference.estimate_noise(first)))
 
 
 def _decided(inference: Inference, fit: Fit) -> Fit:

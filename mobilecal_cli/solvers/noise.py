@@ -25,7 +25,7 @@ _WORTH, _FADES_AT = 2.0, 4.0
 _TOO_NARROW, _ALL_TOO_NARROW = 1.0, 1.5
 _SHOWN, _WIDEST = 0.01, 1e3
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
-_MEMORY, _FARTHEST, _ANYWAY = 3, 3.0, 0.3
+_MEMORY, _FARTHEST, _ANYWAY = 5, 3.0, 0.3
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 

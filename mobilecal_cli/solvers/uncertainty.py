@@ -79,13 +79,13 @@ def _budget_of(fit: Fit, shows: FloatArray) -> Budget:
     kinds = {f"prior {row.name}": row.kind for row in layout.constants}
     kinds |= {f"prior {name}": "nominal" for name in NINE}
     kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
-    gradients = gradients_at(lin)
+    gradients = {name: gradient @ shows for name, gradient in gradients_at(lin).items()}
     nine: dict[str, FloatArray] = {}
     figures: dict[str, FloatArray] = {}
     for name, share in fit.budget.items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [variance(g @ shows, share) for g in gradients.values()]
+        of = [variance(gradient, share) for gradient in gradients.values()]
         figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
     shares = np.array(list(nine.values()))
     whole = np.array(list(figures.values()))
