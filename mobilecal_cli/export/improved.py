@@ -17,9 +17,7 @@ from mobilecal_cli.likelihood.effects import (
     CameraEffect,
     ChainChange,
     ChainEffect,
-    JointPlay,
-    JointScale,
-    JointZero,
+    JointReading,
 )
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, CameraRig, FixedLink, FloatArray, HeadChain, JointLink, Rig
@@ -138,9 +136,9 @@ def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
             continue
         if isinstance(effect, ChainEffect):
             effect.add(change, value)
-        elif isinstance(effect, JointZero):
+        elif isinstance(effect, JointReading) and effect.error == "zero":
             zeros[rig.chain.joints[effect.joint]] = value
-        elif isinstance(effect, JointScale | JointPlay):
+        elif isinstance(effect, JointReading):
             kind = row.of_kind
             others.append(f"{row.name} {value * kind.shown:+.3g} {kind.shown_unit}")
     return ImprovedChain(rig.chain, change.apply(rig.chain), zeros, tuple(others))

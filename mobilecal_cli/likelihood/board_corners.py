@@ -16,7 +16,7 @@ direction w of c is understated; with the pattern ``H_ee^-1 H_ec w``, ``w^T D`` 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -40,17 +40,6 @@ _PIXEL_PX = 0.1  # noise of a usual corner
 _WIDER = 10.0  # priors of contradicted constants become so much wider
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CornerMode(BoardEffect):
-    """One pattern of displaced corners: (M, 3), m, for a value of 1 m."""
-
-    pattern: FloatArray
-
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """The pattern."""
-        return self.pattern
-
-
 def corner_modes(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     """Rows of the patterns that matter for the poses of camera and board, or for the constants of both.
 
@@ -63,9 +52,14 @@ def corner_modes(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     scale = kind(KIND).sigma * np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
     modes = _modes(*_informations(data, rows, scale))
     for number, mode in enumerate(modes, 1):
-        effect = CornerMode((mode * scale / kind(KIND).sigma).reshape(-1, 3))
+        effect = BoardEffect(partial(_displaced, pattern=(mode * scale / kind(KIND).sigma).reshape(-1, 3)))
         meaning = f"places of the corners, pattern {number}"
         yield Constant(f"{KIND}_{number}", KIND, "board", meaning, effect, kind(KIND).sigma)
+
+
+def _displaced(points_k: FloatArray, pattern: FloatArray) -> FloatArray:
+    """The pattern (M, 3), m, for a value of 1 m."""
+    return pattern
 
 
 def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray) -> FloatArray:

@@ -1,13 +1,15 @@
 """What a constant of the robot changes, and the derivative of the prediction by it.
 
-There is one base class for each place where a constant enters: joint positions, the head's chain, the cameras, the
-board, and the wheels' stamps. `nuisance` has the rows.
+There is one class for each place where a constant enters: joint positions, the head's chain, the cameras, the board,
+the base, and the wheels. `nuisance` has the rows.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -25,6 +27,14 @@ class Effect:
     def offered(self, data: Measurements) -> bool:
         """Whether this recording can show the constant at all."""
         return True
+
+
+def _in_motion(data: Measurements) -> bool:
+    """Only stations in motion show an offset of stamps."""
+    return bool(data.moving.any()) and bool(data.joint_tracks)
+
+
+# -- joints -----------------------------------------------------------------------------------------
 
 
 class JointEffect(Effect, ABC):
@@ -48,7 +58,7 @@ class JointClock(JointEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
-        return bool(data.moving.any()) and bool(data.joint_tracks)
+        return _in_motion(data)
 
     def shift(self, data: Measurements, value: float) -> FloatArray:
         """(N, J) motion of the joints within the offset."""
@@ -60,51 +70,35 @@ class JointClock(JointEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class OneJointEffect(JointEffect):
-    """Changes the position of one joint, by its column."""
+class JointReading(JointEffect):
+    """Changes the position of one joint.
+
+    Attributes:
+        joint: its column.
+        error: "zero", its zero offset, rad or m; "scale", the relative error of its reading; "play", its backlash, rad
+            or m: the whole play between its two approach directions.
+    """
 
     joint: int
-
-    @abstractmethod
-    def own_rate(self, data: Measurements) -> FloatArray | float:
-        """(N,) derivative of this joint's positions by the value."""
-
-    def rate(self, data: Measurements, value: float) -> FloatArray:
-        """(N, J) derivative of the joint positions by the value."""
-        rate = np.zeros_like(data.joints)
-        rate[:, self.joint] = self.own_rate(data)
-        return rate
-
-
-@dataclass(frozen=True, slots=True)
-class JointZero(OneJointEffect):
-    """Zero offset of a joint, rad or m."""
-
-    def own_rate(self, data: Measurements) -> FloatArray | float:
-        """The same at all stations."""
-        return 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class JointScale(OneJointEffect):
-    """Relative error of a joint's reading."""
-
-    def own_rate(self, data: Measurements) -> FloatArray | float:
-        """The reading."""
-        return data.joints[:, self.joint]
-
-
-@dataclass(frozen=True, slots=True)
-class JointPlay(OneJointEffect):
-    """Backlash of a joint, rad or m: the whole play between its two approach directions."""
+    error: Literal["zero", "scale", "play"]
 
     def offered(self, data: Measurements) -> bool:
         """Only a joint that was approached from both directions shows its play."""
-        return bool(np.ptp(data.approach_direction[:, self.joint]))
+        return self.error != "play" or bool(np.ptp(data.approach_direction[:, self.joint]))
 
-    def own_rate(self, data: Measurements) -> FloatArray | float:
-        """Half of the approach direction, negative."""
-        return -data.approach_direction[:, self.joint] / 2
+    def rate(self, data: Measurements, value: float) -> FloatArray:
+        """(N, J) derivative of the joint positions by the value."""
+        by_error: dict[str, FloatArray | float] = {
+            "zero": 1.0,
+            "scale": data.joints[:, self.joint],
+            "play": -data.approach_direction[:, self.joint] / 2,
+        }
+        rate = np.zeros_like(data.joints)
+        rate[:, self.joint] = by_error[self.error]
+        return rate
+
+
+# -- head chain -------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -130,51 +124,36 @@ class ChainChange:
         return replace(chain, links=tuple(links))
 
 
-class ChainEffect(Effect, ABC):
-    """Changes the head's chain."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def add(self, change: ChainChange, value: float) -> None:
-        """Add a value to the change."""
-
-    @abstractmethod
-    def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
-        """(N, 6) derivative of the head poses by the value: left twists in the base's frame."""
-
-
 @dataclass(frozen=True, slots=True)
-class AxisTurn(ChainEffect):
-    """Rotation of a joint's axis about a direction in the joint's own frame, rad: nothing moves at the joint's zero."""
+class ChainEffect(Effect):
+    """Changes a joint of the head's chain, in the joint's own frame.
+
+    Attributes:
+        link: index of the joint's link.
+        of: attribute of `ChainChange`. "turn": nothing moves at the joint's zero; "shift": all that follows moves.
+        along: the vector that a value of one adds to it.
+    """
 
     link: int
-    about: tuple[float, float, float]
-
-    def add(self, change: ChainChange, value: float) -> None:
-        """Add to the rotation vector."""
-        change.turn[self.link] = change.turn.get(self.link, np.zeros(3)) + value * np.array(self.about)
-
-    def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
-        """exp(u) R exp(-u) turns by (I - R) u, about the joint's origin."""
-        turn = change.turn.get(self.link, np.zeros(3))
-        return frames.by_axis(self.link, se3.left_jacobian_so3(turn) @ np.array(self.about))
-
-
-@dataclass(frozen=True, slots=True)
-class OriginShift(ChainEffect):
-    """Shift of a joint's origin along a direction in the joint's own frame, m: all that follows moves with it."""
-
-    link: int
+    of: Literal["turn", "shift"]
     along: tuple[float, float, float]
 
     def add(self, change: ChainChange, value: float) -> None:
-        """Add to the displacement."""
-        change.shift[self.link] = change.shift.get(self.link, np.zeros(3)) + value * np.array(self.along)
+        """Add a value to the change."""
+        vectors: dict[int, FloatArray] = getattr(change, self.of)
+        vectors[self.link] = vectors.get(self.link, np.zeros(3)) + value * np.array(self.along)
 
     def twist(self, frames: JointFrames, change: ChainChange) -> FloatArray:
-        """A translation along the direction."""
-        return frames.frames[self.link].shifted(np.array(self.along))
+        """(N, 6) derivative of the head poses by the value: left twists in the base's frame."""
+        along = np.array(self.along)
+        if self.of == "shift":
+            return frames.frames[self.link].shifted(along)
+        # exp(u) R exp(-u) turns by (I - R) u, about the joint's origin.
+        turn = change.turn.get(self.link, np.zeros(3))
+        return frames.by_axis(self.link, se3.left_jacobian_so3(turn) @ along)
+
+
+# -- cameras ----------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -184,13 +163,13 @@ class CameraChange:
     Attributes:
         turn: (C, 3) rotation vector of each camera about the first one's axes, from the left, rad.
         swing: (C, 3) rotation vector of its position about the first camera's axes, rad.
-        length: (C,) relative change of its distance from the first camera.
+        length: (C, 1) relative change of its distance from the first camera.
         shift: (C, 3) displacement along the first camera's axes, m.
         focal: (C, 2) relative change of fx and fy.
         principal: (C, 2) change of (cx, cy) in shares of the image width.
         lens: (C, 4) see `LensCorrection`.
-        delay_s: (C,) see `ImageDelay`.
-        readout_s: see `ReadOut`.
+        delay_s: (C, 1) time of its images against their stamps: the points move in the camera meanwhile, s.
+        readout_s: (C, 1) time between its first and last row, exposed before and after the stamp, s.
     """
 
     turn: FloatArray
@@ -201,20 +180,16 @@ class CameraChange:
     principal: FloatArray
     lens: FloatArray
     delay_s: FloatArray
-    readout_s: float = 0.0
+    readout_s: FloatArray
 
     @classmethod
     def none(cls, cameras: int) -> CameraChange:
         """No change of a number of cameras."""
-
-        def zeros(*size: int) -> FloatArray:
-            return np.zeros((cameras, *size))
-
-        return cls(zeros(3), zeros(3), zeros(), zeros(3), zeros(2), zeros(2), zeros(4), zeros())
+        return cls(*(np.zeros((cameras, size)) for size in (3, 3, 1, 3, 2, 2, 4, 1, 1)))
 
     def late_s(self, camera: int, rows: FloatArray) -> FloatArray:
         """Time after the stamp at which corners in rows (..., from -1/2 to 1/2) are exposed, s."""
-        return np.asarray(self.delay_s[camera] + self.readout_s * rows)
+        return np.asarray(self.delay_s[camera] + self.readout_s[camera] * rows)
 
     def apply(self, rig: CameraRig) -> CameraRig:
         """The cameras after the change."""
@@ -261,6 +236,11 @@ class Sight:
     velocity_c: FloatArray
     rows: FloatArray
 
+    @property
+    def position_c(self) -> FloatArray:
+        """(3,) position of the camera in the first one, m."""
+        return self.rig.T_c_each[self.camera][:3, 3]
+
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
         """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
         by_x, by_y, by_z = self.by_point_c
@@ -274,259 +254,135 @@ class Sight:
         return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
 
 
-class CameraEffect(Effect, ABC):
-    """Changes the cameras."""
-
-    __slots__ = ()
-
-    def offered(self, data: Measurements) -> bool:
-        """Only corners show it."""
-        return not data.posed.all()
-
-    @abstractmethod
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add a value to the change."""
-
-    @abstractmethod
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
+def _by_turn(sight: Sight, about: FloatArray) -> FloatArray:
+    """R_c_r -> exp(rho) R_c_r turns the points the other way about the camera's center."""
+    axis = se3.left_jacobian_so3(sight.change.turn[sight.camera]) @ about
+    return -sight.by_shift(np.cross(axis, sight.points_c - sight.position_c))
 
 
-@dataclass(frozen=True, slots=True)
-class OneCameraEffect(CameraEffect):
-    """Changes one camera, by its index."""
-
-    camera: int
-
-    def offered(self, data: Measurements) -> bool:
-        """Only corners in this camera show it."""
-        return bool(data.seen[:, self.camera].any())
-
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """None for the other cameras."""
-        return self.own_pixels(sight) if sight.camera == self.camera else None
-
-    @abstractmethod
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of this camera's predicted pixels."""
+def _by_swing(sight: Sight, about: FloatArray) -> FloatArray:
+    """The camera moves around the first one."""
+    turn = se3.left_jacobian_so3(sight.change.swing[sight.camera]) @ about
+    return -sight.by_shift(np.cross(turn, sight.position_c))
 
 
-class PoseEffect(OneCameraEffect):
-    """Changes the pose of a camera in the first one."""
+def _by_length(sight: Sight, along: FloatArray) -> FloatArray:
+    """The camera moves along the baseline."""
+    return -sight.by_shift(along * sight.position_c / (1 + sight.change.length[sight.camera]))
 
-    __slots__ = ()
+
+def _by_focal(sight: Sight, shares: FloatArray) -> FloatArray:
+    """Pixels move away from the principal point."""
+    shares = shares / (1 + sight.change.focal[sight.camera])
+    return sight.corrected((sight.pixels - sight.rig.each[sight.camera].K[:2, 2]) * shares)
 
 
-@dataclass(frozen=True, slots=True)
-class CameraTurn(PoseEffect):
-    """Rotation of a camera about an axis of the first one, rad."""
+def _by_principal(sight: Sight, along: FloatArray) -> FloatArray:
+    """All pixels move alike."""
+    width = sight.stated.each[sight.camera].width
+    return sight.corrected(np.broadcast_to(width * along, sight.pixels.shape))
 
-    axis: int
 
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the rotation vector."""
-        change.turn[self.camera, self.axis] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """R_c_r -> exp(rho) R_c_r turns the points the other way about the camera's center."""
-        axis = se3.left_jacobian_so3(sight.change.turn[self.camera])[:, self.axis]
-        arm = sight.points_c - sight.rig.T_c_each[self.camera][:3, 3]
-        return -sight.by_shift(np.cross(axis, arm))
+#: Attribute of `CameraChange` → (N, M, 2) derivative of the pixels by a value of one along a vector of it.
+_BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
+    "turn": _by_turn,
+    "swing": _by_swing,
+    "length": _by_length,
+    "shift": lambda sight, along: -sight.by_shift(along),
+    "focal": _by_focal,
+    "principal": _by_principal,
+    "lens": lambda sight, terms: np.asarray(terms @ sight.terms),
+    "delay_s": lambda sight, along: sight.by_shift(along * sight.velocity_c),
+    "readout_s": lambda sight, along: sight.by_shift(along * sight.velocity_c * sight.rows[..., None]),
+}
+#: Those of a camera's pose in the first one but for the baseline's length, and of the camera itself.
+POSE, INTRINSICS = ("turn", "swing", "shift"), ("focal", "principal", "lens")
 
 
 @dataclass(frozen=True, slots=True)
-class CameraShift(PoseEffect):
-    """Displacement of a camera along an axis of the first one, m."""
+class CameraEffect(Effect):
+    """Changes one camera, or all alike.
 
-    axis: int
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the displacement."""
-        change.shift[self.camera, self.axis] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """The camera moves along the axis."""
-        return -sight.by_shift(np.eye(3)[self.axis])
-
-
-@dataclass(frozen=True, slots=True)
-class BaselineTurn(PoseEffect):
-    """Rotation of a camera's baseline about a direction in the first camera's frame, rad."""
-
-    about: tuple[float, float, float]
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the rotation vector."""
-        change.swing[self.camera] += value * np.array(self.about)
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """The camera moves around the first one."""
-        turn = se3.left_jacobian_so3(sight.change.swing[self.camera]) @ np.array(self.about)
-        return -sight.by_shift(np.cross(turn, sight.rig.T_c_each[self.camera][:3, 3]))
-
-
-@dataclass(frozen=True, slots=True)
-class BaselineScale(PoseEffect):
-    """Relative change of a camera's distance from the first one."""
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the scale."""
-        change.length[self.camera] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """The camera moves along the baseline."""
-        length = 1 + sight.change.length[self.camera]
-        return -sight.by_shift(sight.rig.T_c_each[self.camera][:3, 3] / length)
-
-
-@dataclass(frozen=True, slots=True)
-class FocalLength(OneCameraEffect):
-    """Relative change of a camera's focal lengths fx and fy."""
-
-    x: float = 1.0
-    y: float = 1.0
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to both."""
-        change.focal[self.camera] += value * np.array([self.x, self.y])
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """Pixels move away from the principal point."""
-        shares = np.array([self.x, self.y]) / (1 + sight.change.focal[self.camera])
-        return sight.corrected((sight.pixels - sight.rig.each[self.camera].K[:2, 2]) * shares)
-
-
-@dataclass(frozen=True, slots=True)
-class PrincipalPoint(OneCameraEffect):
-    """Shift of a camera's principal point along x (0) or y (1), in shares of the image width."""
-
-    axis: int
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to cx or cy."""
-        change.principal[self.camera, self.axis] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """All pixels move alike."""
-        shift = np.zeros_like(sight.pixels)
-        shift[..., self.axis] = sight.stated.each[self.camera].width
-        return sight.corrected(shift)
-
-
-@dataclass(frozen=True, slots=True)
-class LensTerm(OneCameraEffect):
-    """One term of a camera's lens correction, in shares of the image width; see `camera.lens_terms`."""
-
-    term: int
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the term."""
-        change.lens[self.camera, self.term] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """The displacement by a correction of one."""
-        return sight.terms[..., self.term, :]
-
-
-@dataclass(frozen=True, slots=True)
-class ImageDelay(OneCameraEffect):
-    """Time of a camera's images against their stamps, s: the points move in the camera meanwhile."""
-
-    def offered(self, data: Measurements) -> bool:
-        """Only corners in motion show a delay."""
-        has_corners = bool(data.seen[:, self.camera].any())
-        return has_corners and bool(data.moving.any()) and bool(data.joint_tracks)
-
-    def add(self, change: CameraChange, value: float) -> None:
-        """Add to the delay."""
-        change.delay_s[self.camera] += value
-
-    def own_pixels(self, sight: Sight) -> FloatArray:
-        """Pixels move as their points do."""
-        return sight.by_shift(sight.velocity_c)
-
-
-@dataclass(frozen=True, slots=True)
-class ReadOut(CameraEffect):
-    """Time between the first and the last row of every camera's images, s.
-
-    Rows are exposed around the stamp, the first before and the last after it.
+    Attributes:
+        of: attribute of `CameraChange`.
+        along: the vector that a value of one adds to it.
+        camera: index; None for all.
     """
 
+    of: str
+    along: tuple[float, ...]
+    camera: int | None
+
     def offered(self, data: Measurements) -> bool:
-        """Only corners in motion show it."""
-        return not data.posed.all() and bool(data.moving.any()) and bool(data.joint_tracks)
+        """Only corners in the camera show it, and a time only in motion."""
+        shown = data.seen if self.camera is None else data.seen[:, self.camera]
+        return bool(shown.any()) and (not self.of.endswith("_s") or _in_motion(data))
 
     def add(self, change: CameraChange, value: float) -> None:
-        """Add to the read-out time."""
-        change.readout_s += value
+        """Add a value to the change."""
+        getattr(change, self.of)[slice(None) if self.camera is None else self.camera] += value * np.array(
+            self.along
+        )
 
     def pixels(self, sight: Sight) -> FloatArray | None:
-        """Pixels move as their points do."""
-        return sight.by_shift(sight.velocity_c * sight.rows[..., None])
+        """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
+        if self.camera not in (None, sight.camera):
+            return None
+        return _BY[self.of](sight, np.array(self.along))
 
 
-class BoardEffect(Effect, ABC):
-    """Changes the board's shape."""
+# -- board ------------------------------------------------------------------------------------------
 
-    __slots__ = ()
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoardEffect(Effect):
+    """Changes the board's shape.
+
+    Attributes:
+        displacement: corners as stated, (M, 3) m → their displacement by a value of one, (M, 3) m.
+    """
+
+    displacement: Callable[[FloatArray], FloatArray]
 
     def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
         return not data.posed.all()
 
-    @abstractmethod
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """(M, 3) displacement of the corners by a value of one, m; points_k: as stated, (M, 3) m."""
+
+def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:
+    """Relative size along the two axes: corners move away from the board's origin."""
+    out: FloatArray = points_k * [x, y, 0.0]
+    return out
 
 
-@dataclass(frozen=True, slots=True)
-class BoardScale(BoardEffect):
-    """Relative size of the board along its two axes."""
-
-    along_x: float
-    along_y: float
-
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """Corners move away from the board's origin."""
-        return points_k * [self.along_x, self.along_y, 0.0]
+def sheared(points_k: FloatArray) -> FloatArray:
+    """Angle between rows and columns, less 90 degrees: corners move along x, in proportion to y."""
+    out: FloatArray = points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0]
+    return out
 
 
-@dataclass(frozen=True, slots=True)
-class BoardBend(BoardEffect):
-    """Bend of the board along x (0) or y (1): how far its middle stands out from the line between its edges, m."""
-
-    axis: int
-
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """A parabola."""
-        along = points_k[:, self.axis]
-        half = max(float(np.ptp(along)) / 2, 1e-9)
-        out = np.zeros_like(points_k)
-        out[:, 2] = 1 - ((along - (along.max() + along.min()) / 2) / half) ** 2
-        return out
+def bent(points_k: FloatArray, axis: int) -> FloatArray:
+    """Parabola along x (0) or y (1): how far the middle stands out from the line between the edges."""
+    out = np.zeros_like(points_k)
+    out[:, 2] = 1 - _from_middle(points_k)[:, axis] ** 2
+    return out
 
 
-@dataclass(frozen=True, slots=True)
-class BoardTwist(BoardEffect):
-    """Twist of the board: how far its corners stand out, two diagonal ones to the front and two to the back, m."""
-
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """A saddle."""
-        middle = (points_k.max(axis=0) + points_k.min(axis=0)) / 2
-        half = np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9)
-        out = np.zeros_like(points_k)
-        out[:, 2] = np.prod(((points_k - middle) / half)[:, :2], axis=1)
-        return out
+def twisted(points_k: FloatArray) -> FloatArray:
+    """Saddle: how far the board's corners stand out, two diagonal ones to the front and two to the back."""
+    out = np.zeros_like(points_k)
+    out[:, 2] = np.prod(_from_middle(points_k)[:, :2], axis=1)
+    return out
 
 
-@dataclass(frozen=True, slots=True)
-class BoardShear(BoardEffect):
-    """Angle between the board's rows and columns, less 90 degrees, rad."""
+def _from_middle(points_k: FloatArray) -> FloatArray:
+    """(M, 3) places from -1 to 1 along each axis of the board."""
+    middle = (points_k.max(axis=0) + points_k.min(axis=0)) / 2
+    out: FloatArray = (points_k - middle) / np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9)
+    return out
 
-    def displacement(self, points_k: FloatArray) -> FloatArray:
-        """Corners move along x, in proportion to y."""
-        return points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0]
+
+# -- base and wheels --------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -551,4 +407,4 @@ class WheelClock(Effect):
 
     def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
-        return bool(data.moving.any()) and bool(data.joint_tracks)
+        return _in_motion(data)

@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.chain import banded
-from mobilecal_cli.likelihood.effects import BaselineScale, PoseEffect
+from mobilecal_cli.likelihood.effects import POSE, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -84,9 +84,7 @@ def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
         own = [
             k
             for k, effect in enumerate(rows)
-            if isinstance(effect, PoseEffect)
-            and effect.camera == camera
-            and not isinstance(effect, BaselineScale)
+            if isinstance(effect, CameraEffect) and effect.camera == camera and effect.of in POSE
         ]
         if own:
             moved = np.zeros((count, Q, len(own)))

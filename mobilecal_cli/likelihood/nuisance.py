@@ -9,36 +9,25 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from mobilecal_cli.likelihood.effects import (
-    AxisTurn,
     BaseLean,
-    BaselineScale,
-    BaselineTurn,
-    BoardBend,
     BoardEffect,
-    BoardScale,
-    BoardShear,
-    BoardTwist,
     CameraChange,
     CameraEffect,
-    CameraShift,
-    CameraTurn,
+    ChainEffect,
     Effect,
-    FocalLength,
-    ImageDelay,
     JointClock,
-    JointPlay,
-    JointScale,
-    JointZero,
-    LensTerm,
-    OriginShift,
-    PrincipalPoint,
-    ReadOut,
+    JointReading,
     TurnSlip,
     WheelClock,
+    bent,
+    resized,
+    sheared,
+    twisted,
 )
 from mobilecal_cli.model import (
     NINE,
@@ -165,24 +154,49 @@ _LENS_TERMS = (
     ("tangential_x", "tangential distortion, x"),
     ("tangential_y", "tangential distortion, y"),
 )
+_SHAPES = (
+    ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
+    (
+        "square_aspect",
+        "square_aspect",
+        "width of the squares against their height",
+        partial(resized, x=0.5, y=-0.5),
+    ),
+    ("board_bend_x", "board_bend", "bend along x", partial(bent, axis=0)),
+    ("board_bend_y", "board_bend", "bend along y", partial(bent, axis=1)),
+    ("board_twist", "board_bend", "twist", twisted),
+    ("board_shear", "board_shear", "angle between rows and columns, less 90 degrees", sheared),
+)
 _LETTERS = "xyz"
+
+
+def _unit(size: int, axis: int) -> tuple[float, ...]:
+    return tuple(float(k == axis) for k in range(size))
 
 
 def _of_each_camera(names: Sequence[str]) -> Iterator[Constant]:
     """Rows of the cameras themselves, one property after the other."""
     parts = [(k, name, camera_words(name)) for k, name in enumerate(names)]
     for k, name, part in parts:
-        yield _row(f"focal_{name}", "focal_length", part, "focal length", FocalLength(k))
+        yield _row(
+            f"focal_{name}", "focal_length", part, "focal length", CameraEffect("focal", (1.0, 1.0), k)
+        )
     for k, name, part in parts:
-        aspect = FocalLength(k, 0.5, -0.5)
+        aspect = CameraEffect("focal", (0.5, -0.5), k)
         yield _row(f"focal_aspect_{name}", "focal_aspect", part, "fx against fy", aspect)
     for k, name, part in parts:
         for axis, letter in enumerate("xy"):
             row = f"principal_{name}_{letter}", "principal_point", part, f"principal point, {letter}"
-            yield _row(*row, PrincipalPoint(k, axis))
+            yield _row(*row, CameraEffect("principal", _unit(2, axis), k))
     for k, name, part in parts:
         for term, (term_name, meaning) in enumerate(_LENS_TERMS):
-            yield _row(f"distortion_{name}_{term_name}", "distortion", part, meaning, LensTerm(k, term))
+            yield _row(
+                f"distortion_{name}_{term_name}",
+                "distortion",
+                part,
+                meaning,
+                CameraEffect("lens", _unit(4, term), k),
+            )
 
 
 def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
@@ -196,11 +210,18 @@ def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
                 else (f"turn_{name}_{letter}", "camera_rotation")
             )
             yield _row(
-                *row, camera_words(name), f"rotation about the {first}'s {letter}", CameraTurn(k, axis)
+                *row,
+                camera_words(name),
+                f"rotation about the {first}'s {letter}",
+                CameraEffect("turn", _unit(3, axis), k),
             )
         if calibrated:
             yield _row(
-                "baseline_scale", "baseline_length", "stereo pair", "length of the baseline", BaselineScale(k)
+                "baseline_scale",
+                "baseline_length",
+                "stereo pair",
+                "length of the baseline",
+                CameraEffect("length", (1.0,), k),
             )
             continue
         for axis, letter in enumerate(_LETTERS):
@@ -208,7 +229,7 @@ def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
                 (f"shift_{name}_{letter}", "camera_position"),
                 f"position along the {first}'s {letter}",
             )
-            yield _row(*row, camera_words(name), meaning, CameraShift(k, axis))
+            yield _row(*row, camera_words(name), meaning, CameraEffect("shift", _unit(3, axis), k))
 
 
 def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
@@ -221,19 +242,14 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
         *_of_each_camera(names),
         *_of_poses(names, calibrated),
-        _row("square_scale", "square_size", "board", "size of the squares", BoardScale(1.0, 1.0)),
-        _row("square_aspect", "square_aspect", "board", "width of the squares against their height",
-             BoardScale(0.5, -0.5)),
-        _row("board_bend_x", "board_bend", "board", "bend along x", BoardBend(0)),
-        _row("board_bend_y", "board_bend", "board", "bend along y", BoardBend(1)),
-        _row("board_twist", "board_bend", "board", "twist", BoardTwist()),
-        _row("board_shear", "board_shear", "board", "angle between rows and columns, less 90 degrees", BoardShear()),
+        *(_row(name, kind, "board", meaning, BoardEffect(shape)) for name, kind, meaning, shape in _SHAPES),
         _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
         _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
         _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
-        *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}", ImageDelay(k))
-          for k, name in enumerate(names[1:], 1)),
-        _row("readout", "readout", every, "time between the first and the last row", ReadOut()),
+        *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
+               CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
+        _row("readout", "readout", every, "time between the first and the last row",
+             CameraEffect("readout_s", (1.0,), None)),
     )
     # fmt: on
 
@@ -258,7 +274,13 @@ def _of_baseline(cameras: CameraRig) -> Iterator[Constant]:
         t = cameras.T_c_each[1][:3, 3]
         for letter, e in _across(t / np.linalg.norm(t)):
             meaning = f"direction of the baseline about the {camera_words(cameras.names[0])}'s {letter}"
-            yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, BaselineTurn(1, e))
+            yield _row(
+                f"baseline_{letter}",
+                "baseline_direction",
+                "stereo pair",
+                meaning,
+                CameraEffect("swing", e, 1),
+            )
 
 
 def joint_keys(chain: HeadChain) -> Mapping[int, str]:
@@ -286,16 +308,27 @@ def _of_joints(chain: HeadChain) -> Iterator[Constant]:
             unit = chain.joint_units[column]
             if index != max(keys):  # the head-eye transform absorbs the last zero exactly
                 yield _scaled(
-                    _row(f"{key}_zero", "joint_zero", part, "zero position", JointZero(column)), unit
+                    _row(f"{key}_zero", "joint_zero", part, "zero position", JointReading(column, "zero")),
+                    unit,
                 )
-            yield _row(f"{key}_scale", "joint_scale", part, "scale of the reading", JointScale(column))
-            yield _scaled(_row(f"backlash_{key}", "backlash", part, "backlash", JointPlay(column)), unit)
+            yield _row(
+                f"{key}_scale", "joint_scale", part, "scale of the reading", JointReading(column, "scale")
+            )
+            yield _scaled(
+                _row(f"backlash_{key}", "backlash", part, "backlash", JointReading(column, "play")), unit
+            )
         for letter, e in _across(link.axis):
             meaning = f"direction of the axis, about {letter}"
-            yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, AxisTurn(index, e))
+            yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, ChainEffect(index, "turn", e))
             if link.kind == "revolute":
                 meaning = f"position of the axis along {letter}"
-                yield _row(f"{key}_position_{letter}", "joint_position", part, meaning, OriginShift(index, e))
+                yield _row(
+                    f"{key}_position_{letter}",
+                    "joint_position",
+                    part,
+                    meaning,
+                    ChainEffect(index, "shift", e),
+                )
 
 
 def _scaled(row: Constant, unit: float) -> Constant:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mobilecal_cli.camera import project, project_with_jacobian
-from mobilecal_cli.likelihood.effects import FocalLength, LensTerm, PrincipalPoint
+from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
@@ -48,7 +48,7 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
     own = {
         row.name: column
         for column, row in rows
-        if isinstance(row.effect, FocalLength | PrincipalPoint | LensTerm) and row.effect.camera == 0
+        if isinstance(row.effect, CameraEffect) and row.effect.camera == 0 and row.effect.of in INTRINSICS
     }
     constants = np.eye(len(covariance))[list(own.values())]
     poses = -lin.views.by_shared

@@ -52,9 +52,9 @@ def at_state(
 
 
 def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extraction:
-    """The same with each corner where it was at its image's stamp, see `ImageDelay` and `ReadOut`."""
+    """The same with each corner where it was at its image's stamp, see `CameraChange`."""
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    if not (change.readout_s or np.any(change.delay_s)):
+    if not (change.readout_s.any() or change.delay_s.any()):
         return extraction
     cameras, rates = change.apply(data.cameras), view_rates(data, state)[:, None]
     points_c = se3.act(data.T_c_k, points_at(data, state))
