@@ -300,19 +300,26 @@ def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
 
 
+def _frozen_joints(readings: Readings) -> Iterator[Hypothesis]:
+    """Readings of one joint that never change."""
+    for column, name in enumerate(readings.rig.chain.joints):
+        if np.ptp(readings.joints[:, column]) < STILL:
+            yield Hypothesis(
+                f"the reading of {name} never changes, and the images do not fit a joint at rest",
+                "check that the state of this joint is recorded while it moves",
+                partial(_joint_as_seen, column=column),
+            )
+
+
 def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
     """Readings of one joint that have nothing to do with it."""
     for column, name in enumerate(readings.rig.chain.joints):
-        still = bool(np.ptp(readings.joints[:, column]) < STILL)
-        yield Hypothesis(
-            f"the reading of {name} never changes, and the images do not fit a joint at rest"
-            if still
-            else f"the readings of {name} do not fit; the images, the wheels and the other joints do",
-            "check that the state of this joint is recorded while it moves"
-            if still
-            else "check the topic, the clock, the sign and the unit of this joint, and its gear",
-            partial(_joint_as_seen, column=column),
-        )
+        if np.ptp(readings.joints[:, column]) >= STILL:
+            yield Hypothesis(
+                f"the readings of {name} do not fit; the images, the wheels and the other joints do",
+                "check the topic, the clock, the sign and the unit of this joint, and its gear",
+                partial(_joint_as_seen, column=column),
+            )
 
 
 def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
@@ -423,6 +430,8 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
     return WheelTrack.at_same_times(stamps, *rolled)
 
 
-#: The table, in stages of growing freedom: mistakes in a whole recording, and readings that say nothing.
+#: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
+#: say nothing.
 WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
+FROZEN: Stages = ((_frozen_joints,),)
 FREE: Stages = ((_free_joints,), (_free_wheels,))

@@ -17,7 +17,7 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Parameters, Rig, WheelGeometry
-from mobilecal_cli.solvers.hypotheses import FREE, MOVED, SIDES, WHOLE, Stages, of_sides
+from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, MOVED, SIDES, WHOLE, Stages, of_sides
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
@@ -116,8 +116,30 @@ class Search:
             return self._of_one_log()
         if self._fits:
             return None
-        free = FREE if self._readings.consistent else ()
-        return self._from_a_station_on() or self._named(self._readings, free, _FITS_FREE)
+        return self._from_a_station_on or self.frozen or self._free_part()
+
+    @cached_property
+    def frozen(self) -> Diagnosis | None:
+        """The joint whose reading never changes while the images show that it moves, and not once in the middle."""
+        if not self._readings.consistent or self._from_a_station_on is not None:
+            return None
+        return self._named(self._readings, FROZEN, _FITS_FREE)
+
+    def _free_part(self) -> Diagnosis | None:
+        """The one sensor whose readings say nothing.
+
+        Wheels that may read anything explain wrong readings of a joint that turns as the base does, too, and such a
+        joint explains what short drives show of wrong wheels: both are named where the wheels explain clearly more.
+        """
+        if not self._readings.consistent:
+            return None
+        joint, drive = (self._named(self._readings, (stage,), _FITS_FREE) for stage in FREE)
+        if joint is None or drive is None:
+            return joint or drive
+        of_joint, of_drive = (fit.corrected_share or 0.0 for fit in (joint, drive))
+        if of_joint < _EQUAL * of_drive:
+            return joint
+        return replace(drive, cause=f"{joint.cause}; or {drive.cause}", cure=f"{joint.cure}; or {drive.cure}")
 
     @cached_property
     def _starts(self) -> list[FloatArray]:
@@ -205,6 +227,7 @@ class Search:
                 return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
         return None
 
+    @cached_property
     def _from_a_station_on(self) -> Diagnosis | None:
         """A change: the first stations fit on their own, and the others too, or without a mistake."""
         readings, limit = self._readings, self._limit(_FITS_CHANGED)

@@ -290,12 +290,13 @@ def _diagnosis(
     A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for.
     """
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    unexplained_m2 = solution.point_rms_m**2 - solution.residuals.corner_noise_m**2
-    fits_badly = unexplained_m2 > (_BAD_SHARE * _board_distance_m(extraction)) ** 2
+    distance_m = _board_distance_m(extraction)
+    of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
+    fits_badly = solution.point_rms_m**2 - of_corners_m**2 > (_BAD_SHARE * distance_m) ** 2
     fits_badly |= gross > _MANY_OUTLIERS * len(extraction.observations)
     jumps = any(jump.part for jump in solution.jumps)
     if fits_badly and not extraction.motions:
-        diagnosis = search.of_whole if jumps else search.diagnosis
+        diagnosis = search.of_whole or search.frozen if jumps else search.diagnosis
     else:
         diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)
     if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:

@@ -13,7 +13,7 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import fixed_camera_robot, paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import FREE, WHOLE
+from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, WHOLE
 from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search
 from tests.extractions import Noise, ideal_extraction, joined
@@ -48,7 +48,7 @@ def test_a_robot_without_joints_has_no_mistake_in_their_readings():
     """A changed wheel was "the joint readings are in degrees": without joints, any such correction changes nothing."""
     robot = fixed_camera_robot()
     readings = readings_of(ideal_extraction(robot, plan_route(robot, stations=12, seed=0), NOISE, 0))
-    families = [family for stages in (WHOLE, FREE) for stage in stages for family in stage]
+    families = [family for stages in (WHOLE, FROZEN, FREE) for stage in stages for family in stage]
     rows = [row.cause for family in families for row in family(readings)]
     assert rows
     assert not [cause for cause in rows if re.search(r"\bjoints?\b", cause)]
@@ -137,6 +137,31 @@ def test_the_solver_names_the_mistake(recorded, name):
     spoil, cause = MISTAKES[name]
     spoilt = spoil(recorded)
     assert cause in said_of(spoilt)
+
+
+@pytest.mark.parametrize("seed", [4, 7])
+def test_a_frozen_joint_is_no_jump_of_another_part(seed):
+    """The fit of a head that stands still by its readings ends anywhere: with a wheel that shrank by 110 mm once."""
+    made = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=seed), NOISE, seed)
+    assert "the reading of pan_joint never changes" in said_of(MISTAKES["pan frozen"][0](made))
+
+
+def test_an_eccentric_wheel_is_not_blamed_on_a_joint_alone(recorded):
+    """Pan explains what a short drive shows of a heading error, but the wheels explain more."""
+
+    def eccentric(track):
+        return replace(track, value=track.value + 0.15 * np.sin(track.value))
+
+    assert "the readings of the wheels do not fit" in said_of(wheels(eccentric, same)(recorded))
+
+
+def test_readings_of_pan_that_say_nothing_are_not_blamed_on_the_wheels():
+    """The base turns as pan does: wheels that may read anything explain any readings of pan."""
+    made = ideal_extraction(ROBOT, plan_route(ROBOT, "standard", seed=5), NOISE, 5)
+    random = np.random.default_rng(5)
+    off = [o.joints + np.array([random.normal(0, 0.2), 0.0]) for o in made.observations]
+    observations = tuple(replace(o, joints=q) for o, q in zip(made.observations, off, strict=True))
+    assert "the readings of pan_joint do not fit" in said_of(replace(made, observations=observations))
 
 
 def test_the_named_mistake_is_the_only_one(recorded):
