@@ -6,13 +6,14 @@ import json
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.kinematics.urdf import parse_urdf
+from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import (
     IMAGES,
@@ -94,21 +95,48 @@ class Todo:
         return self.why if self.why.startswith(f"{self.key}.") else f"{self.key}: {self.why}"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class Draft:
-    """Draft of a rig.yaml.
+    """Draft of a rig.yaml, as it is written.
 
     Attributes:
-        text: the file.
+        survey: what is known of the robot.
+        notes: complete sentences.
+        lines: the file.
         filled: what was filled in, in the order of the file.
         todo: what is left to the user, in the order of the file.
-        notes: complete sentences.
     """
 
-    text: str
-    filled: tuple[Filled, ...]
-    todo: tuple[Todo, ...]
+    survey: Survey
     notes: tuple[str, ...]
+    lines: list[str] = field(default_factory=list)
+    filled: list[Filled] = field(default_factory=list)
+    todo: list[Todo] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The file. Names from the recording are also in comments, where YAML allows no control characters."""
+        return "".join(f"{visible(line)}\n" for line in self.lines)
+
+    def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
+        """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
+        self.filled.append(Filled(key, text if value is None else value, source))
+        line = f"  {key.partition('.')[2]}: {text}"
+        both = f"{line}  # {source}"
+        self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
+
+    def ask(self, key: str, why: str, *template: str, needed: bool, indent: str = "") -> None:
+        """A key that is left to the user, and lines to fill in."""
+        self.todo.append(Todo(key, why, needed))
+        said = textwrap.wrap(f"TODO {self.todo[-1]}", _WIDTH, break_long_words=False, break_on_hyphens=False)
+        self.lines += [f"{indent}# {line}" for line in (*said, *template)]
+
+    def ask_for(self, part: Part, key: str, *template: str, indent: str = "") -> None:
+        """What the survey lacks of one part; the lines to fill in follow the last."""
+        errors = [error for lack, error in self.survey.lacks if lack == part]
+        for error in errors:
+            why = " ".join(f"{error.message}; {error.hint}".removesuffix("; ").split())
+            self.ask(key, why, *(template if error is errors[-1] else ()), needed=True, indent=indent)
 
 
 def _quoted(text: str) -> str:
@@ -132,11 +160,6 @@ def _entries(values: Mapping[str, object]) -> str:
     return ", ".join(f"{key}: {_flow(value)}" for key, value in values.items() if value is not None)
 
 
-def _one_line(error: MobilecalError) -> str:
-    said = f"{error.message}; {error.hint}" if error.hint else error.message
-    return " ".join(said.split())
-
-
 def _tried(step: Callable[[], T]) -> T | None:
     try:
         return step()
@@ -150,43 +173,6 @@ def _example(name: str, section: type[CamerasConfig | WheelsConfig | HeadConfig]
 
 def _listing(title: str, names: Iterable[str]) -> str:
     return f"# {title}: {listed([_quoted(name) for name in sorted(names)], _MOST_NAMES)}"
-
-
-@dataclass
-class _Page:
-    """What is known of the robot (see `draft_rig`); the file as it is written; what is filled in and what is left."""
-
-    description: RobotDescription
-    survey: Survey
-    urdf_text: str | None
-    urdf_path: str | None
-    board: BoardView | None
-    lines: list[str] = field(default_factory=list)
-    filled: list[Filled] = field(default_factory=list)
-    todo: list[Todo] = field(default_factory=list)
-
-    def add(self, *lines: str) -> None:
-        self.lines += lines
-
-    def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
-        """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
-        self.filled.append(Filled(key, text if value is None else value, source))
-        line = f"  {key.partition('.')[2]}: {text}"
-        both = f"{line}  # {source}"
-        self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
-
-    def ask(self, key: str, why: str, *template: str, needed: bool, indent: str = "") -> None:
-        """A key that is left to the user, and lines to fill in."""
-        self.todo.append(Todo(key, why, needed))
-        said = textwrap.wrap(f"TODO {self.todo[-1]}", _WIDTH, break_long_words=False, break_on_hyphens=False)
-        self.lines += [f"{indent}# {line}" for line in (*said, *template)]
-
-    def ask_for(self, part: Part, key: str, *template: str, indent: str = "") -> None:
-        """What the survey lacks of one part."""
-        errors = [_one_line(error) for lack, error in self.survey.lacks if lack == part]
-        for number, why in enumerate(errors):
-            last = number == len(errors) - 1
-            self.ask(key, why, *(template if last else ()), needed=True, indent=indent)
 
 
 def draft_rig(
@@ -211,41 +197,54 @@ def draft_rig(
         board: the board in some images.
     """
     survey = survey or survey_rig(RigConfig(), description, urdf_text)
-    page = _Page(description, survey, urdf_text, urdf_path, board)
-    page.add(
+    draft = Draft(survey, () if survey.head is None else survey.head.notes)
+    draft.lines += [
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
         "# The comment of a value says where it comes from. Fill in or delete what is marked TODO, then test the file",
         "# with mobilecal check. Every key is optional if the recording contains the information.",
         "schema_version: 1",
         "",
-    )
-    for section in (_board, _cameras, _wheels, _joints, _head, _nominal):
-        section(page)
-        page.add("")
-    page.add(
+    ]
+    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
+    urdf = None if text is None else _tried(lambda: parse_urdf(text))
+    for write in (
+        partial(_board, draft, board),
+        partial(_cameras, draft, description),
+        partial(_wheels, draft, description),
+        partial(_joints, draft, description),
+        partial(_head, draft, urdf_path),
+        partial(_nominal, draft, urdf),
+    ):
+        write()
+        draft.lines.append("")
+    kinds = [(f"#   {kind.name}: {kind.sigma * kind.shown:.4g}", kind) for kind in KINDS]
+    width = max(len(entry) for entry, _ in kinds)
+    draft.lines += [
         "# known standard deviations; those omitted are estimated from the recording",
         f"# noise: {NoiseConfig.example}",
         "",
-        *_accuracy(),
+        "# the accuracy that this robot needs (1 sigma; here the defaults): verdict, report and suggestions go by it",
+        "# gates:",
+        *(f"#   {name}: {limit:g}" for name, limit in ACCURACY.items()),
         "",
-        *_priors(),
-    )
-    notes = () if survey.head is None else survey.head.notes
-    # Names from the recording are also in the comments, where YAML allows no control characters.
-    return Draft(
-        "\n".join(visible(line) for line in page.lines) + "\n", tuple(page.filled), tuple(page.todo), notes
-    )
+        "# how well the stated constants of the robot are known: one standard deviation of each, fixed (exact) or free",
+        "# (ignored). all: fixed makes every constant exact; an entry for a single constant, such as focal_left,",
+        "# overrides that of its kind.",
+        "# priors:",
+        *(f"{entry:{width}}  # {kind.shown_unit}: {kind.meaning}" for entry, kind in kinds),
+    ]
+    return draft
 
 
-def _board(page: _Page) -> None:
-    board, template = page.board, f"board: {BoardConfig.example}"
+def _board(draft: Draft, board: BoardView | None) -> None:
+    template = f"board: {BoardConfig.example}"
     if board is None:
-        page.add("# inner corners and squares of the board; no images to find it in", f"# {template}")
+        draft.lines += ["# inner corners and squares of the board; no images to find it in", f"# {template}"]
         return
     if board.size is None or board.seen < _ENOUGH_BOARDS or board.other_sizes:
         what = f"board of {board.size[0]} x {board.size[1]}" if board.size else "checkerboard of one size"
         others = f", {board.other_sizes} one of another size" if board.other_sizes else ""
-        page.ask(
+        draft.ask(
             "board",
             f"{board.seen} of {board.pictures} images show a whole {what}{others}; count the inner corners, or set "
             "kind for a board with markers",
@@ -255,30 +254,30 @@ def _board(page: _Page) -> None:
         return
     columns, rows = board.size
     source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
-    page.add("board:")
-    page.fill("board.columns", str(columns), source)
-    page.fill("board.rows", str(rows), source)
-    _square(page, board)
+    draft.lines.append("board:")
+    draft.fill("board.columns", str(columns), source)
+    draft.fill("board.rows", str(rows), source)
+    _square(draft, board)
 
 
-def _square(page: _Page, board: BoardView) -> None:
+def _square(draft: Draft, board: BoardView) -> None:
     """The size of the squares is only suggested: the stereo baseline that it is measured with may be wrong."""
-    images = page.survey.images
+    images = draft.survey.images
     if images is not None and tuple(images) != SIDES:
-        page.add(
+        draft.lines += [
             "  # square_m: 0.08  # measured with a ruler: cameras that are no stereo pair do not show it"
-        )
+        ]
         return
     why = "measure ten squares with a ruler; until then, the stereo pair gives the scale"
     sides = board.squares_m
     if board.square_m is None or len(sides) < _ENOUGH_SQUARES or np.ptp(sides) > _SQUARE_SPREAD * min(sides):
-        page.ask("board.square_m", why, "square_m: 0.08", needed=False, indent="  ")
+        draft.ask("board.square_m", why, "square_m: 0.08", needed=False, indent="  ")
         return
     measured = f"{board.square_m * 1e3:.2f} mm by {len(sides)} stereo pairs and the baseline in camera_info"
     likely = likely_square_m(board.square_m)
     suggested = likely if likely is not None else round(board.square_m, 4)
     kind = "a usual size" if likely is not None else "no usual size"
-    page.ask(
+    draft.ask(
         "board.square_m",
         f"{why}. Suggestion: {suggested * 1e3:g} mm, {kind} ({measured})",
         f"square_m: {suggested:g}",
@@ -300,75 +299,65 @@ def likely_square_m(measured_m: float) -> float | None:
     return None
 
 
-def _cameras(page: _Page) -> None:
-    images, infos = page.survey.images, page.survey.infos
-    present = (topic.name for topic in page.description.topics if topic.type in IMAGES)
-    page.add(_listing("image topics in the recording", present))
+def _cameras(draft: Draft, description: RobotDescription) -> None:
+    images, infos = draft.survey.images, draft.survey.infos
+    present = (topic.name for topic in description.topics if topic.type in IMAGES)
+    draft.lines.append(_listing("image topics in the recording", present))
     if images is None:
-        named = named_cameras(RigConfig(), page.description)
+        named = named_cameras(RigConfig(), description)
         several = ["cameras:", *(f"  {name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())]
-        page.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
+        draft.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
         return
-    page.add("cameras:")
+    draft.lines.append("cameras:")
     for name, image in images.items():
         info = infos.get(name)
         value = image if info is None else f"{image}, {info}"
         entry = _flow({"image": image, "info": info})
-        page.fill(f"cameras.{name}", entry, "recording: names and types of the topics", value)
-    page.ask_for("camera infos", "cameras", indent="  ")
-    page.add(f"  reference: {next(iter(images))}  # default: camera of the head-eye transform")
-    rectified = "true" if page.survey.rectified else "false"
-    page.fill("cameras.rectified", rectified, "name of the image topic")
+        draft.fill(f"cameras.{name}", entry, "recording: names and types of the topics", value)
+    draft.ask_for("camera infos", "cameras", indent="  ")
+    draft.lines.append(f"  reference: {next(iter(images))}  # default: camera of the head-eye transform")
+    rectified = "true" if draft.survey.rectified else "false"
+    draft.fill("cameras.rectified", rectified, "name of the image topic")
 
 
-def _wheels(page: _Page) -> None:
-    page.add("# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it")
-    sources = page.survey.wheels
+def _wheels(draft: Draft, description: RobotDescription) -> None:
+    draft.lines.append(
+        "# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it"
+    )
+    sources, counted = draft.survey.wheels, counters(description.numbers)
+    whole = tick_counters(counted)
+    if sources is not None or (len(counted) == 1 and whole):
+        draft.lines.append("wheels:")
     if sources is not None and sources["left"].assumed:
         topic = sources["left"].topic
-        page.add("wheels:")
         why = "recording: no wheels, and the only odometry that is named as theirs"
-        page.fill("wheels.odometry", _quoted(topic), why, topic)
-        page.add(
+        draft.fill("wheels.odometry", _quoted(topic), why, topic)
+        draft.lines += [
             "  # odometry_separation_m: 0.4  # wheel_separation in the driver; it only scales the difference of the",
             "  # multipliers of the left and right radius",
-        )
-        return
-    if sources is not None:
-        page.add("wheels:")
+        ]
+    elif sources is not None:
         for side in SIDES:
-            _wheel(page, side, sources[side])
-        return
-    sets = counters(page.description.numbers)
-    whole = tick_counters(sets)
-    if len(sets) == 1 and whole:
-        page.add("wheels:")
+            _wheel(draft, side, sources[side])
+    elif len(counted) == 1 and whole:
         for side in SIDES:
-            _counter(page, side, whole[0][side])
-        page.ask(
+            _counter(draft, side, whole[0][side])
+        draft.ask(
             "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
             "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
             needed=True,
             indent="  ",
         )
-        return
-    page.ask_for(
-        "wheels",
-        "wheels",
-        *(
-            f"candidate: {_described(number)}"
-            for by_side in sets
-            for side in SIDES
-            for number in by_side[side]
-        ),
-        *_example("wheels", WheelsConfig),
-    )
-    odometry = [topic.name for topic in page.description.topics if topic.type == ODOMETRY]
-    if odometry:
-        page.add(f"# or: wheels: {{odometry: {_quoted(odometry[0])}}}")
+    else:
+        each = (number for by_side in counted for side in SIDES for number in by_side[side])
+        candidates = (f"candidate: {_described(number)}" for number in each)
+        draft.ask_for("wheels", "wheels", *candidates, *_example("wheels", WheelsConfig))
+        odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
+        if odometry:
+            draft.lines.append(f"# or: wheels: {{odometry: {_quoted(odometry[0])}}}")
 
 
-def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
+def _wheel(draft: Draft, side: Side, source: WheelSource) -> None:
     """The wheels of one side that the survey found."""
     parts = source.every
     where = ", ".join(f"{part.joint or part.field} on {part.topic}" for part in parts)
@@ -377,7 +366,7 @@ def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
         joints = [part.joint for part in parts]
         several = {"joint": joints[0]} if len(parts) == 1 else {"joints": joints}
         kind = "pair of joints" if len(parts) == 1 else "set of joints"
-        page.fill(
+        draft.fill(
             f"wheels.{side}",
             _flow({"topic": topic, **several, "sign": source.sign}),
             f"recording: the only {kind} named as wheels",
@@ -386,7 +375,7 @@ def _wheel(page: _Page, side: Side, source: WheelSource) -> None:
         return
     counted = {"ticks_per_revolution": source.ticks_per_revolution, "bits": source.bits}
     places = _fields([(part.topic, part.field or "") for part in parts])
-    page.fill(f"wheels.{side}", _flow(places | counted), "recording: counters of a known driver", where)
+    draft.fill(f"wheels.{side}", _flow(places | counted), "recording: counters of a known driver", where)
 
 
 def _fields(places: Sequence[tuple[str, str]]) -> dict[str, object]:
@@ -398,7 +387,7 @@ def _fields(places: Sequence[tuple[str, str]]) -> dict[str, object]:
     return {**where, "fields": paths}
 
 
-def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
+def _counter(draft: Draft, side: Side, numbers: Sequence[NumberField]) -> None:
     number = numbers[0]
     width, said = counter_width(number), "it did not start again"
     if number.wraps is not None:
@@ -412,7 +401,7 @@ def _counter(page: _Page, side: Side, numbers: Sequence[NumberField]) -> None:
     kind = "pair" if len(numbers) == 1 else "set"
     source = f"recording: the only {kind} of whole numbers named as counters; {said}"
     shown = ", ".join(f"{counter.path} on {counter.topic}" for counter in numbers)
-    page.fill(f"wheels.{side}", _flow(entry), source, shown + ("" if width is None else f", bits: {width}"))
+    draft.fill(f"wheels.{side}", _flow(entry), source, shown + ("" if width is None else f", bits: {width}"))
 
 
 def _described(number: NumberField) -> str:
@@ -421,50 +410,50 @@ def _described(number: NumberField) -> str:
     return f"topic {_quoted(number.topic)}, field {_quoted(number.path)} ({kind}{jumps})"
 
 
-def _joints(page: _Page) -> None:
-    survey, names = page.survey, joint_state_names(page.description)
-    page.add(_listing("joints in the recording's joint states", names))
+def _joints(draft: Draft, description: RobotDescription) -> None:
+    survey, names = draft.survey, joint_state_names(description)
+    draft.lines.append(_listing("joints in the recording's joint states", names))
     if survey.head is not None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), page.description, names)) or ("", "")
+        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), description, names)) or ("", "")
     only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
     keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}
     if keys:
-        page.add("joints:")
+        draft.lines.append("joints:")
     for key, value in keys.items():
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
-        page.fill(f"joints.{key}", _quoted(value), source, value)
+        draft.fill(f"joints.{key}", _quoted(value), source, value)
     missing = () if survey.head is None else [n for n in survey.head.chain.joints if n not in names]
-    named = [number for name in missing for number in named_as(name, page.description.numbers)]
+    named = [number for name in missing for number in named_as(name, description.numbers)]
     template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
     if not keys:
         template = ["joints:", *(f"  {line}" for line in template)]
     candidates = (f"candidate: {_described(number)}" for number in named)
-    page.ask_for("joints", "joints.fields", *candidates, *template, indent="  " if keys else "")
+    draft.ask_for("joints", "joints.fields", *candidates, *template, indent="  " if keys else "")
 
 
-def _head(page: _Page) -> None:
-    head, urdf_path = page.survey.head, page.urdf_path
+def _head(draft: Draft, urdf_path: str | None) -> None:
+    head = draft.survey.head
     if head is None:
-        page.ask_for("head chain", "head", *_example("head", HeadConfig))
+        draft.ask_for("head chain", "head", *_example("head", HeadConfig))
         return
     chain, source = head.chain, "the given URDF" if urdf_path else head.origin
-    page.add("head:")
+    draft.lines.append("head:")
     if urdf_path is not None:
-        page.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
-    page.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)
+        draft.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
+    draft.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)
     last = f"{source}: link of the last head joint"
-    page.fill("head.head_frame", _quoted(chain.head_frame), last, chain.head_frame)
-    page.add(
+    draft.fill("head.head_frame", _quoted(chain.head_frame), last, chain.head_frame)
+    draft.lines += [
         f"  # joint positions, from the {source}: from the vehicle frame (midway between the wheels) to the head;",
         "  # to change them, delete the comment signs" + (" and the line urdf" if urdf_path else ""),
         "  # chain:",
         *(f"  #   - {link}" for link in _links(chain)),
-    )
-    page.ask_for("head chain", "head", indent="  ")
+    ]
+    draft.ask_for("head chain", "head", indent="  ")
 
 
 def _links(chain: HeadChain) -> list[str]:
@@ -485,25 +474,25 @@ def _links(chain: HeadChain) -> list[str]:
     return lines
 
 
-def _nominal(page: _Page) -> None:
-    survey = page.survey
-    text = page.urdf_text or next((text for _, text in sorted(page.description.urdfs.items())), None)
-    urdf = None if text is None else _tried(lambda: parse_urdf(text))
+def _nominal(draft: Draft, urdf: Urdf | None) -> None:
+    survey = draft.survey
     drawn = Nominal() if survey.head is None else survey.head.drawn
     if urdf is not None and drawn.wheels is None:
         drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
-    page.add("# nominal values: for what the recording does not determine, and to unwrap large turns")
+    draft.lines.append(
+        "# nominal values: for what the recording does not determine, and to unwrap large turns"
+    )
     filled = drawn.wheels is not None or drawn.T_h_reference is not None
     indent, inner = ("  ", "") if filled else ("", "  ")
-    page.add("nominal:" if filled else "# nominal:")
+    draft.lines.append("nominal:" if filled else "# nominal:")
     if drawn.wheels is not None:
         value = _entries({name: getattr(drawn.wheels, name) for name in WheelsNominal.model_fields})
         source = "URDF: cylinders of the wheels' links, distance of the wheels' joints"
-        page.fill("nominal.wheels", f"{{{value}}}", source, value)
+        draft.fill("nominal.wheels", f"{{{value}}}", source, value)
     else:
         apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
         told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
-        page.ask(
+        draft.ask(
             "nominal.wheels",
             f"measure the wheels with a ruler{told}",
             f"{inner}wheels: {{radius_left_m: {TODO}, radius_right_m: {TODO}, separation_m: {apart or TODO}}}",
@@ -513,9 +502,9 @@ def _nominal(page: _Page) -> None:
     if drawn.T_h_reference is not None:
         value = _entries(pose_settings(drawn.T_h_reference))
         source = "URDF: fixed joints from the head to the camera's frame"
-        page.fill("nominal.head_eye", f"{{{value}}}", source, value)
+        draft.fill("nominal.head_eye", f"{{{value}}}", source, value)
     else:
-        page.ask(
+        draft.ask(
             "nominal.head_eye",
             "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not show "
             "it",
@@ -523,25 +512,3 @@ def _nominal(page: _Page) -> None:
             needed=False,
             indent=indent,
         )
-
-
-def _accuracy() -> list[str]:
-    """The section `gates` with the default limits of the expected errors, as comments."""
-    return [
-        "# the accuracy that this robot needs (1 sigma; here the defaults): verdict, report and suggestions go by it",
-        "# gates:",
-        *(f"#   {name}: {limit:g}" for name, limit in ACCURACY.items()),
-    ]
-
-
-def _priors() -> list[str]:
-    """The section `priors` with all defaults, as comments."""
-    entries = [(f"#   {kind.name}: {kind.sigma * kind.shown:.4g}", kind) for kind in KINDS]
-    width = max(len(entry) for entry, _ in entries)
-    return [
-        "# how well the stated constants of the robot are known: one standard deviation of each, fixed (exact) or free",
-        "# (ignored). all: fixed makes every constant exact; an entry for a single constant, such as focal_left,",
-        "# overrides that of its kind.",
-        "# priors:",
-        *(f"{entry:{width}}  # {kind.shown_unit}: {kind.meaning}" for entry, kind in entries),
-    ]

@@ -61,7 +61,7 @@ def test_a_draft_of_a_poor_log_asks_with_templates_that_can_be_uncommented():
     draft = draft_rig(description(images=images, urdf=None, joint_names={}), "log")
     assert set(todo(draft)) == {"cameras", "wheels", "head"}
     assert "# TODO cameras: several cameras" in draft.text
-    assert draft.filled == ()
+    assert draft.filled == []
     loaded(draft)
     for name in ("cameras", "wheels", "nominal"):
         block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
@@ -86,23 +85,9 @@ _Edit = tuple[int, int, bytes]
 _START_TAG = re.compile(rb"""<(?:[^>"']++|"[^"]*"|'[^']*')*+>""")
 
 
-@dataclass(slots=True)
-class _Places:
-    """Byte ranges of the numbers in the file.
-
-    Attributes:
-        joints: joint name → its own tag and that of its <origin>, if it has one.
-        axes: joint name → its <axis>, if it has one.
-        links: names of all links, also of those without a joint.
-        wheels: link name → tags of its cylinders and spheres.
-        end: start of the robot's end tag, bytes.
-    """
-
-    joints: dict[str, tuple[_Tag, _Tag | None]] = field(default_factory=dict)
-    axes: dict[str, _Tag] = field(default_factory=dict)
-    links: set[str] = field(default_factory=set)
-    wheels: dict[str, list[_Tag]] = field(default_factory=dict)
-    end: int = 0
+#: "joint" or "link", its name, and an element in it ("" for itself, "wheel" for any cylinder or sphere) → tags, in
+#: order; ("robot", "", "end") → the place before the robot's end tag.
+_Places = dict[tuple[str, str, str], list[_Tag]]
 
 
 def patched_urdf(
@@ -176,7 +161,7 @@ def patched_urdf(
             changes.append(f"link {link!r}: radius unchanged, it is unobservable")
             continue
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
-        tags = places.wheels.get(link, [])
+        tags = places.get(("link", link, "wheel"), [])
         edits += [_with(content, tag, {"radius": f"{radius_m:.12g}"}) for tag in tags]
         radii = f"radius of {len(tags)} shapes: {radius_m:.6g} m"
         changes.append(f"link {link!r}: {radii if tags else 'no cylinder or sphere, no radius set'}")
@@ -207,14 +192,15 @@ def _chain(
     edits, notes = [], []
     for name, T_parent_child, axis in joint_origins(urdf, chain):
         start, end, origin = _moved(content, places, name, T_parent_child)
-        (own, _), tag = places.joints[name], places.axes.get(name)
+        _, inside = places["joint", name, ""][-1]
+        tags = places.get(("joint", name, "axis"))
         new_axis = f"<axis xyz={attribute(_numbers(axis))}/>".encode()
-        if tag is not None:
-            edits.append(_with(content, tag, {"xyz": _numbers(axis)}))
-        elif start == end == own[1]:
+        if tags:
+            edits.append(_with(content, tags[0], {"xyz": _numbers(axis)}))
+        elif start == end == inside:
             origin += new_axis
         else:
-            edits.append((own[1], own[1], new_axis))
+            edits.append((inside, inside, new_axis))
         edits.append((start, end, origin))
         zero = chain.zeros.get(name, 0.0)
         with_zero = f", with the zero offset {zero:+.6g}" if zero else ""
@@ -313,15 +299,16 @@ def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> _Edit:
     name, number = f"{robot.child_frame}_joint", 2
     while name in urdf.joints:
         name, number = f"{robot.child_frame}_joint{number}", number + 1
+    has_link = ("link", robot.child_frame, "") in places
     lines = (
-        *([f"<link name={attribute(robot.child_frame)}/>"] if robot.child_frame not in places.links else []),
+        *([] if has_link else [f"<link name={attribute(robot.child_frame)}/>"]),
         f'<joint name={attribute(name)} type="fixed">',
         f"  <parent link={attribute(robot.parent_frame)}/><child link={attribute(robot.child_frame)}/>",
         f"  {_origin(robot.T_parent_child)}",
         "</joint>",
         *([f"<!-- {comment(frame_note(robot))} -->"] if robot.rectified else []),
     )
-    return places.end, places.end, "".join(f"  {line}\n" for line in lines).encode()
+    return *places["robot", "", "end"][-1], "".join(f"  {line}\n" for line in lines).encode()
 
 
 def _wheel_origins(
@@ -362,10 +349,15 @@ def _height(
     as that of a base_footprint, may also place the body, so a note names them with both numbers.
     """
     joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
-    radii = [_radius(content, tag) for joint in joints for tag in places.wheels.get(joint.child, [])[:1]]
-    if len(radii) != len(SIDES) or None in radii:
+    tags = [tag for joint in joints for tag in places.get(("link", joint.child, "wheel"), [])[:1]]
+    stated = [re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)]) for tag in tags]
+    try:
+        radii = [float(radius[1]) for radius in stated if radius]
+    except ValueError:
         return None, ()
-    old_m = sum(radius for radius in radii if radius is not None) / 2
+    if len(radii) != len(SIDES):
+        return None, ()
+    old_m = sum(radii) / 2
     new_m = (robot.wheels.radius_left_m + robot.wheels.radius_right_m) / 2
     names = " and ".join(repr(joint.name) for joint in joints)
     own = [float(joint.T_parent_child[2, 3]) for joint in joints]
@@ -395,14 +387,6 @@ def _height(
     return None, tuple(notes)
 
 
-def _radius(content: bytes, tag: _Tag) -> float | None:
-    radius = re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)])
-    try:
-        return float(radius.group(1)) if radius else None
-    except ValueError:
-        return None
-
-
 def _heights(urdf: Urdf, wheel: UrdfJoint) -> dict[str, float]:
     """Height of a wheel's center over each link that is fixed to the parent of its joint, m."""
     beside: dict[str, list[tuple[str, FloatArray]]] = {}
@@ -429,10 +413,11 @@ def _moved(
     content: bytes, places: _Places, joint: str, T: FloatArray, names: Sequence[str] = ("xyz", "rpy")
 ) -> _Edit:
     """The edit that gives a joint an origin, or changes some attributes of an existing one."""
-    own, origin = places.joints[joint]
-    if origin is not None:
-        return _with(content, origin, {name: _attributes(T)[name] for name in names})
-    return own[1], own[1], _origin(T).encode()
+    origins = places.get(("joint", joint, "origin"))
+    if origins:
+        return _with(content, origins[0], {name: _attributes(T)[name] for name in names})
+    _, inside = places["joint", joint, ""][-1]
+    return inside, inside, _origin(T).encode()
 
 
 def _attributes(T: FloatArray) -> dict[str, str]:
@@ -464,32 +449,30 @@ def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> _Edit:
 
 def _places(content: bytes) -> _Places:
     """Byte ranges of the tags that may change, in a file that is known to be well-formed and without a DTD."""
-    places = _Places()
+    places: _Places = {}
     stack: list[tuple[str, str]] = []
     parser = ParserCreate("utf-8")  # whatever the declaration says: the text was decoded so
 
     def start(name: str, attributes: dict[str, str]) -> None:
         whole = _START_TAG.match(content, parser.CurrentByteIndex)
         assert whole is not None  # the file is well-formed
-        tag = whole.span()
-        inside = [element for element, _ in stack[:_DEEPEST]]
+        elements = [element for element, _ in stack[:_DEEPEST]] + [name]
         own = attributes.get("name", "")
-        if inside == ["robot"] and name == "joint":
-            places.joints[own] = (tag, None)
-        elif inside == ["robot", "joint"] and name == "origin":
-            joint, first = places.joints[stack[-1][1]]
-            places.joints[stack[-1][1]] = (joint, first or tag)
-        elif inside == ["robot", "joint"] and name == "axis":
-            places.axes.setdefault(stack[-1][1], tag)
-        elif inside == ["robot"] and name == "link":
-            places.links.add(own)
-        elif [*inside, name] in _WHEELS:
-            places.wheels.setdefault(stack[1][1], []).append(tag)
+        place = None
+        if elements in (["robot", "joint"], ["robot", "link"]):
+            place = (name, own, "")
+        elif elements in (["robot", "joint", "origin"], ["robot", "joint", "axis"]):
+            place = ("joint", stack[1][1], name)
+        elif elements in _WHEELS:
+            place = ("link", stack[1][1], "wheel")
+        if place is not None:
+            places.setdefault(place, []).append(whole.span())
         stack.append((name, own))
 
     def end(_: str) -> None:
         stack.pop()
-        places.end = parser.CurrentByteIndex  # the last one is that of the robot
+        # The last one is that of the robot.
+        places["robot", "", "end"] = [(parser.CurrentByteIndex, parser.CurrentByteIndex)]
 
     parser.StartElementHandler = start
     parser.EndElementHandler = end

@@ -87,7 +87,6 @@ class BlockStorage(Storage):
         self.set_time_range()
 
     def close(self) -> None:
-        """Close the file."""
         self._stream.close()
 
     #: Bytes of the shortest record, and of the longest head by which `likely_records` recognizes one.
@@ -175,7 +174,6 @@ class BlockStorage(Storage):
         return sum(block.size for block in self._blocks_of(topics, extent))
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """Messages of the topics in order of log time, as far as the file is intact."""
         blocks = self._blocks_of(topics, extent)
         waiting: list[_Waiting] = []
         order = count()
@@ -213,7 +211,6 @@ class BlockStorage(Storage):
         return messages
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        """First message of each topic at or after each time; only the few blocks that contain them are read."""
         of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}
         for time_ns in times_ns:
             for topic, blocks in of_topic.items():
@@ -226,7 +223,6 @@ class BlockStorage(Storage):
                         break
 
     def log_times(self) -> dict[int, IntArray]:
-        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
         try:
             parts = [times for _, times in self._times(self.blocks)]
         except _UnindexedError:
@@ -290,7 +286,6 @@ class BlockStorage(Storage):
         self.note_steps([size for _, size in steps])
 
     def delay(self, shift_ns: int) -> None:
-        """Let all log times be later."""
         self.shift_ns += shift_ns
         self.blocks = [
             replace(
@@ -340,6 +335,18 @@ class BlockStorage(Storage):
             f"the {'chunk' if block.is_chunk else 'block'} at byte {block.offset} of {self.size} is "
             f"damaged ({type(error).__name__}: {error}); {kept}"
         )
+
+    def indexed(self, block: Block) -> tuple[Counter[int], int, int]:
+        """Messages per channel in a block by its index, and its first and last log time; none without an index."""
+        try:
+            entries = [(number, some[:, 0]) for number, some in self.index_of(block) if len(some)]
+        except Exception:  # a damaged index may raise anything
+            return Counter(), 0, 0
+        times_ns = np.concatenate([np.zeros(0, np.int64), *(log_ns for _, log_ns in entries)])
+        counts: Counter[int] = Counter()
+        for number, log_ns in entries:
+            counts[number] += len(log_ns)
+        return counts, int(times_ns.min(initial=block.start_ns)), int(times_ns.max(initial=block.end_ns))
 
     def scan(self, block: Block, *, cut: bool) -> tuple[Counter[int], int, int, Exception | None]:
         """Messages per channel in a block, its first and last log time, and the damage that ended it.
@@ -399,7 +406,6 @@ class Reindex:
         self._storage = storage
         self._counts: Counter[int] = Counter()
         self._chunk: Block | None = None
-        self._indexed: Counter[int] = Counter()
         self._span: Block | None = None
 
     def run(self, at: int, without_end: str) -> str:
@@ -461,17 +467,6 @@ class Reindex:
         self.other()
         self._chunk = block
 
-    def index(self, channel: int, messages: int) -> None:
-        """An index record: number of messages of a channel in the last chunk."""
-        if self._chunk is not None and messages:
-            self._indexed[channel] += messages
-
-    def stretch(self, first_ns: int, last_ns: int) -> None:
-        """An index record: the last chunk holds messages of these log times."""
-        if self._chunk is not None:
-            start_ns, end_ns = min(self._chunk.start_ns, first_ns), max(self._chunk.end_ns, last_ns)
-            self._chunk = replace(self._chunk, start_ns=start_ns, end_ns=end_ns)
-
     def message(self, offset: int, end: int, channel: int, time_ns: int) -> None:
         """A message record outside any chunk, from byte `offset` to `end`."""
         self._close_chunk()
@@ -498,14 +493,14 @@ class Reindex:
         self._span = None
 
     def _close_chunk(self, *, cut: bool = False) -> None:
-        block, counts = self._chunk, self._indexed
-        self._chunk, self._indexed = None, Counter()
+        block, self._chunk = self._chunk, None
         if block is None:
             return
+        counts, start_ns, end_ns = self._storage.indexed(block)
         if cut or not counts or not counts.keys() <= self._storage.channels.keys():
             counts, start_ns, end_ns, error = self._storage.scan(block, cut=cut)
             if not counts and error is None:
                 return
-            block = replace(block, start_ns=start_ns, end_ns=end_ns) if counts else block
+        block = replace(block, start_ns=start_ns, end_ns=end_ns) if counts else block
         self._counts.update(counts)
         self._storage.blocks.append(replace(block, channels=frozenset(counts) or None))

@@ -114,7 +114,6 @@ class McapStorage(BlockStorage):
             self.blocks.append(Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None))
 
     def decompressed(self, chunk: bytes) -> bytes:
-        """The records in a chunk, checksum verified."""
         if chunk[:1] != bytes([Opcode.CHUNK]):
             raise ValueError("no chunk begins there")
         record = records.Chunk.read(_stream(chunk[_HEAD.size :]))
@@ -124,7 +123,6 @@ class McapStorage(BlockStorage):
         return whole
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        """Channel id, log time and payload of every message; registers channels found on the way."""
         view = memoryview(data)
         at = definitions = 0
         while at < len(data):
@@ -181,7 +179,6 @@ class McapStorage(BlockStorage):
         self.channels[channel.id] = Channel(channel.id, channel.topic, name, encoding, definition, kind)
 
     def take_record(self, at: int, reindex: Reindex) -> int | None:
-        """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
         opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
         body = at + _HEAD.size
         if opcode == 0 or body + length > self.size:
@@ -189,16 +186,13 @@ class McapStorage(BlockStorage):
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return None
         try:
-            if opcode == Opcode.MESSAGE_INDEX:
-                index = records.MessageIndex.read(_stream(self.read_at(body, length)))
-                reindex.index(index.channel_id, len(index.records))
-            elif opcode == Opcode.MESSAGE:
+            if opcode == Opcode.MESSAGE:
                 number, _, time_ns, _ = _MESSAGE.unpack(self.read_at(body, _MESSAGE.size))
                 reindex.message(at, body + length, number, time_ns)
             elif opcode == Opcode.CHUNK:
                 start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
                 reindex.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
-            else:
+            elif opcode != Opcode.MESSAGE_INDEX:
                 reindex.other()
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._define(opcode, self.read_at(body, length))

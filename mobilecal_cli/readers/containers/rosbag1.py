@@ -167,12 +167,10 @@ class BagStorage(BlockStorage):
         return ""
 
     def decompressed(self, chunk: bytes) -> bytes:
-        """The records in a chunk."""
         fields, body, end = _split(memoryview(chunk), 0)
         return decompress(chunk[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        """Connection id, log time and payload of every message; registers connections found on the way."""
         view = memoryview(data)
         at = 0
         while at < len(view):
@@ -200,13 +198,11 @@ class BagStorage(BlockStorage):
             fields, body, end = self._head(at)
             if fields[b"op"][0] != _INDEX:
                 return
-            yield _u32(fields, b"conn"), self._index_entries(body, end)
+            seconds, nanoseconds, place = (
+                np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64).T
+            )
+            yield _u32(fields, b"conn"), np.stack([seconds * 10**9 + nanoseconds, place], axis=1)
             at = end
-
-    def _index_entries(self, body: int, end: int) -> IntArray:
-        """(n, 2) log time and position of the messages in an index record."""
-        entries = np.frombuffer(self.read_at(body, end - body), "<u4").reshape(-1, 3).astype(np.int64)
-        return np.stack([entries[:, 0] * 10**9 + entries[:, 1], entries[:, 2]], axis=1)
 
     def _define(self, fields: Fields, data: bytes) -> None:
         number = _u32(fields, b"conn")
@@ -218,7 +214,6 @@ class BagStorage(BlockStorage):
         self.channels[number] = Channel(number, topic, ros2_spelling(name), "ros1", text, "msg")
 
     def take_record(self, at: int, reindex: Reindex) -> int | None:
-        """Pass on the record at a byte; returns where the next one begins, None at the end of the data."""
         fields, body, end = self._head(at)
         if end > self.size:
             raise EOFError("its data extends beyond the end of the file")
@@ -226,11 +221,6 @@ class BagStorage(BlockStorage):
         if kind == _CHUNK:
             # The index records give the channels. The times are only in the chunk, or in the index entries.
             reindex.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
-        elif kind == _INDEX:
-            reindex.index(_u32(fields, b"conn"), _u32(fields, b"count"))
-            log_ns = self._index_entries(body, end)[:, 0].tolist()
-            if log_ns:
-                reindex.stretch(min(log_ns), max(log_ns))
         elif kind == _MESSAGE:
             reindex.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
         elif kind == _CONNECTION:
@@ -238,17 +228,15 @@ class BagStorage(BlockStorage):
             self._define(fields, self.read_at(body, end - body))
         elif kind == _CHUNK_INFO:
             return None
-        else:
+        elif kind != _INDEX:
             raise ValueError(f"unknown record kind {kind}")
         return end
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
-        """Places in some bytes where a chunk, or a record of any kind, may begin."""
         for match in (_CHUNKS if chunks else _KINDS).finditer(window):
             yield from range(match.start() - 4, max(match.start() - self.LONGEST_HEAD, -1), -1)
 
     def fits(self, at: int) -> bool:
-        """Whether a complete record begins at a byte."""
         try:
             (head_size,) = _U32.unpack(self.read_at(at, _U32.size))
             if head_size > self.LONGEST_HEAD:
@@ -259,7 +247,6 @@ class BagStorage(BlockStorage):
             return False
 
     def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
-        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
         try:
             fields, body, _ = self._head(at)
         except Exception:  # arbitrary bytes may raise anything

@@ -107,7 +107,6 @@ class SqliteStorage(Storage):
                 self.note_share(whole)
 
     def close(self) -> None:
-        """Close the file."""
         self._copies.close()
 
     def _read_topics(self) -> None:
@@ -174,7 +173,6 @@ class SqliteStorage(Storage):
         self.delay(0)
 
     def delay(self, shift_ns: int) -> None:
-        """Let all log times be later."""
         if self._log is not None and len(self._log.row):
             if shift_ns:
                 self._steps.append((int(self._log.row[0]), shift_ns))
@@ -209,7 +207,6 @@ class SqliteStorage(Storage):
         return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        """First message of each topic at or after each time."""
         if self._log is None:
             return
         own = [self._places(self._log, self._wanted([topic]), EVERYTHING) for topic in topics]
