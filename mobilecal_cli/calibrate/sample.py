@@ -14,7 +14,6 @@ from mobilecal_cli.model import (
     Board,
     BoardView,
     CameraRig,
-    GrayImage,
     Rejection,
     Sources,
     Station,
@@ -66,7 +65,14 @@ def sample_board(
             "cameras", f"no image can be read{why}", "record the cameras' images", ObservationError.exit_code
         )
         return None, [lack], []
-    lacks = [] if cameras is None else _wrong_sizes(samples, cameras)
+    lacks: list[Lack] = []
+    for name, some in samples.items() if cameras is not None else ():
+        first = next((image for image in some if not isinstance(image, Rejection)), None)
+        try:
+            if first is not None and cameras is not None:
+                check_picture(first, name, cameras)
+        except RecordingError as error:
+            lacks.append(lack_of("camera infos", error))
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
@@ -138,19 +144,6 @@ def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
 def lack_of(about: str, error: MobilecalError) -> Lack:
     """An error as a lack of a recording."""
     return Lack(about, error.message, error.hint, error.exit_code)
-
-
-def _wrong_sizes(samples: Mapping[str, Sequence[GrayImage | Rejection]], cameras: CameraRig) -> list[Lack]:
-    """Images that do not have the size that their camera_info states."""
-    lacks = []
-    for name, some in samples.items():
-        image = next((image for image in some if not isinstance(image, Rejection)), None)
-        try:
-            if image is not None:
-                check_picture(image, name, cameras)
-        except RecordingError as error:
-            lacks.append(lack_of("camera infos", error))
-    return lacks
 
 
 def _squares_m(

@@ -14,7 +14,7 @@ from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import improved_cameras, improved_chain
-from mobilecal_cli.export.scene import Motion, Scene, Unused
+from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Outlier, Rejection, Residuals
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
@@ -51,10 +51,11 @@ def scene_of(
     square_m = extraction.board.square_m
     if square_m is None:
         square_m = float(np.median([o.square_m for o in extraction.observations]))
+    cameras = improved_cameras(rig, constants)[0]
     return Scene(
         robot=robot,
         extraction=extraction,
-        cameras=improved_cameras(rig, constants)[0],
+        cameras=cameras,
         board=replace(extraction.board, square_m=square_m),
         motions={
             log: _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
@@ -70,6 +71,7 @@ def scene_of(
         },
         images=images,
         unused=tuple(sorted(_unused(extraction, outliers), key=lambda item: item.start_ns)),
+        names=frames_of(rig.chain, cameras),
     )
 
 

@@ -22,57 +22,39 @@ POINTS_PER_MM = 72 / 25.4
 LARGEST_MM = 14_400 / POINTS_PER_MM
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """A line of text in Courier.
-
-    Attributes:
-        text: ASCII.
-        x_mm, y_mm: start of the baseline, from the top left corner of the page.
-        size_mm: font size.
-    """
-
-    text: str
-    x_mm: float
-    y_mm: float
-    size_mm: float
-
-
 def one_page(
-    width_mm: float, height_mm: float, rectangles_mm: FloatArray, lines: Sequence[Line], title: str
+    size_mm: tuple[float, float],
+    rectangles_mm: FloatArray,
+    lines: Sequence[tuple[str, float, float]],
+    title: str,
 ) -> bytes:
     """A PDF of one page. It asks the reader to print without scaling.
 
     Args:
-        width_mm, height_mm: size of the page, at most `LARGEST_MM`.
+        size_mm: width and height of the page, at most `LARGEST_MM`.
         rectangles_mm: (n, 4) x and y of the top left corner from that of the page, width and height. They are filled
             in black as one path, so that adjacent ones have no seam.
-        lines: text.
+        lines: ASCII text in Courier, and x and y of the start of its baseline from the top left corner, mm.
         title: title of the document, ASCII.
     """
-    scale = _number(POINTS_PER_MM)
-    drawing = [f"{scale} 0 0 -{scale} 0 {_number(height_mm * POINTS_PER_MM)} cm"]  # y down
+    scale, (width, height) = _number(POINTS_PER_MM), (_number(side * POINTS_PER_MM) for side in size_mm)
+    drawing = [f"{scale} 0 0 -{scale} 0 {height} cm"]  # y down
     drawing += [" ".join(_number(value) for value in row) + " re" for row in rectangles_mm]
     drawing += ["f" if len(rectangles_mm) else "", "BT"]
-    for line in lines:
-        place = f"1 0 0 -1 {_number(line.x_mm)} {_number(line.y_mm)} Tm"
-        drawing.append(f"/F {_number(line.size_mm)} Tf {place} {_text(line.text)} Tj")
+    for text, x_mm, y_mm in lines:
+        place = f"1 0 0 -1 {_number(x_mm)} {_number(y_mm)} Tm"
+        drawing.append(f"/F {_number(_TEXT_MM)} Tf {place} {_text(text)} Tj")
     content = "\n".join([*drawing, "ET"]).encode("ascii")
-    box = f"[0 0 {_number(width_mm * POINTS_PER_MM)} {_number(height_mm * POINTS_PER_MM)}]"
     objects = [
         b"<< /Type /Catalog /Pages 2 0 R /ViewerPreferences << /PrintScaling /None >> >>",
         b"<< /Type /Pages /Kids [3 0 R] /Count 1 >>",
-        f"<< /Type /Page /Parent 2 0 R /MediaBox {box} /Contents 4 0 R "
+        f"<< /Type /Page /Parent 2 0 R /MediaBox [0 0 {width} {height}] /Contents 4 0 R "
         "/Resources << /Font << /F 5 0 R >> >> >>".encode("ascii"),
         b"<< /Length %d >>\nstream\n%b\nendstream" % (len(content), content),
         b"<< /Type /Font /Subtype /Type1 /BaseFont /Courier /Encoding /WinAnsiEncoding >>",
         f"<< /Title {_text(title)} /Producer (mobilecal) >>".encode("ascii"),
     ]
-    return _file(objects)
-
-
-def _file(objects: Sequence[bytes]) -> bytes:
-    """Header, numbered objects, table of their positions, trailer; the first is the catalog, the last the info."""
+    # Header, numbered objects, table of their positions, trailer; the first is the catalog, the last the info.
     out = bytearray(b"%PDF-1.6\n%\xe2\xe3\xcf\xd3\n")  # bytes above 127: not a text file
     positions = []
     for number, body in enumerate(objects, 1):
@@ -155,7 +137,12 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
     words = _words(board, page, bar_mm)
     left, spare = (width - board_mm[0]) / 2, height - _needed(board, width)[1]
     top = _MARGIN_MM + spare / 2
-    rectangles = _dark(board) * square_mm + np.array([left, top, 0.0, 0.0])
+    if board.markers is not None:
+        dark = _charuco(board.columns + 1, board.rows + 1, board.markers)
+    else:
+        low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
+        dark = np.hstack([low, np.ones_like(low)])
+    rectangles = dark * square_mm + np.array([left, top, 0.0, 0.0])
     baseline = top + board_mm[1] + _GAP_MM + spare / 2
     # The scale bar is a line with a tick inside each end, so that the outer edges are its length apart.
     bar = [
@@ -163,12 +150,12 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
         [_MARGIN_MM, baseline, 0.3, _TICK_MM],
         [_MARGIN_MM + bar_mm - 0.3, baseline, 0.3, _TICK_MM],
     ]
-    lines = [Line(f"{bar_mm:g} mm", _MARGIN_MM + bar_mm + 2, baseline + _TICK_MM, _TEXT_MM)]
+    lines = [(f"{bar_mm:g} mm", _MARGIN_MM + bar_mm + 2, baseline + _TICK_MM)]
     lines += [
-        Line(text, _MARGIN_MM, baseline + _TICK_MM + (number + 1.2) * _PITCH_MM, _TEXT_MM)
+        (text, _MARGIN_MM, baseline + _TICK_MM + (number + 1.2) * _PITCH_MM)
         for number, text in enumerate(_wrapped([*words, config], width))
     ]
-    content = one_page(width, height, np.vstack([rectangles, bar]), lines, f"{words[0]} mobilecal")
+    content = one_page((width, height), np.vstack([rectangles, bar]), lines, f"{words[0]} mobilecal")
     return BoardPrint(content, page, config, min(left, top))
 
 
@@ -259,16 +246,12 @@ def _placed(board: Board, paper: str) -> tuple[float, float] | None:
     return None
 
 
-def _dark(board: Board) -> FloatArray:
-    """(n, 4) dark rectangles x, y, width, height in squares, from the top left corner of the board."""
-    if board.markers is not None:
-        return _charuco(board.columns + 1, board.rows + 1, board.markers)
-    low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
-    return np.hstack([low, np.ones_like(low)])
-
-
 def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
-    """Dark squares, and the dark cells of the markers in the light ones, as OpenCV arranges them."""
+    """Dark squares, and the dark cells of the markers in the light ones, as OpenCV arranges them.
+
+    Returns:
+        (n, 4) x, y, width, height in squares, from the top left corner of the board.
+    """
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
     count = columns * rows // 2
     if markers.first_id + count > len(family.bytesList):

@@ -209,8 +209,12 @@ def recognized_output(directory: Path) -> tuple[str, ...]:
         entries = sorted(directory.iterdir())
         ours = [p.name in OUTPUT_NAMES and p.is_file() and not p.is_symlink() for p in entries]
         foreign = [path.name for path, own in zip(entries, ours, strict=True) if not own]
-        if not foreign and entries and not _has_our_parameters(directory):
-            foreign = [entries[0].name]
+        if not foreign and entries:
+            start = b""
+            if (params := directory / "params.yaml").is_file():
+                with params.open("rb") as stream:
+                    start = stream.read(len(FIRST_LINE))
+            foreign = [entries[0].name] if start != FIRST_LINE.encode() else []
     except OSError as error:
         raise OutputError(f"{directory}: cannot be read: {error.strerror}", _ANOTHER_DIRECTORY) from error
     if foreign:
@@ -219,14 +223,6 @@ def recognized_output(directory: Path) -> tuple[str, ...]:
             "choose another --output, or move the directory away",
         )
     return tuple(path.name for path in entries)
-
-
-def _has_our_parameters(directory: Path) -> bool:
-    path = directory / "params.yaml"
-    if not path.is_file():
-        return False
-    with path.open("rb") as stream:
-        return stream.read(len(FIRST_LINE)) == FIRST_LINE.encode()
 
 
 def _absolute(directory: Path) -> Path:

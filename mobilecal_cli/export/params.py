@@ -101,14 +101,13 @@ def params_yaml(
             of_factors = odometry.covariance(wheels, uncertainty.reference_covariance[6:, 6:])
             shown["factors_std"] = zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True)
             covariance = covariance / np.outer(units, units)
-        sliding = chain.prismatic
         shown |= {
             "order": order,
             "std": zip(order, np.sqrt(np.diag(covariance)), strict=True),
             "covariance": covariance.tolist(),
             "observable": zip(order, uncertainty.observable, strict=True),
             "constants": [
-                (c, _unit(c, sliding)) for c in solution.constants.values() if c.prior > 0 or c.value
+                (c, _unit(c, chain.prismatic)) for c in solution.constants.values() if c.prior > 0 or c.value
             ],
         }
     logs = [{"path": log.path, "sha256": log.sha256} for log in provenance.logs]
@@ -267,14 +266,9 @@ class _Constant(_Section):
     value: Annotated[_Number, AfterValidator(ranges.DIFFERENCE.validated)]
 
 
-class _Log(_Section):
-    path: str
-    sha256: str
-
-
 class _Provenance(_Section):
     created: str = ""
-    logs: tuple[_Log, ...] = ()
+    logs: tuple[LogSource, ...] = ()
     config: dict[str, Any] = {}
 
 
@@ -354,7 +348,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         wheels=sizes.geometry,
         knowledge=knowledge,
         created=checked.provenance.created,
-        logs=tuple(LogSource(log.path, log.sha256) for log in checked.provenance.logs),
+        logs=checked.provenance.logs,
         wheel_joints={side: wheel.joint for side, wheel in sides.items() if wheel.joint},
         side_joints={side: wheel.joints for side, wheel in sides.items() if wheel.joints},
         odometry=None if odometry is None else odometry.assumed,

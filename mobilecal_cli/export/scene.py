@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +52,16 @@ class Unused(NamedTuple):
     text: str
 
 
+class Frames(NamedTuple):
+    """Names of the frames, of `cameras` by camera. All differ; a camera on the base has it as its head."""
+
+    world: str
+    base: str
+    head: str
+    cameras: Mapping[str, str]
+    board: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Everything that a viewer shows.
@@ -68,6 +78,7 @@ class Scene:
         legs: observation → the leg that predicts its corners, of those that the estimate uses.
         images: observation → camera → JPEG.
         unused: in order of time.
+        names: of the frames.
     """
 
     robot: CalibratedRobot
@@ -81,10 +92,7 @@ class Scene:
     legs: Mapping[int, int]
     images: Mapping[int, Mapping[str, bytes]]
     unused: tuple[Unused, ...]
-    names: Frames = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "names", Frames.of(self.extraction.rig.chain, self.cameras))
+    names: Frames
 
     def fixed_frames(self) -> list[tuple[str, str, FloatArray]]:
         """Parent, child and child coordinates to parent coordinates (4, 4) of the frames on the head.
@@ -101,40 +109,28 @@ class Scene:
         return [(names.head, reference, self.robot.T_parent_child), *others]
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
-    """Names of the frames, of `cameras` by camera. All differ; a camera on the base has it as its head."""
+def frames_of(chain: HeadChain, cameras: CameraRig) -> Frames:
+    """The robot's own names; "world" and "board", or longer ones if the robot has these.
 
-    world: str
-    base: str
-    head: str
-    cameras: Mapping[str, str]
-    board: str
+    Raises:
+        ConfigError: base and head have the same name.
+    """
+    if chain.base_frame == chain.head_frame and chain.links:
+        raise ConfigError(
+            f"base and head frame are both {chain.base_frame!r}", "name them in rig.yaml and calibrate again"
+        )
+    taken = [chain.base_frame, chain.head_frame]
 
-    @classmethod
-    def of(cls, chain: HeadChain, cameras: CameraRig) -> Frames:
-        """The robot's own names; "world" and "board", or longer ones if the robot has these.
+    def free(name: str, other: str) -> str:
+        taken.append(other if name in taken else name)
+        return taken[-1]
 
-        Raises:
-            ConfigError: base and head have the same name.
-        """
-        if chain.base_frame == chain.head_frame and chain.links:
-            raise ConfigError(
-                f"base and head frame are both {chain.base_frame!r}",
-                "name them in rig.yaml and calibrate again",
-            )
-        taken = [chain.base_frame, chain.head_frame]
-
-        def free(name: str, other: str) -> str:
-            taken.append(other if name in taken else name)
-            return taken[-1]
-
-        each = {
-            name: free(camera.frame_id, f"{name}_camera")
-            for name, camera in zip(cameras.names, cameras.each, strict=True)
-        }
-        world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
-        return cls(world, chain.base_frame, chain.head_frame, each, board)
+    each = {
+        name: free(camera.frame_id, f"{name}_camera")
+        for name, camera in zip(cameras.names, cameras.each, strict=True)
+    }
+    world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
+    return Frames(world, chain.base_frame, chain.head_frame, each, board)
 
 
 def dark_squares(board: Board) -> FloatArray:

@@ -12,22 +12,3 @@ from mobilecal_cli.readers.description import number_fields, read_description
 from mobilecal_cli.readers.pictures import Pictures, find_pictures, pictures_near, read_images, read_stamps
 from mobilecal_cli.readers.pixels import decode_image
 from mobilecal_cli.readers.signals import read_signals
-
-__all__ = [
-    "Extent",
-    "Message",
-    "Pictures",
-    "Recording",
-    "decode_image",
-    "find_pictures",
-    "join_splits",
-    "looks_recorded",
-    "number_fields",
-    "open_recording",
-    "pictures_near",
-    "read_description",
-    "read_images",
-    "read_signals",
-    "read_stamps",
-    "sha256_of",
-]

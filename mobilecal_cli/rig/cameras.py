@@ -43,10 +43,6 @@ def _image_topics(description: RobotDescription) -> dict[str, TopicInfo]:
     return {name: topic for name, topic in topics.items() if topic.count != 0} or topics
 
 
-def _present(description: RobotDescription) -> str:
-    return listed(f"{topic.name} ({topic.type})" for topic in description.topics)
-
-
 def is_rectified(topic: str) -> bool:
     """Whether the name of an image topic indicates rectified images."""
     return any(word.startswith("rect") for word in words(topic))
@@ -68,6 +64,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         ConfigError: several cameras could be meant.
     """
     present = _image_topics(description)
+    every = listed(f"{topic.name} ({topic.type})" for topic in description.topics)
     cameras = config.cameras
     configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
     if cameras.both is not None:
@@ -78,13 +75,13 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         if topic is not None and topic not in present:
             raise RecordingError(
                 f"cameras.{name}.image: the topic {topic} contains no images in this recording",
-                f"image topics present: {listed(sorted(present))}; all topics: {_present(description)}",
+                f"image topics present: {listed(sorted(present))}; all topics: {every}",
             )
     if not present:
         raise RecordingError(
             "no image topics were recorded",
             "record the images of the cameras (sensor_msgs/Image or CompressedImage) with the wheels and the head's "
-            f"joints; topics present: {_present(description)}",
+            f"joints; topics present: {every}",
         )
     if cameras.both is not None:
         return dict.fromkeys(SIDES, cameras.both.image)
@@ -109,7 +106,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         "no camera: no two image topics have names that differ only in left and right, and there is not one "
         f"single camera; this tool serves {_SERVED}",
         f"set cameras.left.image and cameras.right.image, or cameras.{SINGLE}.image for one camera; "
-        f"topics present: {_present(description)}",
+        f"topics present: {every}",
     )
 
 
@@ -255,42 +252,34 @@ def info_topic(name: str, image: str, config: RigConfig, description: RobotDescr
     Raises:
         RecordingError: no topic matches, or its calibration cannot be used.
     """
-    topic = _info_topic(name, image, config, description)
+    present = sorted({*description.infos, *description.unusable})
+    configured = config.cameras.of(name).info
+    if configured is not None and configured not in present:
+        raise RecordingError(
+            f"cameras.{name}.info: the topic {configured} contains no camera info in this recording",
+            f"camera-info topics present: {listed(present)}",
+        )
+    beside = f"{image.removesuffix('/compressed').rsplit('/', 1)[0]}/camera_info"
+    both = config.cameras.both is not None
+    frame = "" if both else description.image_frames.get(image, "")
+    choices = (
+        [configured] if configured is not None else [],
+        [beside] if beside in present and not both else [],
+        [topic for topic, info in description.infos.items() if frame and info.frame_id == frame],
+        [topic for topic in present if side_of(topic) == name],
+    )
+    topic = next((topics[0] for topics in choices if len(topics) == 1), None)
+    if topic is None:
+        raise RecordingError(
+            f"no camera info for the {name} images on {image}: expected "
+            + (f"one topic named {name}" if both else beside),
+            f"set cameras.{name}.info; camera-info topics present: {listed(present)}"
+            if present
+            else "calibrate the camera (camera_calibration), and record its camera_info with the images",
+        )
     if topic in description.unusable:
         raise description.unusable[topic]
     return topic
-
-
-def _info_topic(name: str, image: str, config: RigConfig, description: RobotDescription) -> str:
-    present = {*description.infos, *description.unusable}
-    configured = config.cameras.of(name).info
-    if configured is not None:
-        if configured not in present:
-            raise RecordingError(
-                f"cameras.{name}.info: the topic {configured} contains no camera info in this recording",
-                f"camera-info topics present: {listed(sorted(present))}",
-            )
-        return configured
-    namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
-    beside = f"{namespace}/camera_info"
-    both = config.cameras.both is not None
-    if beside in present and not both:
-        return beside
-    frame = "" if both else description.image_frames.get(image, "")
-    same_frame = sorted(
-        topic for topic, info in description.infos.items() if frame and info.frame_id == frame
-    )
-    same_side = sorted(topic for topic in present if side_of(topic) == name)
-    for topics in (same_frame, same_side):
-        if len(topics) == 1:
-            return topics[0]
-    raise RecordingError(
-        f"no camera info for the {name} images on {image}: expected "
-        + (f"one topic named {name}" if both else beside),
-        f"set cameras.{name}.info; camera-info topics present: {listed(sorted(present))}"
-        if present
-        else "calibrate the camera (camera_calibration), and record its camera_info with the images",
-    )
 
 
 _BASELINE_ADVICE = (
@@ -329,13 +318,14 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     # Origin of the pair's rectified frame in each camera's rectified coordinates, (3,), m.
     origin, other_origin = (np.linalg.solve(info.P[:, :3], info.P[:, 3]) for info in (left, right))
     offset = origin - other_origin
+    baseline_m = float(np.linalg.norm(offset))
     if abs(left.P[0, 0] / right.P[0, 0] - 1) > _SAME_FOCAL:
         raise RecordingError(
             f"P[0, 0] is {left.P[0, 0]:g} in {left.frame_id or 'left'} and {right.P[0, 0]:g} in "
             f"{right.frame_id or 'right'}: these are not the camera infos of one stereo pair",
             "calibrate both cameras together, as a stereo pair",
         )
-    if np.linalg.norm(offset) < BASELINE.low:
+    if baseline_m < BASELINE.low:
         raise RecordingError(
             f"the stereo pair has no baseline: P[0, 3] is {left.P[0, 3]:g} in {left.frame_id or 'left'} and "
             f"{right.P[0, 3]:g} in {right.frame_id or 'right'}",
@@ -346,7 +336,11 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
             f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left camera, according to camera_info",
             "exchange cameras.left and cameras.right",
         )
-    check_baseline(offset)
+    if baseline_m not in BASELINE:
+        raise RecordingError(
+            f"the stereo baseline in camera_info is {baseline_m:g} m (range {BASELINE})",
+            "calibrate the stereo pair with a board whose squares are stated in meters: P[0, 3] is -fx * baseline",
+        )
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
     cameras = _camera(left, rectified), _camera(right, rectified)
@@ -408,20 +402,6 @@ def camera_rig(
     rotations = tuple(info.R for info in infos.values())
     each = tuple(_camera(info, rectified) for info in infos.values())
     return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
-
-
-def check_baseline(offset_m: FloatArray) -> None:
-    """Check that the distance between the cameras, (3,), is possible.
-
-    Raises:
-        RecordingError: it is not.
-    """
-    baseline_m = float(np.linalg.norm(offset_m))
-    if baseline_m not in BASELINE:
-        raise RecordingError(
-            f"the stereo baseline in camera_info is {baseline_m:g} m (range {BASELINE})",
-            "calibrate the stereo pair with a board whose squares are stated in meters: P[0, 3] is -fx * baseline",
-        )
 
 
 def check_sizes(infos: Mapping[str, CameraInfo]) -> None:

@@ -473,10 +473,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
             f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
             f"replace each {TODO} by its value; the comments of the draft explain them",
         )
-    try:
-        rig = RigConfig.model_validate(data)
-    except ValidationError as error:
-        raise _explained(error, "" if path is None else f"{path}: ") from error
+    rig = _validated(data, "" if path is None else f"{path}: ")
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
@@ -492,11 +489,7 @@ def checked_settings(settings: Mapping[str, Any], where: str) -> RigConfig:
     Raises:
         ConfigError: a value is not possible.
     """
-    data = _known(settings, RigConfig)
-    try:
-        return RigConfig.model_validate(data)
-    except ValidationError as error:
-        raise _explained(error, where) from error
+    return _validated(_known(settings, RigConfig), where)
 
 
 def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
@@ -624,25 +617,32 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
 _NOT_A_SECTION = ("model_type", "dict_type")
 
 
-def _explained(error: ValidationError, where: str) -> ConfigError:
+def _validated(data: Mapping[str, Any], where: str) -> RigConfig:
+    """The configuration.
+
+    Raises:
+        ConfigError: with the keys in question and what to write; `where` comes first.
+    """
+    try:
+        return RigConfig.model_validate(data)
+    except ValidationError as error:
+        items, cause = error.errors(), error
     problems, hints = [], []
-    for item in error.errors():
-        location = item["loc"]
+    for item in items:
+        key, location = ".".join(map(str, item["loc"])), item["loc"]
         if item["type"] == "extra_forbidden":
             known = _known_keys(location[:-1])
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
-            problems.append(f"{'.'.join(str(part) for part in location)}: unknown key")
+            problems.append(f"{key}: unknown key")
             hints.append(f"did you mean {near[0]}?" if near else f"known keys: {', '.join(known)}")
         elif item["type"] in _NOT_A_SECTION:
-            key, value = ".".join(str(part) for part in location), reprlib.repr(item["input"])
-            problems.append(f"{key}: a section of keys, not a value (got {value})")
-            names = (
-                ["all"] if key == "priors" else _known_keys(location) if item["type"] != "dict_type" else []
+            problems.append(f"{key}: a section of keys, not a value (got {reprlib.repr(item['input'])})")
+            names = [] if item["type"] == "dict_type" else _known_keys(location)
+            example = (
+                f"{key}.all={item['input']}" if key == "priors" else f"{key}.{[*names, 'NAME'][0]}=VALUE"
             )
-            example = f"{key}.{names[0] if names else 'NAME'}={item['input'] if key == 'priors' else 'VALUE'}"
             hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))
-    return ConfigError(
-        where + "; ".join(problems), "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
-    )
+    hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
+    raise ConfigError(where + "; ".join(problems), hint) from cause

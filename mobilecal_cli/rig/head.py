@@ -257,14 +257,8 @@ def _joint(parent: str, child: str, T: FloatArray) -> UrdfJoint:
     values, kind, other = (
         (turn, "revolute", slid < _OFF_M) if turned >= _STILL_RAD else (way, "prismatic", True)
     )
-    axis, off = _axis(values)
+    axis = np.linalg.svd(values, full_matrices=False)[2][0]
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])  # its largest component is positive
+    off = float(np.linalg.norm(values - np.outer(values @ axis, axis), axis=1).max())
     limit = _OFF_RAD if kind == "revolute" else _OFF_M
     return UrdfJoint(child, kind if other and off < limit else "floating", parent, child, T[0], axis, None)
-
-
-def _axis(values: FloatArray) -> tuple[FloatArray, float]:
-    """The axis of vectors (n, 3), its largest component positive, and their largest deviation from it."""
-    axis = np.linalg.svd(values, full_matrices=False)[2][0]
-    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
-    off = values - np.outer(values @ axis, axis)
-    return axis, float(np.linalg.norm(off, axis=1).max())

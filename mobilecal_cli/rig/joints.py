@@ -17,7 +17,14 @@ from mobilecal_cli.model import (
     listed,
 )
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, words
+from mobilecal_cli.rig.names import (
+    HEAD_WORDS,
+    PAN_WORDS,
+    TILT_WORDS,
+    joint_state_names,
+    require_topic,
+    words,
+)
 
 
 def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
@@ -65,7 +72,6 @@ def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadCh
         ConfigError: a joint is not in the chain.
         RecordingError: a topic is missing; the hint lists those present.
     """
-    present = {topic.name for topic in description.topics}
     fields = {}
     for joint, source in config.joints.fields.items():
         if joint not in chain.joints:
@@ -73,11 +79,7 @@ def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadCh
                 f"joints.fields: {joint!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
                 f"joints of the chain: {listed(chain.joints)}",
             )
-        if source.topic not in present:
-            raise RecordingError(
-                f"joints.fields: no topic {source.topic} in this recording",
-                f"topics present: {listed(sorted(present))}",
-            )
+        require_topic("joints.fields", source.topic, description)
         scale = math.radians(1) if source.unit == "deg" else 1.0
         fields[joint] = JointField(source.topic, source.field, scale)
     return fields

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
-from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side
+from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, listed
 
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
@@ -63,6 +64,15 @@ def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
 def joint_state_names(description: RobotDescription) -> list[str]:
     """Names of all joints in the recording's joint states."""
     return sorted({name for names in description.joint_names.values() for name in names})
+
+
+def require_topic(key: str, topic: str, description: RobotDescription) -> None:
+    """Raise a RecordingError, which lists the topics present, if the topic that a key states is missing."""
+    present = [info.name for info in description.topics]
+    if topic not in present:
+        raise RecordingError(
+            f"{key}: no topic {topic} in this recording", f"topics present: {listed(present)}"
+        )
 
 
 #: Words of commands, which are no measurements.
@@ -192,19 +202,18 @@ def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField
     Fields named as counters are preferred to those that are only named as something of a wheel.
     """
     by_name = {f"{field.topic} {field.path}": field for field in fields}
-    every_set: list[list[dict[Side, tuple[NumberField, ...]]]] = []
     for wanted in (COUNTER_WORDS, _WHEEL_WORDS):
         named = [
             name for name in by_name if wanted & {*_wheel_words(name)} and not _NOT_DRIVEN & {*words(name)}
         ]
-        every_set.append(
-            [
-                {side: tuple(by_name[name] for name in by_side[side]) for side in SIDES}
-                for integer in (True, False)
-                for by_side in wheel_sets(name for name in named if by_name[name].integer is integer)
-            ]
-        )
-    return next((sets for sets in every_set if sets), [])
+        sets = [
+            {side: tuple(by_name[name] for name in by_side[side]) for side in SIDES}
+            for integer in (True, False)
+            for by_side in wheel_sets(name for name in named if by_name[name].integer is integer)
+        ]
+        if sets:
+            return sets
+    return []
 
 
 def tick_counters(

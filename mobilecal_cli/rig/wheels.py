@@ -30,6 +30,7 @@ from mobilecal_cli.rig.names import (
     is_wheel,
     joint_state_names,
     other_drive,
+    require_topic,
     steered,
     tick_counters,
     wheel_place,
@@ -125,16 +126,11 @@ def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> Wh
 def _topic_of(side: Side, part: WheelConfig, description: RobotDescription) -> str:
     """Topic of one wheel: as stated, or the first one with its joint."""
     if part.joint is None:
-        present = [topic.name for topic in description.topics]
-        if part.topic not in present:
-            raise RecordingError(
-                f"wheels.{side}: no topic {part.topic} in this recording",
-                f"topics present: {listed(present)}",
-            )
+        assert part.topic is not None  # a field requires it
+        require_topic(f"wheels.{side}", part.topic, description)
         return part.topic
-    topics = [topic for topic, names in description.joint_names.items() if part.joint in names]
-    if part.topic:
-        topics = [topic for topic in topics if topic == part.topic]
+    names = description.joint_names
+    topics = [topic for topic in names if part.joint in names[topic] and part.topic in (None, topic)]
     if not topics:
         raise RecordingError(
             f"wheels.{side}: no joint {part.joint!r} in the joint states"
@@ -294,18 +290,13 @@ def with_drawn_separation(
 ) -> dict[Side, WheelSource]:
     """Sources of assumed wheels with the separation of the URDF, unless the configuration states it."""
     drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, sources, base)
-    if drawn is None or drawn not in ranges.WHEEL_SEPARATION:
-        return dict(sources)
-    return {
-        side: replace(
-            source,
-            baked_in=replace(source.baked_in, separation_m=drawn),
-            separation_share=WHEEL_SIGMA,
-        )
-        if source.assumed and source.baked_in is not None
-        else source
-        for side, source in sources.items()
-    }
+    changed = dict(sources)
+    if drawn is not None and drawn in ranges.WHEEL_SEPARATION:
+        for side, source in sources.items():
+            if source.assumed and source.baked_in is not None:
+                wheels = replace(source.baked_in, separation_m=drawn)
+                changed[side] = replace(source, baked_in=wheels, separation_share=WHEEL_SIGMA)
+    return changed
 
 
 def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> RecordingError:

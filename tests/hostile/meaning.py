@@ -16,7 +16,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import require_stations
-from mobilecal_cli.errors import MobilecalError
+from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import (
     CameraRig,
     Corners,
@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.rig.cameras import check_baseline
+from mobilecal_cli.rig.cameras import BASELINE
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -275,7 +275,8 @@ def baseline(factor: float) -> Change:
     def change(rig: CameraRig) -> CameraRig:
         T = rig.T_c_each[1].copy()
         T[:3, 3] *= factor
-        check_baseline(T[:3, 3])
+        if np.linalg.norm(T[:3, 3]) not in BASELINE:
+            raise RecordingError("the stereo baseline is not possible", "")
         return with_pair(rig, T_c_r=T)
 
     return cameras(change)

@@ -42,7 +42,12 @@ def open_recording(paths: Sequence[Path]) -> Recording:
         recording = stack.enter_context(Recording(paths))
         for path in paths:
             with boundary(path):
-                _add(recording, path)
+                if not path.exists():
+                    raise RecordingError(f"{path}: no such file or directory", "check the path")
+                if path.is_dir() or path.name == METADATA:
+                    _add_directory(recording, path if path.is_dir() else path.parent)
+                else:
+                    recording.parts.append(_opened(recording, path))
         if not recording.parts:
             raise RecordingError("; ".join(recording.damage), KNOWN)
         undo_steps(recording.parts)
@@ -54,18 +59,6 @@ def open_recording(paths: Sequence[Path]) -> Recording:
             )
         stack.pop_all()  # the recording stays open
     return recording
-
-
-def _add(recording: Recording, path: Path) -> None:
-    """Open a file or a directory as a part of a recording."""
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file or directory", "check the path")
-    if path.is_dir():
-        _add_directory(recording, path)
-    elif path.name == METADATA:
-        _add_directory(recording, path.parent)
-    else:
-        recording.parts.append(_opened(recording, path))
 
 
 def _opened(recording: Recording, path: Path) -> Storage:
@@ -297,8 +290,7 @@ def sha256_of(path: Path) -> str:
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         for file in files:
             with file.open("rb") as stream:
-                while piece := stream.read(2**20):
-                    digest.update(piece)
+                hashlib.file_digest(stream, lambda: digest)
     except OSError as error:
         raise RecordingError(
             f"{error.filename or path}: cannot be read: {error.strerror}", "check its permissions"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from abc import abstractmethod
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -28,8 +27,6 @@ from mobilecal_cli.readers.containers.storage import (
 )
 from mobilecal_cli.readers.messages import Channel, Payload
 
-#: A message in the queue: log time, number in reading order, channel and payload.
-_Waiting = tuple[int, int, Channel, Payload]
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
 _MOST_MESSAGES = 2**19
 #: Bytes of the file that may be decompressed to find log times that are not in an index.
@@ -175,40 +172,23 @@ class BlockStorage(Storage):
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         blocks = self._blocks_of(topics, extent)
-        waiting: list[_Waiting] = []
+        waiting: list[
+            tuple[int, int, Channel, Payload]
+        ] = []  # a heap; the second is the number in reading order
         order = count()
         read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
-            messages = self._wanted(block, topics, order, read)
-            if len(waiting) <= len(messages):
-                # Both lists are almost sorted, so sorting is fast; a sorted list is also a heap.
-                waiting = sorted(waiting + messages)
-                messages.clear()  # otherwise the block stays in memory while the next one is read
-                ready = bisect_left(waiting, following_ns, key=lambda message: message[0])
-                for time_ns, _, channel, payload in waiting[:ready]:
-                    yield Message(channel, time_ns, payload)
-                del waiting[:ready]
-                continue
-            while messages:
-                heapq.heappush(waiting, messages.pop())
+            for number, time_ns, payload in self._messages_of(block):
+                channel = self.channels.get(number)
+                if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
+                    read[number] += 1
+                    heapq.heappush(waiting, (time_ns, next(order), channel, payload))
             while waiting and waiting[0][0] < following_ns:
                 time_ns, _, channel, payload = heapq.heappop(waiting)
                 yield Message(channel, time_ns, payload)
         if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, read)
-
-    def _wanted(
-        self, block: Block, topics: Collection[str], order: Iterator[int], read: Counter[int]
-    ) -> list[_Waiting]:
-        """Messages of the topics in a block, counted, in file order."""
-        messages: list[_Waiting] = []
-        for number, time_ns, payload in self._messages_of(block):
-            channel = self.channels.get(number)
-            if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
-                messages.append((time_ns, next(order), channel, payload))
-        read.update(channel.id for _, _, channel, _ in messages)
-        return messages
 
     def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
         of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -56,7 +56,19 @@ class Recording(ExitStack):
     def complete(self) -> None:
         """Bring the parts in order of time, and list the topics, after all parts are added."""
         self.parts.sort(key=lambda part: part.start_ns if part.start_ns is not None else -1)
-        self.topics = self._list_topics()
+        types: dict[str, str] = {}
+        counts: dict[str, list[int | None]] = {}
+        for part in self.parts:
+            for number, channel in part.channels.items():
+                types.setdefault(channel.topic, channel.ros_type)
+                count = None if part.counts is None else part.counts.get(number, 0)
+                counts.setdefault(channel.topic, []).append(count)
+        self.topics = tuple(
+            TopicInfo(
+                topic, types[topic], None if None in counts[topic] else sum(filter(None, counts[topic]))
+            )
+            for topic in sorted(types)
+        )
         self._by_name = {info.name: info for info in self.topics}
 
     @property
@@ -88,22 +100,6 @@ class Recording(ExitStack):
     def note(self, sentence: str) -> None:
         """Add a remark; a repeated one counts once."""
         self._notes[sentence] = None
-
-    def _list_topics(self) -> tuple[TopicInfo, ...]:
-        types: dict[str, str] = {}
-        counts: defaultdict[str, int] = defaultdict(int)
-        unknown = set()
-        for part in self.parts:
-            for number, channel in part.channels.items():
-                types.setdefault(channel.topic, channel.ros_type)
-                if part.counts is None:
-                    unknown.add(channel.topic)
-                else:
-                    counts[channel.topic] += part.counts.get(number, 0)
-        return tuple(
-            TopicInfo(topic, types[topic], None if topic in unknown else counts[topic])
-            for topic in sorted(types)
-        )
 
     def topic(self, name: str) -> TopicInfo:
         """Information on one topic.
@@ -197,12 +193,7 @@ class Recording(ExitStack):
         own = self._of_part(extent)
         for group in _overlapping(self.parts):
             streams = [self._part(part, topics, own) for part in group]
-            merged = (
-                heapq.merge(*streams, key=lambda message: message.log_time_ns)
-                if len(streams) > 1
-                else streams[0]
-            )
-            for message in merged:
+            for message in heapq.merge(*streams, key=lambda message: message.log_time_ns):
                 read[message.topic] += 1
                 yield message
         for topic in sorted(topics & self.stated.keys()) if extent is EVERYTHING else ():

@@ -42,10 +42,9 @@ class Samples:
         """(n,) times of the readings."""
         return self.stamp_ns + self.shift_ns
 
-    def part(self, begin: int, end: int, shift_ns: int) -> Samples:
-        """The readings from one index to another."""
-        rows = slice(begin, end)
-        stamp_ns, log_ns, value = self.stamp_ns[rows], self.log_ns[rows], self.value[rows]
+    def rows(self, which: slice | IntArray, shift_ns: int) -> Samples:
+        """Some of the readings, with another shift."""
+        stamp_ns, log_ns, value = self.stamp_ns[which], self.log_ns[which], self.value[which]
         return replace(self, stamp_ns=stamp_ns, log_ns=log_ns, value=value, shift_ns=shift_ns)
 
     def arranged(self, notes: list[str]) -> Samples:
@@ -58,10 +57,7 @@ class Samples:
             f"{self.label}: {int(late.sum())} of {len(self)} samples are recorded after later ones, by up to "
             f"{behind_s:.3f} s; they are put in order of their stamps"
         )
-        order = np.argsort(self.stamp_ns, kind="stable")
-        return replace(
-            self, stamp_ns=self.stamp_ns[order], log_ns=self.log_ns[order], value=self.value[order]
-        )
+        return self.rows(np.argsort(self.stamp_ns, kind="stable"), self.shift_ns)
 
     def kept(self, notes: list[str]) -> BoolArray:
         """`in_order` of the stamps; notes what is dropped."""
@@ -344,7 +340,7 @@ def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
         notes.append(_note(series, group, [_common(size, known) for size in sizes if size]))
     ends = [[*begins[1:], len(samples)] for begins, samples in zip(starts, series, strict=True)]
     return [
-        tuple(samples.part(starts[k][p], ends[k][p], shifts[k][p]) for k, samples in enumerate(series))
+        tuple(s.rows(slice(starts[k][p], ends[k][p]), shifts[k][p]) for k, s in enumerate(series))
         for p in range(len(notes) + 1)
     ], notes
 
