@@ -104,26 +104,6 @@ def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
         )
 
 
-def first_pictures(
-    recording: Recording, rig: Rig, plans: Sequence[Plan], rejections: list[Rejection]
-) -> Iterator[GrayImage]:
-    """Some images of all cameras, spread over the recording; `rejections` receives those that cannot be decoded.
-
-    Raises:
-        RecordingError: an image has another size than stated.
-    """
-    stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
-    for plan in plans:
-        firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
-        wanted = images_of(firsts, plan.images)
-        for name, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
-            if isinstance(picture, Rejection):
-                rejections.append(picture)
-                continue
-            check_picture(picture, name, rig.cameras)
-            yield picture
-
-
 def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[int, int] | None:
     """Inner corners (columns, rows) of the board in some images, None if none shows it.
 
@@ -131,7 +111,20 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
         RecordingError: none of them can be decoded, or one has another size than stated.
     """
     rejections: list[Rejection] = []
-    vote = identify_size(first_pictures(recording, rig, plans, rejections), SIZE_VOTES)
+    stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
+
+    def pictures() -> Iterator[GrayImage]:
+        for plan in plans:
+            firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
+            wanted = images_of(firsts, plan.images)
+            for name, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
+                if isinstance(picture, Rejection):
+                    rejections.append(picture)
+                else:
+                    check_picture(picture, name, rig.cameras)
+                    yield picture
+
+    vote = identify_size(pictures(), SIZE_VOTES)
     if not vote.pictures and rejections:
         raise undecodable(rejections)
     return vote.size

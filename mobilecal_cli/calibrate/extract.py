@@ -34,6 +34,7 @@ from mobilecal_cli.model import (
     STRING,
     TRANSFORMS,
     Board,
+    Corners,
     Extraction,
     LogSource,
     Markers,
@@ -352,8 +353,9 @@ def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> Non
     for i, j in itertools.combinations(range(len(signals)), 2):
         if same_signals(signals[i], signals[j]):
             refuse_same(names[i], names[j], "wheel and joint readings")
-        at = {o.time_ns: o for o in by_log[i]}
-        if any(o.time_ns in at and _same_corners(at[o.time_ns], o) for o in by_log[j]):
+        at = {o.time_ns: o.views for o in by_log[i]}
+        pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
+        if any(len(first) == len(other) and all(map(_same_corners, first, other)) for first, other in pairs):
             refuse_same(names[i], names[j], "images")
 
 
@@ -383,8 +385,6 @@ def _same_readings(first: Track, other: Track) -> bool:
     return int(same.sum()) >= _SAME_SHARE * overlap
 
 
-def _same_corners(observation: Observation, other: Observation) -> bool:
-    return len(observation.views) == len(other.views) and all(
-        a.pixels.shape == b.pixels.shape and np.abs(a.pixels - b.pixels).max(initial=0.0) < _SAME_VALUE
-        for a, b in zip(observation.views, other.views, strict=True)
-    )
+def _same_corners(first: Corners, other: Corners) -> bool:
+    a, b = first.pixels, other.pixels
+    return a.shape == b.shape and bool(np.abs(a - b).max(initial=0.0) < _SAME_VALUE)

@@ -273,14 +273,10 @@ class WheelConfig(_Section):
     @property
     def parts(self) -> tuple[WheelConfig, ...]:
         """The wheels of the side, each by itself, with a `joint` or a `field`; none if the side names none."""
-        kind, names = "joint", self.joints or ((self.joint,) if self.joint else ())
-        if not names:
-            kind, names = "field", self.fields or ((self.field,) if self.field else ())
+        kind, one = ("joint", self.joint) if self.joint or self.joints else ("field", self.field)
+        names = self.joints or self.fields or ((one,) if one else ())
         several = {"joint": None, "joints": (), "field": None, "fields": (), "topics": (), "signs": ()}
-        topics, signs = (
-            self.topics or (self.topic,) * len(names),
-            self.signs or (self.sign,) * len(names),
-        )
+        topics, signs = self.topics or (self.topic,) * len(names), self.signs or (self.sign,) * len(names)
         return tuple(
             self.model_copy(update=several | {kind: name, "topic": topic, "sign": sign})
             for name, topic, sign in zip(names, topics, signs, strict=True)

@@ -417,7 +417,7 @@ def _joints(draft: Draft, description: RobotDescription) -> None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), description, names)) or ("", "")
+        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), names)) or ("", "")
     only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
     keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}

@@ -74,32 +74,43 @@ def head_of(
         ConfigError: several joints match, or the URDF is invalid.
     """
     if config.head.chain is not None:
-        moving = [link.joint for link in config.head.chain if link.joint]
-        pan, tilt = pan_and_tilt(config, description, dict.fromkeys(moving))
+        pan, tilt = pan_and_tilt(
+            config, dict.fromkeys(link.joint for link in config.head.chain if link.joint)
+        )
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
         return Head(chain, None, Nominal(), "head.chain of the configuration", ())
     origin, notes = "head.urdf of the configuration", []
     if urdf_text is None and not description.urdfs:
-        return _head_of_transforms(config, description, wheels, camera_frame)
-    if urdf_text is None:
-        topic, urdf_text = next(iter(sorted(description.urdfs.items())))
-        origin = f"URDF on {topic}"
-        if len(set(description.urdfs.values())) > 1:
-            notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
-    urdf = parse_urdf(urdf_text)
-    in_states = {*joint_state_names(description), *config.joints.fields}
-    pan, tilt = pan_and_tilt(config, description, [name for name in urdf.joints if name in in_states])
-    if not tilt and config.head.head_frame is None:
-        # Joint states may lack some of the head's joints; the URDF still names them.
-        pan, tilt = pan_and_tilt(config, description, list(urdf.joints))
-    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, origin, notes)
+        origin = "transforms in the recording"
+        urdf, base, pan, tilt = _moving_transforms(config, description, camera_frame)
+        notes.append(
+            "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
+            "joint angles are zero at the first transform."
+        )
+    else:
+        if urdf_text is None:
+            topic, urdf_text = next(iter(sorted(description.urdfs.items())))
+            origin = f"URDF on {topic}"
+            if len(set(description.urdfs.values())) > 1:
+                notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
+        urdf = parse_urdf(urdf_text)
+        in_states = {*joint_state_names(description), *config.joints.fields}
+        pan, tilt = pan_and_tilt(config, [name for name in urdf.joints if name in in_states])
+        if not tilt and config.head.head_frame is None:
+            # Joint states may lack some of the head's joints; the URDF still names them.
+            pan, tilt = pan_and_tilt(config, list(urdf.joints))
+        base = _base_of(config, urdf)
+    head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
+    chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
+    drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
 
 
-def _head_of_transforms(
-    config: RigConfig, description: RobotDescription, wheels: dict[Side, WheelSource], camera_frame: str
-) -> Head:
-    """The head of a recording without a URDF, from the motion of its transforms."""
+def _moving_transforms(
+    config: RigConfig, description: RobotDescription, camera_frame: str
+) -> tuple[Urdf, str, str, str]:
+    """The transforms of a recording without a URDF as one, its base, and the pan and the tilt joint by their motion."""
     urdf = urdf_of_transforms(description.transforms)
     if camera_frame not in urdf.links:
         to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
@@ -111,31 +122,10 @@ def _head_of_transforms(
         )
     base = _base_of(config, urdf)
     moving = [joint.name for joint in urdf.path(base, camera_frame) if joint.kind == "revolute"]
-    pan, tilt = pan_and_tilt(config, description, moving)
+    pan, tilt = pan_and_tilt(config, moving)
     if not tilt and moving:  # no frame is named tilt: the last moving joint is the tilt
         tilt, pan = moving[-1], pan or (moving[0] if len(moving) > 1 else "")
-    note = (
-        "The recording contains no URDF. The head's joints are derived from the motion of its transforms; "
-        "joint angles are zero at the first transform."
-    )
-    return _mounted(config, urdf, pan, tilt, wheels, camera_frame, "transforms in the recording", [note])
-
-
-def _mounted(
-    config: RigConfig,
-    urdf: Urdf,
-    pan: str,
-    tilt: str,
-    wheels: dict[Side, WheelSource],
-    camera_frame: str,
-    origin: str,
-    notes: list[str],
-) -> Head:
-    base = _base_of(config, urdf)
-    head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
-    chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
-    drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
-    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+    return urdf, base, pan, tilt
 
 
 def _chain_link(link: ChainLink) -> FixedLink | JointLink:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterable
+from collections.abc import Collection, Container, Iterable
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf
@@ -38,15 +38,12 @@ def named_joint(role: str, kinds: set[str], names: Iterable[str]) -> str:
     return best[0] if best else ""
 
 
-def pan_and_tilt(
-    config: RigConfig, description: RobotDescription, candidates: Iterable[str]
-) -> tuple[str, str]:
+def pan_and_tilt(config: RigConfig, names: Collection[str]) -> tuple[str, str]:
     """Names of the pan and tilt joint, as configured or found by name.
 
     Raises:
         ConfigError: several joints match.
     """
-    names = list(candidates)
     pan = config.joints.pan or named_joint("pan", PAN_WORDS, names)
     tilt = config.joints.tilt or named_joint("tilt", TILT_WORDS, [name for name in names if name != pan])
     if pan and pan == tilt:

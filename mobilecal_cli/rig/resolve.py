@@ -92,12 +92,12 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
     Raises:
         RecordingError, ConfigError: the first error of the survey.
     """
-    images, cameras, wheels, head, joints = (
-        survey.images, survey.cameras, survey.wheels, survey.head, survey.joints,
-    )  # fmt: skip
+    images, cameras, wheels = survey.images, survey.cameras, survey.wheels
+    head, joints = survey.head, survey.joints
     if survey.lacks or not (images and cameras and wheels and head) or joints is None:
         raise survey.lacks[0][1]
-    infos, chain, drawn, given = survey.infos, head.chain, head.drawn, nominal_of(config)
+    infos, chain, given = survey.infos, head.chain, nominal_of(config)
+    drawn = head.drawn
     sources = Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config))
     assumed = sources.assumed_wheels
     nominal = Nominal(

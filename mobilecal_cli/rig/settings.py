@@ -172,13 +172,12 @@ def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: CameraRig, chain: He
 
 def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadChain) -> dict[str, PriorEntry]:
     """The inverse of `prior_sigmas`: name → standard deviation in the kind's unit for people, "fixed" or "free"."""
+    words: dict[float, PriorEntry] = {0.0: "fixed", math.inf: "free"}
     entries: dict[str, PriorEntry] = {}
     for row in table(cameras, chain):
-        sigma = sigmas.get(row.name)
-        if sigma is None:
-            continue
-        shown = float(f"{sigma * row.of_kind.shown * (row.of_kind.sigma / row.sigma):.12g}")
-        entries[row.name] = "free" if sigma == math.inf else shown if sigma else "fixed"
+        if (sigma := sigmas.get(row.name)) is not None:
+            shown = sigma * row.of_kind.shown * (row.of_kind.sigma / row.sigma)
+            entries[row.name] = words.get(sigma, float(f"{shown:.12g}"))
     return entries
 
 

@@ -149,24 +149,22 @@ def _add_surroundings(messages: _Messages, scene: Scene, motion: Motion, station
     for name, camera in zip(scene.cameras.names, scene.cameras.each, strict=True):
         info = _calibration(camera, names.cameras[name], start_ns)
         messages.add(f"/camera/{name}/calibration", start_ns, info)
+    squares = dark_squares(scene.board)
+    both_sides = np.array([0, 1, 2, 0, 2, 3, 3, 2, 0, 2, 1, 0])
+    dark: _Part = {
+        "pose": _pose(np.eye(4)),
+        "points": [_vector(point) for point in squares.reshape(-1, 3)],
+        "color": _color(_DARK),
+        "indices": (4 * np.arange(len(squares))[:, None] + both_sides).ravel().tolist(),
+    }
     board: _Part = {
         "timestamp": _time(start_ns),
         "frame_id": names.board,
         "id": "board",
         "frame_locked": True,
-        "triangles": [_board_triangles(scene)],
+        "triangles": [dark],
     }
     messages.add("/board", start_ns, SceneUpdate(entities=[board]))
-
-
-def _board_triangles(scene: Scene) -> _Part:
-    """Both sides of the dark squares."""
-    squares = dark_squares(scene.board)
-    front = np.array([0, 1, 2, 0, 2, 3])
-    order = np.concatenate([front, front[::-1]])
-    indices = (4 * np.arange(len(squares))[:, None] + order).ravel()
-    points = [_vector(point) for point in squares.reshape(-1, 3)]
-    return {"pose": _pose(np.eye(4)), "points": points, "color": _color(_DARK), "indices": indices.tolist()}
 
 
 def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,7 +133,12 @@ def odometry_covariance(
     if not motion:
         degrees = math.degrees(np.abs(right - left).sum() / wheels.separation_m / steps.legs)
         motion = f"the {steps.legs} legs of the recording, on average {path_m / steps.legs:.2f} m and {degrees:.0f} deg"
-    widening, rate = _widening(extraction.rig.noise.given, len(data.legs)), rate_hz / moving_s
+    # Each leg adds about one redundant number about the noise of the wheels. Where that is not given, the factor is the
+    # squared ratio of the quantiles of Student's t and the normal distribution.
+    legs, upper = len(data.legs), (1 + _LEVEL) / 2
+    estimated = not extraction.rig.noise.given.keys() >= _WHEEL_LEVELS
+    widening = float((stdtrit(legs, upper) / ndtri(upper)) ** 2) if estimated else 1.0
+    rate = rate_hz / moving_s
     slip = SLIP_M_PER_SQRT_M**2 * path_m
     floor = np.array([noise.floor_m, noise.floor_rad, noise.floor_rad]) ** 2
     return OdometryCovariance(
@@ -145,23 +149,12 @@ def odometry_covariance(
         ),
         rate_hz=rate_hz,
         motion=motion,
-        legs=len(data.legs),
+        legs=legs,
         path_m=path_m / steps.legs,
         moving_s=moving_s / steps.legs,
         widening=widening,
         systematic=systematic / both,
     )
-
-
-def _widening(given: Mapping[str, float], legs: int) -> float:
-    """Squared ratio of the quantiles of Student's t and the normal distribution; 1 for noise levels that are given.
-
-    Each leg adds about one redundant number about the noise of the wheels.
-    """
-    if given.keys() >= _WHEEL_LEVELS:
-        return 1.0
-    upper = (1 + _LEVEL) / 2
-    return float((stdtrit(legs, upper) / ndtri(upper)) ** 2)
 
 
 def _motion(data: Dataset, wheels: WheelGeometry) -> tuple[float, float]:

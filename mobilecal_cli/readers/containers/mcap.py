@@ -80,18 +80,17 @@ class McapStorage(BlockStorage):
             return None
         if summary is None or summary.statistics is None or not summary.chunk_indexes:
             return None
-        if summary.statistics.chunk_count != len(summary.chunk_indexes):
-            return None
         named = {number for index in summary.chunk_indexes for number in index.message_index_offsets}
-        if not named or not named <= summary.channels.keys():
-            return None
         schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
-        if not schemas <= summary.schemas.keys():
-            return None
-        misplaced = sum(not self._is_chunk(index) for index in summary.chunk_indexes)
-        if 2 * misplaced > len(summary.chunk_indexes):
-            return None  # the index is wrong; a few damaged chunk headers are found on reading
-        return summary
+        complete = (
+            summary.statistics.chunk_count == len(summary.chunk_indexes)
+            and named
+            and named <= summary.channels.keys()
+            and schemas <= summary.schemas.keys()
+            # A few damaged chunk headers are found on reading.
+            and 2 * sum(map(self._is_chunk, summary.chunk_indexes)) >= len(summary.chunk_indexes)
+        )
+        return summary if complete else None
 
     def _is_chunk(self, index: records.ChunkIndex) -> bool:
         try:

@@ -86,7 +86,6 @@ class Subscriptions:
         self._joints: dict[str, JointStates] = {}
         self._decoders: dict[Channel, JointStateDecoder] = {}
         self._odometry: dict[str, Odometry] = {}
-        self._broken: dict[str, int] = {}
 
     def _subscribe(self, topic: str, taker: Taker) -> None:
         self._takers.setdefault(topic, []).append(taker)
@@ -211,15 +210,14 @@ class Subscriptions:
                     take(message, stamp_ns or log_ns, log_ns)
             self.clocks[topic].count(stamp_ns, log_ns)
         except (RecordingError, *NOT_ITS_TYPE):
-            self._broken[topic] = self._broken.get(topic, 0) + 1
+            self.clocks[topic].broken += 1
 
     def undecodable(self) -> list[str]:
         """Notes on messages that do not match their type."""
         return [
-            f"{topic}: {self._broken[topic]} of {self._broken[topic] + clock.messages} messages do not match their "
-            "type; ignored"
+            f"{topic}: {clock.broken} of {clock.broken + clock.messages} messages do not match their type; ignored"
             for topic, clock in self.clocks.items()
-            if topic in self._broken
+            if clock.broken
         ]
 
     def check_images(self, name: str, series: Series) -> None:
@@ -229,7 +227,7 @@ class Subscriptions:
             RecordingError: it has none.
         """
         if not len(series):
-            broken = self._broken.get(series.topic, 0)
+            broken = self.clocks[series.topic].broken
             fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
             raise RecordingError(
                 f"{self.recording.name}: no images of the {camera_words(name)} on {series.topic}: {fact}",
@@ -278,9 +276,9 @@ class Subscriptions:
             RecordingError: nothing.
         """
         series, other = quantity.series, quantity.instead
-        if not self.clocks[series.topic].messages:
-            broken = self._broken.get(series.topic, 0)
-            fact = f"none of its {broken} messages can be decoded" if broken else "no messages"
+        clock = self.clocks[series.topic]
+        if not clock.messages:
+            fact = f"none of its {clock.broken} messages can be decoded" if clock.broken else "no messages"
             raise RecordingError(
                 f"{self.recording.name}: {series.topic}: {fact}",
                 "record the topic, or set another one in rig.yaml",

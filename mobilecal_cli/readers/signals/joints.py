@@ -136,7 +136,7 @@ class JointStates:
         self.velocity: dict[str, Series] = {}
         self.present: dict[str, None] = {}
         self._names: Sequence[str] | None = None
-        self._places: list[tuple[int, Series, bool]] = []
+        self._places: list[tuple[int, Series, str]] = []
 
     def want(self, name: str, *, velocity: bool = False) -> None:
         """Subscribe to a joint."""
@@ -151,15 +151,14 @@ class JointStates:
             names = list(reading.names)
             self.present.update(dict.fromkeys(names[: max(_MOST_PRESENT - len(self.present), 0)]))
             self.present.update(dict.fromkeys(name for name in self.position if name in names))
-            wanted = [(self.position, "position"), (self.velocity, "velocity")]
             self._places = [
-                (names.index(name), series, field == "position")
-                for kind, field in wanted
-                for name, series in kind.items()
+                (names.index(name), series, field)
+                for field in ("position", "velocity")
+                for name, series in getattr(self, field).items()
                 if name in names
             ]
-        for place, series, is_position in self._places:
-            values = reading.position if is_position else reading.velocity
+        for place, series, field in self._places:
+            values = getattr(reading, field)
             if place < len(values):
                 series.add(stamp_ns, log_ns, float(values[place]))
 

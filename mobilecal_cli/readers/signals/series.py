@@ -173,6 +173,7 @@ class Clock:
     Attributes:
         topic: the topic.
         messages, unstamped: number of messages, and of those without a header or with a zero stamp.
+        broken: number of messages that do not match their type, beside the others.
         has_header: whether the type has a header stamp.
         lag_s: log time minus stamp of the first few stamped messages.
     """
@@ -180,6 +181,7 @@ class Clock:
     topic: str
     messages: int = 0
     unstamped: int = 0
+    broken: int = 0
     has_header: bool = True
     lag_s: list[float] = field(default_factory=list)
 
