@@ -37,7 +37,7 @@ from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
-from mobilecal_cli.rig.joints import outside_chain
+from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.resolve import complete_rig, stereo_layout
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 

@@ -64,7 +64,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         ConfigError: several cameras could be meant.
     """
     present = _image_topics(description)
-    every = listed(f"{topic.name} ({topic.type})" for topic in description.topics)
+    recorded = listed(f"{topic.name} ({topic.type})" for topic in description.topics)
     cameras = config.cameras
     configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
     if cameras.both is not None:
@@ -75,13 +75,13 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         if topic is not None and topic not in present:
             raise RecordingError(
                 f"cameras.{name}.image: the topic {topic} contains no images in this recording",
-                f"image topics present: {listed(sorted(present))}; all topics: {every}",
+                f"image topics present: {listed(sorted(present))}; all topics: {recorded}",
             )
     if not present:
         raise RecordingError(
             "no image topics were recorded",
             "record the images of the cameras (sensor_msgs/Image or CompressedImage) with the wheels and the head's "
-            f"joints; topics present: {every}",
+            f"joints; topics present: {recorded}",
         )
     if cameras.both is not None:
         return dict.fromkeys(SIDES, cameras.both.image)
@@ -106,7 +106,7 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         "no camera: no two image topics have names that differ only in left and right, and there is not one "
         f"single camera; this tool serves {_SERVED}",
         f"set cameras.left.image and cameras.right.image, or cameras.{SINGLE}.image for one camera; "
-        f"topics present: {every}",
+        f"topics present: {recorded}",
     )
 
 

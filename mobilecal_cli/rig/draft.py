@@ -43,7 +43,7 @@ from mobilecal_cli.rig.config import (
     WheelsConfig,
     WheelsNominal,
 )
-from mobilecal_cli.rig.joints import pan_and_tilt
+from mobilecal_cli.rig.head import pan_and_tilt
 from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
 from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
 from mobilecal_cli.rig.settings import pose_settings

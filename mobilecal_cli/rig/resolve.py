@@ -31,8 +31,7 @@ from mobilecal_cli.rig.cameras import (
     note_on_choice,
 )
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.head import Head, fixed_pose, head_of
-from mobilecal_cli.rig.joints import joint_fields, joint_topics, joint_transforms
+from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
