@@ -7,7 +7,8 @@ A new criterion is a function with the decorator `criterion`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +19,10 @@ from mobilecal_cli.model import (
     NINE,
     NO_IMAGES,
     AssumedOdometry,
+    Drift,
+    Evaluation,
     Extraction,
+    FloatArray,
     camera_words,
 )
 from mobilecal_cli.model.text import visible
@@ -28,7 +32,9 @@ from mobilecal_cli.report.numbers import (
     PARAMETERS,
     board_distance_m,
     encoder_heading_rad,
+    odometry_factors,
     plain_names,
+    reference_std,
     rejection_counts,
     station_names,
     stations_looked_at,
@@ -37,7 +43,6 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
-    Figure,
     advice,
     below_limits,
     limiting_sentence,
@@ -59,6 +64,54 @@ _SHOWN_WIDER = 1.05
 _ALIKE = 0.1
 
 
+def rms(values: FloatArray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def drift_figures(drift: Drift) -> dict[str, float | None]:
+    """Drift in mm per m and degrees per full turn."""
+    return {
+        "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
+        "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
+    }
+
+
+#: Figures of an evaluation.
+EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
+    Metric("stations", at_least=True): lambda evaluation: float(evaluation.stations),
+    Metric("legs", at_least=True): lambda evaluation: float(len(evaluation.legs)),
+    Metric("reprojection_rms_px", "px"): lambda evaluation: rms(evaluation.reprojection_px),
+    Metric("rotation_rms_deg", "deg"): lambda evaluation: math.degrees(rms(evaluation.rotation_rad)),
+    Metric("translation_rms_mm", "mm"): lambda evaluation: rms(evaluation.translation_m) * 1e3,
+    Metric("drift_mm_per_m", "mm/m"): lambda evaluation: drift_figures(evaluation.after)["mm_per_m"],
+    Metric("drift_deg_per_turn", "deg"): lambda evaluation: drift_figures(evaluation.after)["deg_per_turn"],
+}
+
+
+@criterion(
+    Metric("reprojection_rms_px", "px"),
+    Metric("point_rms_mm", "mm"),
+    Metric("left_out"),
+    *(Metric(parameter.gate, parameter.unit) for parameter in PARAMETERS),
+    *(Metric(f"std.odometry.{name}", "1") for name in FACTORS),
+    *(replace(metric, name=f"hold_out.{metric.name}") for metric in EVALUATED),
+)
+def figures(made: Calibration) -> Iterator[Check]:
+    """Figures that no criterion judges; of a robot with odometry alone, its factors have standard deviations."""
+    solution, factors = made.solution, odometry_factors(made.extraction.rig, made.solution)
+    yield Check("reprojection_rms_px", solution.reprojection_rms_px)
+    yield Check("point_rms_mm", solution.point_rms_m * 1e3)
+    yield Check("left_out", float(sum(o.kind != "corners" for o in solution.outliers)))
+    for parameter, std in zip(PARAMETERS[: 6 if factors else 9], reference_std(solution), strict=False):
+        yield Check(parameter.gate, std)
+    for name, (_, std) in factors.items():
+        yield Check(f"std.odometry.{name}", std)
+    if made.trial is not None:
+        for metric, of in EVALUATED.items():
+            yield Check(f"hold_out.{metric.name}", of(made.trial))
+
+
 @criterion(Metric("mistake", "%"), gated=False)
 def mistake(made: Calibration) -> Iterator[Check]:
     """The mistake in the robot description that explains a bad fit."""
@@ -77,10 +130,7 @@ def mistake(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(
-    Metric("stations", at_least=True, of=lambda made: float(len(made.extraction.observations))),
-    section="stations",
-)
+@criterion(Metric("stations", at_least=True), section="stations")
 def stations(made: Calibration) -> Iterator[Check]:
     """Number of stations."""
     have, least = len(made.extraction.observations), MIN_STATIONS
@@ -142,26 +192,19 @@ def blind_camera(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _number_of_legs(made: Calibration) -> float:
-    """Pairs of consecutive stations of a recording."""
-    observations = made.extraction.observations
-    return float(len(observations) - len({o.log for o in observations}))
-
-
-@criterion(Metric("legs", at_least=True, of=_number_of_legs), section="stations")
+@criterion(Metric("legs", at_least=True), section="stations")
 def legs(made: Calibration) -> Iterator[Check]:
-    """Legs between stations, of several recordings."""
+    """Legs between consecutive stations: a criterion for several recordings."""
     logs, least = len({o.log for o in made.extraction.observations}), MIN_STATIONS - 1
-    have = _number_of_legs(made)
-    if logs > 1:
-        yield Check(
-            "legs", have, least, enough(have, least),
-            "legs between consecutive stations",
-            f"{have:g} in {logs} recordings",
-            f"at least {least:g}",
-            f"The {logs} recordings have only {have:g} legs between consecutive stations (limit {least:g}).",
-            "Record again with more stops in each recording.",
-        )  # fmt: skip
+    have = float(len(made.extraction.observations) - logs)
+    yield Check(
+        "legs", have, least, enough(have, least),
+        "legs between consecutive stations" if logs > 1 else "",
+        f"{have:g} in {logs} recordings",
+        f"at least {least:g}",
+        f"The {logs} recordings have only {have:g} legs between consecutive stations (limit {least:g}).",
+        "Record again with more stops in each recording.",
+    )  # fmt: skip
 
 
 _JUMPS = {
@@ -215,12 +258,7 @@ def jump(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _number_observable(made: Calibration) -> float | None:
-    uncertainty = made.solution.uncertainty
-    return None if uncertainty is None else float(np.sum(uncertainty.observable | uncertainty.fixed))
-
-
-@criterion(Metric("observable", at_least=True, of=_number_observable), section="stations")
+@criterion(Metric("observable", at_least=True), section="stations")
 def observable(made: Calibration) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
 
@@ -234,7 +272,9 @@ def observable(made: Calibration) -> Iterator[Check]:
             NINE, uncertainty.observable, uncertainty.fixed, uncertainty.described, strict=True
         ) if not (ok or by_user or described)
     ]  # fmt: skip
-    if uncertainty.described.any() and not missing:
+    if not missing and not uncertainty.described.any():
+        yield Check("observable", float(np.sum(uncertainty.observable | uncertainty.fixed)))
+    elif not missing:
         shown = int(uncertainty.observable.sum())
         yield Check(
             "observable", shown, shown, "pass",
@@ -287,26 +327,21 @@ def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     return " and ".join(lacking.values()), f"Record again and {'; '.join(cures)}."
 
 
-def _extent(key: str) -> Metric:
-    return Metric(
-        f"motion.{key}", MOTION[key].unit, at_least=True, of=lambda made: made.solution.motion.get(key)
-    )
-
-
-@criterion(*map(_extent, MOTION), section="stations")
+@criterion(*(Metric(f"motion.{key}", MOTION[key].unit, at_least=True) for key in MOTION), section="stations")
 def motion(made: Calibration) -> Iterator[Check]:
-    """Motion of head and base, for methods without standard deviations."""
-    for key, extent in MOTION.items() if made.solution.uncertainty is None else ():
-        value, least = made.solution.motion.get(key), extent.least
-        if value is not None:
-            yield Check(
-                f"motion.{key}", value, least, enough(value, least),
-                extent.name,
-                f"{value:.1f} {extent.unit}",
-                f"at least {least:g} {extent.unit}",
-                f"The {extent.name} in the recording is {value:.1f} {extent.unit} only (limit {least:g}).",
-                f"Record again and {extent.cure}.",
-            )  # fmt: skip
+    """Motion of head and base: a criterion for methods without standard deviations."""
+    for key, value in made.solution.motion.items():
+        if key not in MOTION:
+            continue
+        extent, least = MOTION[key], MOTION[key].least
+        yield Check(
+            f"motion.{key}", value, least, enough(value, least),
+            extent.name if made.solution.uncertainty is None else "",
+            f"{value:.1f} {extent.unit}",
+            f"at least {least:g} {extent.unit}",
+            f"The {extent.name} in the recording is {value:.1f} {extent.unit} only (limit {least:g}).",
+            f"Record again and {extent.cure}.",
+        )  # fmt: skip
 
 
 @criterion(Metric("camera_info"), gated=False, section="description")
@@ -589,46 +624,24 @@ def square_size(made: Calibration) -> Iterator[Check]:
     )  # fmt: skip
 
 
-def _noise_levels(made: Calibration) -> dict[str, float]:
-    """Noise levels in the units of their metrics, 0 where there is nothing to measure; empty without an estimate."""
-    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
-    if uncertainty is None:
-        return {}
-    noise, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
-    slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
-    return {
-        "noise.height": 1e3 * noise.floor_m,
-        "noise.joint": 0.0 if slides else math.degrees(noise.joint_rad),
-        "noise.sliding_joint": 1e3 * chain.joint_units[0] * noise.joint_rad if slides else 0.0,
-        "noise.wheel": noise.wheel_rad_per_sqrt_rad,
-        "noise.wheel_share": 100 * noise.wheel_share,
-        "noise.floor": math.degrees(noise.floor_rad),
-        "noise.stamp": 1e3 * noise.stamp_s if moving else 0.0,
-    }
-
-
-def _noise(name: str, unit: str) -> Metric:
-    return Metric(name, unit, of=lambda made: _noise_levels(made).get(name))
-
-
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
 #: Noise level → the largest usual level, the limit, its name, and what to check.
 _FLOOR_HEIGHT = {
-    _noise("noise.height", "mm"): (
+    Metric("noise.height", "mm"): (
         4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move",
     ),
 }  # fmt: skip
 _NOISE = {
-    _noise("noise.joint", "degrees"): (0.2, 0.4, *_PLAY),
-    _noise("noise.sliding_joint", "mm"): (0.35, 0.7, *_PLAY),
-    _noise("noise.wheel", "rad per sqrt(rad)"): (0.015, 0.03, "wheels", "the wheels for slip"),
-    _noise("noise.wheel_share", "%"): (
+    Metric("noise.joint", "degrees"): (0.2, 0.4, *_PLAY),
+    Metric("noise.sliding_joint", "mm"): (0.35, 0.7, *_PLAY),
+    Metric("noise.wheel", "rad per sqrt(rad)"): (0.015, 0.03, "wheels", "the wheels for slip"),
+    Metric("noise.wheel_share", "%"): (
         1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
     ),
-    _noise("noise.floor", "degrees"): (
+    Metric("noise.floor", "degrees"): (
         0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
     ),
-    _noise("noise.stamp", "ms"): (
+    Metric("noise.stamp", "ms"): (
         2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
 }  # fmt: skip
@@ -638,17 +651,31 @@ def _noise_checks(
     made: Calibration, levels: Mapping[Metric, tuple[float, float, str, str]]
 ) -> Iterator[Check]:
     """Noise levels that are not zero; the estimate allows for them, so the limits are wide."""
+    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
+    if uncertainty is None:
+        return
+    noise, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
+    slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
+    measured = {
+        "noise.height": 1e3 * noise.floor_m,
+        "noise.joint": 0.0 if slides else math.degrees(noise.joint_rad),
+        "noise.sliding_joint": 1e3 * chain.joint_units[0] * noise.joint_rad if slides else 0.0,
+        "noise.wheel": noise.wheel_rad_per_sqrt_rad,
+        "noise.wheel_share": 100 * noise.wheel_share,
+        "noise.floor": math.degrees(noise.floor_rad),
+        "noise.stamp": 1e3 * noise.stamp_s if moving else 0.0,
+    }
     for metric, (usual, bad, name, cause) in levels.items():
-        if level := metric.of(made):
-            measured = f"{level:.2g} {metric.unit}"
-            yield Check(
-                metric.name, level, bad, graded(level, bad),
-                f"noise of the {name}",
-                measured,
-                f"under {bad:g} {metric.unit}",
-                f"The noise of the {name} is {measured} (below {usual:g} {metric.unit} is usual).",
-                f"Check {cause}. Then record again.",
-            )  # fmt: skip
+        level = measured[metric.name]
+        text = f"{level:.2g} {metric.unit}"
+        yield Check(
+            metric.name, level, bad, graded(level, bad),
+            f"noise of the {name}" if level else "",
+            text,
+            f"under {bad:g} {metric.unit}",
+            f"The noise of the {name} is {text} (below {usual:g} {metric.unit} is usual).",
+            f"Check {cause}. Then record again.",
+        )  # fmt: skip
 
 
 @criterion(*_FLOOR_HEIGHT, section="limits")
@@ -824,17 +851,11 @@ def noise(made: Calibration) -> Iterator[Check]:
     yield from _noise_checks(made, _NOISE)
 
 
-def _expected(figure: Figure) -> Metric:
-    def of(made: Calibration) -> float | None:
-        uncertainty = made.solution.uncertainty
-        return None if uncertainty is None else figure.of(uncertainty.at_work)
-
-    return Metric(figure.name, figure.unit, of=of)
-
-
-@criterion(*map(_expected, FIGURES), section="limits")
+@criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES), section="limits")
 def expected_errors(made: Calibration) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
+    if made.solution.uncertainty is not None:
+        yield from (Check(figure.name, figure.of(made.solution.uncertainty.at_work)) for figure in FIGURES)
     for use in sorted(uses(made.solution, made.gates), key=lambda use: -use.share):
         figure, shares = use.figure, use.shares
         value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"

@@ -36,19 +36,17 @@ class Metric:
     """A figure that a gate can limit, by a lower limit if `at_least`.
 
     The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
-    for counts and ratios. If the name ends in a unit, the value has this unit. `of` is its value where no criterion
-    gives one, None if unknown.
+    for counts and ratios. If the name ends in a unit, the value has this unit.
     """
 
     name: str
     unit: str = ""
     at_least: bool = False
-    of: Callable[[Calibration], float | None] = field(default=lambda _: None, repr=False, compare=False)
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One criterion of the verdict, with its sentences; `limit` is a lower one if `at_least`.
+    """One criterion of the verdict, with its sentences; without a name, a figure alone, which gates can limit.
 
     Attributes:
         id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint").
@@ -65,15 +63,15 @@ class Check:
 
     id: str
     value: float | None
-    limit: float | None
-    unit: str = field(default="", kw_only=True)
-    at_least: bool = field(default=False, kw_only=True)
-    outcome: Outcome
-    name: str
-    measured_text: str
-    limit_text: str
+    limit: float | None = None
+    outcome: Outcome = "pass"
+    name: str = ""
+    measured_text: str = ""
+    limit_text: str = ""
     why: str = ""
     next_step: str = ""
+    unit: str = field(default="", kw_only=True)
+    at_least: bool = field(default=False, kw_only=True)
 
     def __post_init__(self) -> None:
         if self.outcome == "pass":

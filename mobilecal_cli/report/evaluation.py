@@ -24,12 +24,12 @@ from mobilecal_cli.model import (
     Uncertainty,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD
+from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD, drift_figures, rms
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
 from mobilecal_cli.report.use import small_extents
-from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by, drift_figures, rms
+from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (

@@ -447,7 +447,7 @@ def build_report(case: Case) -> ReportData:
         schema_version=6,
         verdict=case.verdict,
         numbers=numbers_of(solution, extraction.rig),
-        metrics=figures_of(case, case.verdict.checks),
+        metrics=figures_of(case),
         parameters=like(
             ResultData,
             _nine(solution.parameters, cameras, alone),

@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
-import numpy as np
-
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FACTORS, NINE, Drift, Evaluation, Extraction, FloatArray, Provenance, Solution
+from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
 from mobilecal_cli.ranges import number_of
-from mobilecal_cli.report import checks as _checks  # noqa: F401  (it fills CRITERIA)
+from mobilecal_cli.report.checks import EVALUATED
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import json_as
-from mobilecal_cli.report.numbers import PARAMETERS, odometry_factors, reference_std
+from mobilecal_cli.report.numbers import PARAMETERS, reference_std
 from mobilecal_cli.report.use import (
     FIGURES,
     Error,
@@ -38,7 +36,6 @@ LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
 #: Name of a figure → its value, None if unknown.
 Figures = Mapping[str, float | None]
 _GATE = "gate."  # how the ids of the user's limits begin
-_ODOMETRY = "std.odometry."
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +65,9 @@ def judge(
 ) -> Verdict:
     """The verdict on a solution, see `Calibration`. The first criterion that is not met decides."""
     made = Calibration(solution, extraction, gates or {}, trial, change)
-    of_criteria = [check for criterion in CRITERIA for check in criterion.checks(made)]
-    figures = figures_of(made, of_criteria)
-    checks = Checks((*of_criteria, *gate_checks(made.gates, figures, lambda *gate: _gate_cure(made, *gate))))
+    judged = [check for criterion in CRITERIA for check in criterion.checks(made) if check.name]
+    gated = gate_checks(made.gates, figures_of(made), lambda *gate: _gate_cure(made, *gate))
+    checks = Checks((*judged, *gated))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return decided_by(decisive, checks)
@@ -104,75 +101,13 @@ def reasons_of(verdict: Verdict) -> tuple[str, ...]:
     return tuple(check.why for check in verdict.checks if check.outcome in LEVELS)
 
 
-def rms(values: FloatArray) -> float:
-    """Root mean square."""
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def drift_figures(drift: Drift) -> dict[str, float | None]:
-    """Drift in mm per m and degrees per full turn."""
-    return {
-        "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
-        "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
-    }
-
-
-#: Figures of an evaluation.
-_EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
-    Metric("stations", at_least=True): lambda evaluation: float(evaluation.stations),
-    Metric("legs", at_least=True): lambda evaluation: float(len(evaluation.legs)),
-    Metric("reprojection_rms_px", "px"): lambda evaluation: rms(evaluation.reprojection_px),
-    Metric("rotation_rms_deg", "deg"): lambda evaluation: math.degrees(rms(evaluation.rotation_rad)),
-    Metric("translation_rms_mm", "mm"): lambda evaluation: rms(evaluation.translation_m) * 1e3,
-    Metric("drift_mm_per_m", "mm/m"): lambda evaluation: drift_figures(evaluation.after)["mm_per_m"],
-    Metric("drift_deg_per_turn", "deg"): lambda evaluation: drift_figures(evaluation.after)["deg_per_turn"],
-}
 _USE_GATES = frozenset(figure.name for figure in FIGURES)
-
-
-def _std(k: int) -> Metric:
-    """Standard deviation of one of the nine parameters; of a robot with odometry alone, its factors have one."""
-
-    def of(made: Calibration) -> float | None:
-        factors = odometry_factors(made.extraction.rig, made.solution)
-        return None if factors and k >= len(NINE[:6]) else (reference_std(made.solution) or [None] * 9)[k]
-
-    return Metric(PARAMETERS[k].gate, PARAMETERS[k].unit, of=of)
-
-
-def _factor_std(name: str) -> Metric:
-    """Standard deviation of a factor of odometry."""
-    return Metric(
-        f"{_ODOMETRY}{name}",
-        "1",
-        of=lambda made: odometry_factors(made.extraction.rig, made.solution).get(name, (0.0, None))[1],
-    )
-
-
-def _held_out(metric: Metric, value: Callable[[Evaluation], float | None]) -> Metric:
-    """A figure of the evaluation on held-out stations."""
-    return replace(
-        metric,
-        name=f"hold_out.{metric.name}",
-        of=lambda made: None if made.trial is None else value(made.trial),
-    )
-
-
-#: Figures of a calibration that no criterion judges.
-_FURTHER = (
-    Metric("reprojection_rms_px", "px", of=lambda made: made.solution.reprojection_rms_px),
-    Metric("point_rms_mm", "mm", of=lambda made: made.solution.point_rms_m * 1e3),
-    Metric("left_out", of=lambda made: float(sum(o.kind != "corners" for o in made.solution.outliers))),
-    *(_std(k) for k in range(len(PARAMETERS))),
-    *(_factor_std(name) for name in FACTORS),
-    *(_held_out(metric, value) for metric, value in _EVALUATED.items()),
-)
 
 
 def gate_metrics(*, evaluating: bool = False) -> dict[str, Metric]:
     """Name → figure, of those that a gate of `calibrate` (or of `evaluate`) can limit."""
     judged = (metric for criterion in CRITERIA if criterion.gated for metric in criterion.metrics)
-    return {metric.name: metric for metric in (_EVALUATED if evaluating else (*_FURTHER, *judged))}
+    return {metric.name: metric for metric in (EVALUATED if evaluating else judged)}
 
 
 def gates_of(
@@ -225,23 +160,20 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
     return ConfigError(f"{where}: unknown figure", hint)
 
 
-def figures_of(made: Calibration, checks: Iterable[Check]) -> dict[str, float | None]:
-    """Value of every figure of a calibration that a gate can limit, None if unknown: that of its criterion, if any.
+def figures_of(made: Calibration) -> dict[str, float | None]:
+    """Value of every figure of a calibration that a gate can limit, None if unknown.
 
     The factors of odometry are left out for a robot with wheels.
     """
     alone = made.extraction.rig.sources.assumed_odometry is not None
-    figures = {
-        name: metric.of(made)
-        for name, metric in gate_metrics().items()
-        if alone or not name.startswith(_ODOMETRY)
-    }
-    return figures | {check.id: check.value for check in checks if check.id in figures}
+    names = [name for name in gate_metrics() if alone or not name.startswith("std.odometry.")]
+    values = {check.id: check.value for criterion in CRITERIA for check in criterion.checks(made)}
+    return {name: values.get(name) for name in names}
 
 
 def evaluated_figures(evaluation: Evaluation) -> Figures:
     """Every figure of an evaluation that a gate can limit."""
-    return {metric.name: of(evaluation) for metric, of in _EVALUATED.items()}
+    return {metric.name: of(evaluation) for metric, of in EVALUATED.items()}
 
 
 def _gate_cure(made: Calibration, name: str, limit: float) -> str:

@@ -119,7 +119,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
     robot = ROBOTS["paper"]()
     extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
     solution = solve(extraction)
-    figures = figures_of(Calibration(solution, extraction, trial=EVALUATION), ())
+    figures = figures_of(Calibration(solution, extraction, trial=EVALUATION))
     assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])
     assert figures["std.head_eye.r_x_rad"] == pytest.approx(solution.uncertainty.std[0])
     assert figures["hold_out.drift_mm_per_m"] == pytest.approx(4.0)
@@ -129,7 +129,7 @@ def test_figures_of_a_calibration_are_those_of_its_files():
         if name.startswith(("std.", "predicted.", "noise.", "motion."))
         and not name.startswith("std.odometry.")
     )
-    unknown = figures_of(Calibration(solve(extraction, "lm"), extraction), ())
+    unknown = figures_of(Calibration(solve(extraction, "lm"), extraction))
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
 

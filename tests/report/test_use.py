@@ -59,7 +59,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     assert verdict.level == level
     check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
-    assert figures_of(Calibration(solution, extraction), ())[check.id] == check.value
+    assert figures_of(Calibration(solution, extraction))[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
 
 
