@@ -12,7 +12,7 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params, used_for
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution, WheelGeometry
-from mobilecal_cli.report.evaluation import Evaluated, dependence, judge_evaluation
+from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.solvers import clock_offsets, solve
@@ -70,9 +70,9 @@ def evaluate(
         extraction, parameters, wheels or nominal, offsets_s=offsets, reference=reference or nominal
     )
     used = used_for(robot, extraction)
-    checks = tuple(gate_checks(limits, evaluated_figures(evaluation)))
-    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, cure, used, checks)
-    return Evaluated(evaluation, extraction, verdict, checks, used, dependence(used, len(extraction.logs)))
+    gated = gate_checks(limits, evaluated_figures(evaluation))
+    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, cure, used, gated)
+    return Evaluated(evaluation, extraction, verdict, used)
 
 
 def _for_recording(robot: CalibratedRobot, extraction: Extraction, params: Path) -> CalibratedRobot:

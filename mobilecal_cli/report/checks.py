@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
@@ -31,7 +32,6 @@ from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     board_distance_m,
-    encoder_heading_rad,
     odometry_factors,
     plain_names,
     reference_std,
@@ -702,7 +702,10 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     residuals, names = made.solution.residuals, station_names(made.extraction)
     if len(residuals.legs) < least_legs:
         return
-    bad = max(bad, encoder_steps * encoder_heading_rad(made.solution, made.extraction))
+    wheels = made.solution.parameters.wheels
+    right_rad, left_rad = encoder_steps_rad(made.extraction.wheels).tolist()
+    step_rad = (wheels.radius_right_m * right_rad + wheels.radius_left_m * left_rad) / wheels.separation_m
+    bad = max(bad, encoder_steps * step_rad)
     for kind, unit, errors, scale in (
         ("point", "mm", residuals.leg_point_rms_m * 1e3, board_distance_m(made.extraction) * 1e3),
         ("reprojection", "px", residuals.leg_reprojection_px, float(made.solution.cameras.first.K[0, 0])),

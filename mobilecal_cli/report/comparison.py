@@ -108,8 +108,7 @@ def comparison_text(comparison: Comparison) -> str:
             change, s = each.change[k] * parameter.factor, each.std[k] * parameter.factor
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
-            name = parameter.factor_name or parameter.name
-            rows.append((name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
+            rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += Table.of(heads, rows).lines((14 if each.assumed is None else 32, 12, 12, 10))
         lines += ["", "  r is a small rotation about the head's axes.", ""]

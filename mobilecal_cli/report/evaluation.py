@@ -7,7 +7,7 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,15 +18,13 @@ from mobilecal_cli.model import (
     CameraRig,
     Evaluation,
     Extraction,
-    FloatArray,
     Parameters,
     Solution,
-    Uncertainty,
 )
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD, drift_figures, rms
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
-from mobilecal_cli.report.formats import ByName, Number, Table, json_text, json_value
+from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
 from mobilecal_cli.report.use import small_extents
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
@@ -61,17 +59,23 @@ class Evaluated:
         evaluation: the figures.
         extraction: the recording's measurements.
         verdict: PASS, FAIL or NOT ENOUGH, with every check.
-        checks: the user's gates.
         used: names of the recordings that the calibration was made from.
-        notes: what to know about the figures, whole sentences.
     """
 
     evaluation: Evaluation
     extraction: Extraction
     verdict: Verdict
-    checks: tuple[Check, ...]
-    used: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    used: tuple[str, ...]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """A note if the calibration was made from some of the evaluated recordings, a whole sentence."""
+        if not self.used:
+            return ()
+        which = f"{', '.join(self.used)} {'was' if len(self.used) == 1 else 'were'}"
+        if len(self.extraction.logs) == 1:
+            which = "This recording was"
+        return (f"{which} used for this calibration: the errors below are not independent.",)
 
 
 def judge_evaluation(
@@ -79,9 +83,9 @@ def judge_evaluation(
     cameras: CameraRig,
     robot: CalibratedRobot,
     own: Solution | MobilecalError,
-    cure: str = "",
-    used: Sequence[str] = (),
-    gates: Sequence[Check] = (),
+    cure: str,
+    used: Sequence[str],
+    gates: Iterable[Check],
 ) -> Verdict:
     """Verdict on a calibration. A failed check comes before one that lacks data.
 
@@ -94,32 +98,8 @@ def judge_evaluation(
         used: names of the recordings that the calibration was made from.
         gates: the user's limits, see `gate_checks`.
     """
-    checks = Checks((*_checks(evaluation, cameras, robot, own, cure), *gates))
-    if checks.worst.outcome in LEVELS:
-        return decided_by(checks.worst, checks)
-    agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
-    unused = "Evaluate a recording that was not used for this calibration."
-    next_step = unused if used else "Use params.yaml on the robot."
-    return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
-
-
-def dependence(used: Sequence[str], logs: int) -> tuple[str, ...]:
-    """A note if the calibration was made from some of the evaluated recordings."""
-    if not used:
-        return ()
-    which = "This recording was" if logs == 1 else f"{', '.join(used)} {'was' if len(used) == 1 else 'were'}"
-    return (f"{which} used for this calibration: the errors below are not independent.",)
-
-
-def _checks(
-    evaluation: Evaluation,
-    cameras: CameraRig,
-    robot: CalibratedRobot,
-    own: Solution | MobilecalError,
-    cure: str,
-) -> Iterator[Check]:
     have, least = evaluation.stations, MIN_STATIONS
-    yield Check(
+    enough_stations = Check(
         "evaluated_stations", have, least, enough(have, least),
         "stations",
         f"{have:g}",
@@ -128,18 +108,21 @@ def _checks(
         "Record at least ten stations.",
         at_least=True,
     )  # fmt: skip
-    yield _corner_error(evaluation, cameras, own)
     if isinstance(own, MobilecalError):
-        yield Check(
-            "own_estimate", None, None, "not_enough",
-            "estimate from this recording",
-            "none",
-            "all nine parameters",
-            f"This recording cannot be solved by itself: {own.message}.",
-            f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again.",
-        )  # fmt: skip
+        cure = f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again."
+        why = f"This recording cannot be solved by itself: {own.message}."
+        solved = Check("own_estimate", None, None, "not_enough", "estimate from this recording", "none",
+                       "all nine parameters", why, cure)  # fmt: skip
+        agreement = iter((solved,))
     else:
-        yield from _agreement(robot, own, cure)
+        agreement = _agreement(robot, own, cure)
+    checks = Checks((enough_stations, _corner_error(evaluation, cameras, own), *agreement, *gates))
+    if checks.worst.outcome in LEVELS:
+        return decided_by(checks.worst, checks)
+    agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
+    unused = "Evaluate a recording that was not used for this calibration."
+    next_step = unused if used else "Use params.yaml on the robot."
+    return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
 
 
 def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | MobilecalError) -> Check:
@@ -174,7 +157,15 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
     """Whether each quantity is that of the recording's own estimate; without those that no motion shows."""
     uncertainty = own.uncertainty
     assert uncertainty is not None  # the default method always has one
-    change, covariance = _compared(robot, own, uncertainty)
+    # Difference in deg, mm and percent, (9,), and its covariance, (9, 9).
+    estimate = Parameters(reference_pose(own.parameters, own.cameras), own.parameters.wheels)
+    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
+    change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate) * scales
+    covariance = uncertainty.reference_covariance.copy()
+    if robot.knowledge is not None:
+        mine = np.diag(robot.knowledge.observable.astype(np.float64))
+        covariance += mine @ robot.knowledge.covariance @ mine
+    covariance *= np.outer(scales, scales)
     for key, of_wheels, whole, limit, unit in _QUANTITIES:
         name = of_wheels if robot.odometry is None else _OF_ODOMETRY.get(key, of_wheels)
         part = np.arange(9)[whole][~uncertainty.described[whole]]
@@ -206,22 +197,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         yield Check(f"agreement.{key}", value, limit, outcome, name, measured, at_most, why, cure, unit=unit)
 
 
-def _compared(
-    robot: CalibratedRobot, own: Solution, uncertainty: Uncertainty
-) -> tuple[FloatArray, FloatArray]:
-    """Difference in deg, mm and percent, (9,), and its covariance, (9, 9)."""
-    estimate = Parameters(reference_pose(own.parameters, own.cameras), own.parameters.wheels)
-    scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
-    covariance = uncertainty.reference_covariance.copy()
-    if robot.knowledge is not None:
-        mine = np.diag(robot.knowledge.observable.astype(np.float64))
-        covariance += mine @ robot.knowledge.covariance @ mine
-    change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate)
-    return change * scales, covariance * np.outer(scales, scales)
-
-
-@json_value
-class SpreadData:
+class SpreadData(JsonValue):
     """Root mean square, median and largest error of a leg."""
 
     rms: float
@@ -229,16 +205,14 @@ class SpreadData:
     worst: float
 
 
-@json_value
-class DriftData:
+class DriftData(JsonValue):
     """Drift of dead reckoning."""
 
     mm_per_m: Number
     deg_per_turn: Number
 
 
-@json_value
-class LegErrorData:
+class LegErrorData(JsonValue):
     """Errors on one leg of a recording."""
 
     log: int
@@ -249,8 +223,7 @@ class LegErrorData:
     translation_mm: float
 
 
-@json_value
-class EvaluationData:
+class EvaluationData(JsonValue):
     """Errors of a calibration on stations that it was not made from."""
 
     stations: int
@@ -273,10 +246,10 @@ def evaluation_data(evaluation: Evaluation) -> EvaluationData:
         "rotation_deg": np.degrees(evaluation.rotation_rad),
         "translation_mm": evaluation.translation_m * 1e3,
     }
-    return EvaluationData(
-        stations=evaluation.stations,
+    return like(
+        EvaluationData,
+        evaluation,
         legs=len(evaluation.legs),
-        driven_m=evaluation.driven_m,
         turned_deg=math.degrees(evaluation.turned_rad),
         **{
             key: SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
@@ -293,7 +266,6 @@ def evaluation_data(evaluation: Evaluation) -> EvaluationData:
             )
             for leg, (log, first, second) in enumerate(evaluation.legs.tolist())
         ),
-        clock_offsets_s=dict(evaluation.clock_offsets_s),
     )
 
 
@@ -308,7 +280,7 @@ def evaluation_json(result: Evaluated) -> str:
             "notes": [*result.notes, *result.extraction.notes],
             **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},
             "verdict": result.verdict,
-            "gates": result.checks,
+            "gates": [check for check in result.verdict.checks if check.id.startswith("gate.")],
         }
     )
 

@@ -162,14 +162,13 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
         now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
         unit = "" if shown.unit == "1" else f" {shown.unit}"
         path, worst = _path(suggestion), suggestion.worst
-        called = shown.factor_name or worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (
-                f"the standard deviation of {called} falls from {now} to {then}{unit}, and the least certain "
+                f"the standard deviation of {shown.name} falls from {now} to {then}{unit}, and the least certain "
                 f"parameter improves by {100 * suggestion.gain:.0f} %"
             )
         else:
-            gain = f"{called}, now unobservable, gets a standard deviation of {then}{unit}"
+            gain = f"{shown.name}, now unobservable, gets a standard deviation of {then}{unit}"
         board_in_view = f"{extraction.rig.cameras.cameras_words} the whole board"
         stop = f"Set {head}, so that {board_in_view}, and stop." if head else f"Stop where {board_in_view}."
         sentences.append(f"{path[0].upper()}{path[1:]}. {stop} Expected result: {gain}.")

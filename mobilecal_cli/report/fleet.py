@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import NINE, FloatArray
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import PARAMETERS, std_text, value_text
 from mobilecal_cli.report.page import template
 
@@ -93,7 +93,7 @@ def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
 
 
 def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
-    """Column → value of each robot; rotations are relative to the first robot that passes, None where unknown."""
+    """Column → value of each robot; rotations are relative to the first robot that passes, NaN where unknown."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
     names = [f"{p.name}_{p.shown_unit}" for p in PARAMETERS]
@@ -104,9 +104,7 @@ def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
             "verdict": row.verdict,
             "exit_code": row.exit_code,
             "stations": row.stations,
-            **{
-                name: value if np.isfinite(value) else None for name, value in zip(names, values, strict=True)
-            },
+            **dict(zip(names, values, strict=True)),
             "stands_out": " ".join(out.get(row.name, ())),
             "skipped": row.skipped,
             "reason": row.reason,
@@ -126,11 +124,11 @@ def fleet_csv(rows: Sequence[FleetRow]) -> str:
     return stream.getvalue()
 
 
-def _cell(value: str | float | None) -> str:
+def _cell(value: str | float) -> str:
     """A value for a spreadsheet; text after a quote if it would be a formula there."""
     if isinstance(value, float):
-        return f"{value:.6f}"
-    shown = "" if value is None else visible(str(value))
+        return f"{value:.6f}" if np.isfinite(value) else ""
+    shown = visible(str(value))
     return f"'{shown}" if shown[:1] in ("=", "+", "-", "@") else shown
 
 
@@ -138,7 +136,7 @@ def fleet_json(rows: Sequence[FleetRow]) -> str:
     """The lines of the robots as JSON, with the exit code of the batch: the largest."""
     robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
     content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
+    return json_text(content, sort_keys=False)
 
 
 def fleet_html(rows: Sequence[FleetRow]) -> str:

@@ -40,9 +40,11 @@ _T = TypeVar("_T")
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
-def json_value(cls: type[_T]) -> type[_T]:
-    """A frozen dataclass whose fields are given by name, for JSON."""
-    return dataclass(frozen=True, slots=True, kw_only=True, eq=False)(cls)
+class JsonValue:
+    """A value for JSON: its subclasses are frozen dataclasses, whose fields are given by name."""
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True, kw_only=True, eq=False)(cls)
 
 
 def like(cls: type[_T], source: object, **more: Any) -> _T:  # noqa: ANN401
@@ -73,8 +75,7 @@ def _plain(value: Any) -> Any:  # noqa: ANN401  (JSON is what it is)
 Kind = Literal["text", "number", "code", "name", "strong", "tag"]
 
 
-@json_value
-class Table:
+class Table(JsonValue):
     """A table of the page, formatted; a column is text, a number, code, a name, the result ("strong") or a tag."""
 
     section: str

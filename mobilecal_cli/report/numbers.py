@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_steps_rad, head_eye_words
+from mobilecal_cli.kinematics import head_eye_words
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
@@ -22,13 +22,12 @@ from mobilecal_cli.model import (
     Extraction,
     FloatArray,
     Parameters,
-    Rejection,
     Rig,
     Solution,
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.formats import json_value
+from mobilecal_cli.report.formats import JsonValue
 
 _MOST_DECIMALS = 6
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
@@ -42,10 +41,9 @@ class Parameter:
     Attributes:
         name: as in params.yaml.
         label: in a summary.
-        unit: "rad" or "m".
-        shown_unit, factor: unit for people, and how many of it one `unit` is.
+        unit: "rad" or "m"; "1" for a factor of odometry.
+        shown_unit, factor: unit for people, and how many of it one unit of the value in the code (rad or m) is.
         digits: decimals to show where no standard deviation is known.
-        factor_name: of a factor of odometry, its name in params.yaml.
     """
 
     name: str
@@ -54,13 +52,12 @@ class Parameter:
     shown_unit: str
     factor: float
     digits: int
-    factor_name: str = ""
 
     @property
     def gate(self) -> str:
         """Name of the gate on its standard deviation."""
         if self.unit == "1":
-            return f"std.odometry.{self.factor_name}"
+            return f"std.odometry.{self.name}"
         return f"std.{'wheels' if self.name in NINE[6:] else 'head_eye'}.{self.name}_{self.unit}"
 
     @property
@@ -85,17 +82,13 @@ def parameters_of(rig: Rig) -> tuple[Parameter, ...]:
 
 def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
     """The nine parameters, with factors of assumed wheels."""
-    sizes = zip(PARAMETERS[6:], FACTORS, assumed.vector.tolist(), strict=False)
     return (
         *PARAMETERS[:6],
         *(
-            replace(
-                p, label=name.replace("_", " "), unit="1", shown_unit="",
-                factor=1 / size, digits=5, factor_name=name,
-            )
-            for p, name, size in sizes
+            Parameter(name, name.replace("_", " "), "1", "", factor=1 / size, digits=5)
+            for name, size in zip(FACTORS, assumed.vector.tolist(), strict=False)
         ),
-    )  # fmt: skip
+    )
 
 
 def value_text(value: float, std: float | None, otherwise: int, sign: str = "") -> str:
@@ -126,8 +119,7 @@ def decimals_of(std: float, otherwise: int = 3) -> int:
     return min(max(1 - exponent, 0), _MOST_DECIMALS)
 
 
-@json_value
-class NumberData:
+class NumberData(JsonValue):
     """One number of the result, as every output shows it.
 
     The value of a rotation is a component of the rotation vector from the camera to the head, and its standard
@@ -154,35 +146,30 @@ class NumberData:
 
 def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
-    shown, factors = parameters_of(rig), odometry_factors(rig, solution)
     T, uncertainty = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
     values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
     stds = reference_std(solution) or (None,) * len(PARAMETERS)
-    numbers = []
-    for k, (parameter, value, std) in enumerate(zip(shown, values, stds, strict=True)):
-        state = ""
-        if uncertainty is not None:
-            state = "fixed" if std is None else "" if uncertainty.observable[k] else "not determined"
-            state = "from the robot description" if uncertainty.described[k] else state
-        name, unit = parameter.factor_name or parameter.name, parameter.unit
-        if parameter.factor_name:
-            (value, std), unit = factors.pop(name), parameter.shown_unit
-        numbers.append(_number(name, parameter.label, unit, float(value), std, state))
-    for name, (value, std) in factors.items():  # that follow from those above
-        numbers.append(_number(name, name.replace("_", " "), "", value, std, numbers[-1].state))
-    return tuple(numbers)
-
-
-def _number(name: str, label: str, unit: str, value: float, std: float | None, state: str) -> NumberData:
-    return NumberData(
-        name=name,
-        label=label,
-        unit=unit,
-        value=value,
-        std=std,
-        state=state,
-        value_text=value_text(value, std, _UNCERTAIN_DIGITS),
-        std_text="" if std is None else std_text(std),
+    states = [""] * len(PARAMETERS)
+    if uncertainty is not None:
+        for k, std in enumerate(stds):
+            states[k] = "fixed" if std is None else "" if uncertainty.observable[k] else "not determined"
+            states[k] = "from the robot description" if uncertainty.described[k] else states[k]
+    rows = [(p.name, p.label, p.unit, float(v), s) for p, v, s in zip(PARAMETERS, values, stds, strict=True)]
+    factors = odometry_factors(rig, solution).items()
+    if factors:  # the last two follow from the others
+        rows[6:] = [(name, name.replace("_", " "), "", value, std) for name, (value, std) in factors]
+    return tuple(
+        NumberData(
+            name=name,
+            label=label,
+            unit=unit,
+            value=value,
+            std=std,
+            state=states[min(k, len(states) - 1)],
+            value_text=value_text(value, std, _UNCERTAIN_DIGITS),
+            std_text="" if std is None else std_text(std),
+        )
+        for k, (name, label, unit, value, std) in enumerate(rows)
     )
 
 
@@ -264,12 +251,8 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
 
 def board_distance_m(extraction: Extraction) -> float:
     """Median distance from the camera to the corners, m; 0 without observations."""
-    observations = extraction.observations
-    return (
-        float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in observations]))
-        if observations
-        else 0.0
-    )
+    distances_m = [np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]
+    return float(np.median(distances_m)) if distances_m else 0.0
 
 
 def square_size_mm(extraction: Extraction) -> float | None:
@@ -280,30 +263,9 @@ def square_size_mm(extraction: Extraction) -> float | None:
     return float(np.median(sizes)) if sizes else None
 
 
-def stated_priors(solution: Solution) -> dict[str, float]:
-    """Constants that the data contradict → their stated priors, before these were widened."""
-    return {
-        name: each.prior
-        for evidence in reversed(solution.contradictions)
-        for name, each in evidence.values.items()
-    }
-
-
-def encoder_heading_rad(solution: Solution, extraction: Extraction) -> float:
-    """Heading error if both encoders are off by one step, rad."""
-    wheels = solution.parameters.wheels
-    right, left = encoder_steps_rad(extraction.wheels).tolist()
-    return float(wheels.radius_right_m * right + wheels.radius_left_m * left) / wheels.separation_m
-
-
 def stations_looked_at(extraction: Extraction) -> int:
     """Number of stations found, whether used or rejected."""
     return max(extraction.counts.get("stations", 0), len(extraction.observations))
-
-
-def rejected_station(rejection: Rejection, extraction: Extraction) -> str:
-    """Station of a rejection, see `Extraction.station_name`; "" if it has none."""
-    return "" if rejection.station < 0 else extraction.station_name(rejection.log, rejection.station)
 
 
 def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
@@ -312,8 +274,9 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
     return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 
-def image_coverage(pixels: FloatArray, width: int, height: int, cells: tuple[int, int] = (8, 6)) -> float:
-    """Share of the cells of a coarse (across, down) image grid that contain a corner: (n, 2) → 0..1."""
+def image_coverage(pixels: FloatArray, width: int, height: int) -> float:
+    """Share of the cells of a coarse image grid (8 across, 6 down) that contain a corner: (n, 2) → 0..1."""
+    cells = (8, 6)
     at = np.floor(pixels / [width, height] * cells).astype(int)
     inside = np.all((at >= 0) & (at < cells), axis=-1)
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
@@ -323,7 +286,8 @@ def plain_names(names: Sequence[str], extraction: Extraction) -> str:
     """Some of the nine parameters in plain words, with the verb: "the camera's height is"."""
     joints = np.stack([o.joints for o in extraction.observations])
     parts = head_eye_words(names, extraction.rig.chain, joints)
-    parts += [f"the {p.label}" for p in parameters_of(extraction.rig)[6:] if p.name in names]
+    wheels = zip(NINE[6:], parameters_of(extraction.rig)[6:], strict=True)
+    parts += [f"the {parameter.label}" for name, parameter in wheels if name in names]
     said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{said} {'is' if len(parts) == 1 else 'are'}"
 

@@ -10,12 +10,14 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
+from typing import TypeVar
 
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
 from mobilecal_cli.model.text import visible
 
+_Value = TypeVar("_Value", float, FloatArray)
 WIDE, HALF = 640.0, 320.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0
 _CHARACTER = 6.2  # width of a character of a small label
@@ -59,8 +61,8 @@ class Scale:
         room += max(0.0, least - (high - low + 2 * room)) / 2
         return cls(low - room, high + room)
 
-    def __call__(self, value: float) -> float:
-        """Coordinate of a value."""
+    def __call__(self, value: _Value) -> _Value:
+        """Coordinate of a value, or of each of an array."""
         return self.start + (value - self.low) / ((self.high - self.low) or 1.0) * (self.end - self.start)
 
     @property
@@ -137,12 +139,8 @@ class Canvas:
             up = False
         self.shape("path", kind, stations, tip, d=f"{''.join(steps)}{'Z' if closed else ''}")
 
-    def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> float:
-        """Samples with labels in a row that wraps at the right edge: (class of the sample, label).
-
-        Returns:
-            The base line of the last row.
-        """
+    def legend(self, entries: Sequence[tuple[str, str]], x: float, y: float) -> None:
+        """Samples with labels in a row that wraps at the right edge: (class of the sample, label)."""
         at = x
         for kind, label in entries:
             wide = 22 + _CHARACTER * len(label)
@@ -154,7 +152,6 @@ class Canvas:
                 self.path(np.array([[at, y - 4], [at + 13, y - 4]]), kind)
             self.text(at + 17, y, label)
             at += wide + 8
-        return y
 
     @property
     def svg(self) -> str:
@@ -229,11 +226,7 @@ class Axes:
 
     def at(self, points: FloatArray) -> FloatArray:
         """Coordinates of points, (n, 2), on the canvas."""
-        shown = [
-            [self.x(px), self.y(py)] if math.isfinite(px) and math.isfinite(py) else [math.nan] * 2
-            for px, py in points.tolist()
-        ]
-        return np.array(shown).reshape(-1, 2)
+        return np.column_stack([self.x(points[:, 0]), self.y(points[:, 1])])
 
     def line(
         self,

@@ -15,7 +15,6 @@ from mobilecal_cli.report.formats import Table
 from mobilecal_cli.report.numbers import (
     parameters_of,
     reference_std,
-    rejected_station,
     square_size_mm,
     std_text,
     value_text,
@@ -57,9 +56,9 @@ def change(case: Case) -> Rows:
 
     return [
         (
-            p.factor_name or p.name,
+            p.name,
             value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
-            p.shown_unit if p.factor_name else p.unit,
+            p.unit.removeprefix("1"),
             shown(sigmas, 1),
             shown(percent, 2),
         )
@@ -211,9 +210,14 @@ def checks(case: Case) -> Rows:
 @table("stations", "Not used", "time (UTC)", "station", "reason", "details")
 def each_rejected(case: Case) -> Rows:
     """Each rejected station and image."""
-    items = case.extraction.rejections
+    extraction, items = case.extraction, case.extraction.rejections
     rows = [
-        (_moment(item.time_ns), rejected_station(item, case.extraction) or "–", item.reason, item.detail)
+        (
+            _moment(item.time_ns),
+            "–" if item.station < 0 else extraction.station_name(item.log, item.station),
+            item.reason,
+            item.detail,
+        )
         for item in items[:_MOST_REJECTIONS]
     ]
     more = len(items) - _MOST_REJECTIONS

@@ -44,6 +44,7 @@ from mobilecal_cli.report.formats import (
     BoolMatrix,
     ByName,
     Four,
+    JsonValue,
     Matrix,
     Number,
     NumberMatrix,
@@ -51,7 +52,6 @@ from mobilecal_cli.report.formats import (
     Table,
     Three,
     Two,
-    json_value,
     like,
 )
 from mobilecal_cli.report.numbers import (
@@ -64,7 +64,6 @@ from mobilecal_cli.report.numbers import (
     rejection_counts,
     rotation_std_deg,
     square_size_mm,
-    stated_priors,
     stations_looked_at,
     stations_text,
     std_text,
@@ -76,8 +75,7 @@ from mobilecal_cli.report.use import LEAST_GAIN, cures_of, recommendation, worst
 from mobilecal_cli.report.verdict import Case, Verdict, figures_of
 
 
-@json_value
-class ParametersData:
+class ParametersData(JsonValue):
     """The nine parameters, with the pose of the reference camera in the head; no Euler angles near gimbal lock."""
 
     rotation_vector_deg: Three
@@ -93,16 +91,14 @@ class ParametersData:
     separation_mm: Number
 
 
-@json_value
-class FactorData:
+class FactorData(JsonValue):
     """A factor of odometry."""
 
     value: float
     std: Number
 
 
-@json_value
-class OdometryData:
+class OdometryData(JsonValue):
     """Factors of the odometry, of a robot whose recording has no wheels.
 
     `uncertainty` has them as radii and separation of the assumed wheels, m.
@@ -114,7 +110,6 @@ class OdometryData:
     assumed_separation_m: float
 
 
-@json_value
 class ResultData(ParametersData):
     """The result, with the standard deviations of the numbers that are written."""
 
@@ -143,7 +138,6 @@ class ResultData(ParametersData):
         return f"{shown} Euler angles, R = Rz(z) Ry(y) Rx(x): {', '.join(each)}."
 
 
-@json_value
 class LinearData(ParametersData):
     """The linear solution; `history` has the parameters after each iteration."""
 
@@ -156,7 +150,6 @@ class LinearData(ParametersData):
     history: tuple[ParametersData, ...]
 
 
-@json_value
 class RefinementData(ParametersData):
     """The refined solution."""
 
@@ -166,8 +159,7 @@ class RefinementData(ParametersData):
     evaluations: int
 
 
-@json_value
-class QualityData:
+class QualityData(JsonValue):
     """Errors of the result on the recordings; the parts are what each kind of noise contributes, to first order."""
 
     stations: int
@@ -182,8 +174,7 @@ class QualityData:
     method: str
 
 
-@json_value
-class LegData:
+class LegData(JsonValue):
     """Errors of one leg, between two indices of `stations`."""
 
     from_observation: int
@@ -192,8 +183,7 @@ class LegData:
     reprojection_px: float
 
 
-@json_value
-class UncertaintyData:
+class UncertaintyData(JsonValue):
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
     order: tuple[str, ...]
@@ -213,8 +203,7 @@ class UncertaintyData:
     predicted: AtWork
 
 
-@json_value
-class ConstantData:
+class ConstantData(JsonValue):
     """A constant of the robot description: true minus stated value, in `unit`."""
 
     kind: str
@@ -227,8 +216,7 @@ class ConstantData:
     used_prior: Number
 
 
-@json_value
-class BudgetData:
+class BudgetData(JsonValue):
     """Share of each source in each variance."""
 
     sources: tuple[str, ...]
@@ -238,16 +226,14 @@ class BudgetData:
     advice: str
 
 
-@json_value
-class ContradictionData(Evidence):
+class ContradictionData(Evidence, JsonValue):
     """Evidence beyond its limit."""
 
     text: str
     cure: str
 
 
-@json_value
-class ScaleData:
+class ScaleData(JsonValue):
     """The stated squares against the stereo baseline; `ratio` is measured over stated."""
 
     ratio: float
@@ -258,8 +244,7 @@ class ScaleData:
     text: str
 
 
-@json_value
-class LogsData:
+class LogsData(JsonValue):
     """Estimate from each recording alone minus the common one, and the spread between recordings."""
 
     shift: NumberMatrix
@@ -268,8 +253,7 @@ class LogsData:
     between_std: Row
 
 
-@json_value
-class SuggestionData:
+class SuggestionData(JsonValue):
     """An additional stop, and the standard deviation of `parameter` without and with it."""
 
     turn_deg: float
@@ -283,8 +267,7 @@ class SuggestionData:
     text: str
 
 
-@json_value
-class StationData:
+class StationData(JsonValue):
     """One station; transforms are three rows, and the world is the base at the recording's first station."""
 
     log: int
@@ -305,8 +288,7 @@ class StationData:
     T_world_board: Matrix
 
 
-@json_value
-class FrameData:
+class FrameData(JsonValue):
     """A frame of the head in the one before, three rows; it turns (or moves) by the reading times `axis`."""
 
     name: str
@@ -315,8 +297,7 @@ class FrameData:
     prismatic: bool
 
 
-@json_value
-class RobotData:
+class RobotData(JsonValue):
     """Frames from the base to the head, and the poses of the reference camera in the head, three rows each."""
 
     base_frame: str
@@ -325,16 +306,14 @@ class RobotData:
     nominal_camera: Matrix | None
 
 
-@json_value
-class PathData:
+class PathData(JsonValue):
     """Path of the base in one recording."""
 
     log: int
     points_m: Matrix
 
 
-@json_value
-class BoardData:
+class BoardData(JsonValue):
     """The board: inner corners and squares."""
 
     columns: int
@@ -343,8 +322,7 @@ class BoardData:
     square_from: Literal["stated", "measured"]
 
 
-@json_value
-class RejectionCount:
+class RejectionCount(JsonValue):
     """How many stations or images were rejected for one reason."""
 
     stage: str
@@ -352,24 +330,21 @@ class RejectionCount:
     count: int
 
 
-@json_value
-class RejectionsData:
+class RejectionsData(JsonValue):
     """What was rejected before the solve."""
 
     counts: tuple[RejectionCount, ...]
     items: tuple[Rejection, ...]
 
 
-@json_value
-class ProvenanceData(Provenance):
+class ProvenanceData(Provenance, JsonValue):
     """Version, time, recordings and settings."""
 
     tool: Literal["mobilecal"]
     config: Mapping[str, Any]
 
 
-@json_value
-class ReportData:
+class ReportData(JsonValue):
     """All numbers, sentences and tables of a report."""
 
     schema_version: Literal[6]
@@ -407,8 +382,7 @@ class ReportData:
     tables: tuple[Table, ...]
 
 
-@json_value
-class Advice:
+class Advice(JsonValue):
     """What limits a result, and what improves it by 5 % or more."""
 
     limiting: str
@@ -617,7 +591,11 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
 
 
 def _constants(solution: Solution) -> dict[str, ConstantData]:
-    stated = stated_priors(solution)
+    stated = {  # before the priors of contradicted constants were widened
+        name: each.prior
+        for evidence in reversed(solution.contradictions)
+        for name, each in evidence.values.items()
+    }
     return {
         name: like(
             ConstantData,
