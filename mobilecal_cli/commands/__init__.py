@@ -25,7 +25,7 @@ from mobilecal_cli.commands import (
 )
 from mobilecal_cli.errors import MobilecalError, RecordingError, ResourceError
 
-#: Error code of OpenCV.
+#: Error code of OpenCV where memory cannot be allocated.
 _OPENCV_NO_MEMORY = -4
 
 app = typer.Typer(
@@ -83,17 +83,11 @@ def main() -> None:
         hint = "check the permissions of the file and of its directories"
         _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
     except Exception as error:
-        if not _is_out_of_memory(error):
+        opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
+        if not (opencv or isinstance(error, MemoryError)):
             raise
-        _fail(
-            ResourceError("out of memory", "use --jobs 1, a shorter recording, or a machine with more memory")
-        )
-
-
-def _is_out_of_memory(error: Exception) -> bool:
-    """Whether memory could not be allocated; OpenCV has its own error for it."""
-    opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
-    return opencv or isinstance(error, MemoryError)
+        hint = "use --jobs 1, a shorter recording, or a machine with more memory"
+        _fail(ResourceError("out of memory", hint))
 
 
 def _fail(error: MobilecalError) -> NoReturn:

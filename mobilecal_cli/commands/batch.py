@@ -90,19 +90,20 @@ def batch(
     if failed and (as_json or quiet):
         typer.echo(fleet_text(failed), nl=False, err=True)
     worst = max(robots, key=lambda row: row.exit_code)
-    if worst.exit_code in (OutputError.exit_code, ResourceError.exit_code):
+    kinds = {kind.exit_code: kind for kind in (OutputError, ResourceError)}
+    if worst.exit_code in kinds:
         stopped = sum(row.exit_code == worst.exit_code for row in robots)
-        kind = OutputError if worst.exit_code == OutputError.exit_code else ResourceError
-        raise kind(
+        raise kinds[worst.exit_code](
             f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
             "see the reason, then run the same command again: it calibrates only what is missing",
         )
     names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
+    reason = f"{len(robots)} of {len(robots)} robots passed."
+    if failed:
+        reason = f"{len(failed)} of {len(robots)} robots did not pass: {names}."
     conclude(
         "FAIL" if failed else "PASS",
-        f"{len(failed)} of {len(robots)} robots did not pass: {names}."
-        if failed
-        else f"{len(robots)} of {len(robots)} robots passed.",
+        reason,
         f"See {output / 'summary.html'}.",
         written=(output / "summary.csv", output / "summary.html"),
         quiet=as_json or quiet,

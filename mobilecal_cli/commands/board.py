@@ -14,8 +14,8 @@ from mobilecal_cli.targets import Paper
 if TYPE_CHECKING:
     from mobilecal_cli.export import BoardPrint
 
+#: Markers in the dictionaries of 5 x 5 cells; small ones have fewer false detections.
 _FAMILIES = (50, 100, 250, 1000)
-
 #: White around the board in squares, below which some detectors miss it in front of a dark wall.
 LEAST_BORDER = 0.3
 
@@ -104,15 +104,12 @@ def print_board(
         "board.square_m": square_m,
     }
     if charuco:
-        flags["board.dictionary"] = dictionary or _smallest((columns + 1) * (rows + 1) // 2)
+        markers = (columns + 1) * (rows + 1) // 2
+        enough = next((size for size in _FAMILIES if size >= markers), _FAMILIES[-1])
+        flags["board.dictionary"] = dictionary or f"DICT_5X5_{enough}"
         flags["board.marker_share"] = 0.75 if marker_share is None else marker_share
     elif dictionary is not None or marker_share is not None:
         raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
     board = board_of(load_rig(None, flags))
     assert board is not None
     return board_pdf(board, paper)
-
-
-def _smallest(markers: int) -> str:
-    """The dictionary of 5 x 5 cells with enough markers: small ones have fewer false detections."""
-    return f"DICT_5X5_{next((size for size in _FAMILIES if size >= markers), _FAMILIES[-1])}"

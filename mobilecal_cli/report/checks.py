@@ -43,7 +43,6 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
-    advice,
     below_limits,
     limiting_sentence,
     missing_motion,
@@ -860,7 +859,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
     if made.solution.uncertainty is not None:
         yield from (Check(figure.name, figure.of(made.solution.uncertainty.at_work)) for figure in FIGURES)
     for use in sorted(uses(made.solution, made.gates), key=lambda use: -use.share):
-        figure, shares = use.figure, use.shares
+        figure = use.figure
         value = f"{std_text(use.value)} {figure.unit}" if use.value else "fixed by the user"
         yield Check(
             figure.name, use.value, use.limit, "pass" if use.within else "not_enough",
@@ -868,11 +867,9 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             value,
             f"at most {use.limit:g} {figure.unit}",
             f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
-            f"{limiting_sentence(shares, figure.meaning)}",
-            " ".join(
-                tuple(small_motion(made.solution, figure))
-                or (next_step_of(use, made.solution, made.extraction) or advice(shares),)
-            ),
+            f"{limiting_sentence(use.shares, figure.meaning)}",
+            " ".join(small_motion(made.solution, figure))
+            or next_step_of(use, made.solution, made.extraction),
         )  # fmt: skip
 
 

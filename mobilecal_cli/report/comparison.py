@@ -112,16 +112,13 @@ def comparison_text(comparison: Comparison) -> str:
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += Table.of(heads, rows).lines((14 if each.assumed is None else 32, 12, 12, 10))
         lines += ["", "  r is a small rotation about the head's axes.", ""]
-        lines += [*(f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(each))]
+        lines += (f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(each))
         lines += ["", f"  {conclusion(each)}", ""]
     if comparison.past is not None:
-        lines += [
-            f"All {len(comparison.names)} calibrations, tested against a robot that does not change",
-            "",
-        ]
-        for number, chance in zip(NINE, comparison.past.chance, strict=True):
-            lines.append(f"  {number:<14}{constancy(chance)}")
-        lines.append("")
+        tested = "tested against a robot that does not change"
+        lines += [f"All {len(comparison.names)} calibrations, {tested}", ""]
+        chances = zip(NINE, comparison.past.chance, strict=True)
+        lines += [*(f"  {number:<14}{constancy(chance)}" for number, chance in chances), ""]
     return "\n".join(lines)
 
 
@@ -158,14 +155,11 @@ def comparison_json(comparison: Comparison) -> str:
 
 def effects(difference: Difference) -> tuple[tuple[str, float, str], ...]:
     """What a change means for the robot: (effect, value, unit)."""
+    heading_deg_per_m = math.degrees(difference.heading_rad_per_m)
     return (
         (f"Shift of a point {AHEAD_M:g} m ahead of the camera", difference.ray_m * 1e3, "mm"),
         ("Dead reckoning: distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
-        (
-            "Dead reckoning: heading, driving straight",
-            math.degrees(difference.heading_rad_per_m),
-            "deg per m",
-        ),
+        ("Dead reckoning: heading, driving straight", heading_deg_per_m, "deg per m"),
         ("Heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
     )
 
@@ -179,9 +173,8 @@ def headline(difference: Difference, first: str, second: str) -> str:
     """Whether the second calibration differs from the first, with the largest change in sigmas."""
     change = changed(difference)
     if change is None:
-        return (
-            f"Unknown: {first} and {second} have no parameter that both determine with a standard deviation."
-        )
+        unknown = "have no parameter that both determine with a standard deviation"
+        return f"Unknown: {first} and {second} {unknown}."
     sigmas = np.where(difference.known, np.abs(difference.sigmas), 0.0)
     worst = int(np.argmax(sigmas))
     said = "Changed" if change else "Unchanged"
@@ -217,9 +210,8 @@ def constancy(chance: float) -> str:
     """Whether a parameter changed over several calibrations, by the probability of such a spread by chance."""
     if not math.isfinite(chance):
         return "unknown in all but one calibration"
-    return (
-        f"{'changed' if chance < _UNLIKELY else 'unchanged'} (probability by chance {percent_text(chance)})"
-    )
+    said = "changed" if chance < _UNLIKELY else "unchanged"
+    return f"{said} (probability by chance {percent_text(chance)})"
 
 
 def history_plot(labels: Sequence[str], past: History) -> str:

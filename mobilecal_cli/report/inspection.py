@@ -9,14 +9,7 @@ from datetime import UTC, datetime
 from typing import Any, ClassVar, Literal
 
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import (
-    SIDES,
-    BoardView,
-    CameraRig,
-    Rig,
-    camera_words,
-    listed,
-)
+from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, camera_words, listed
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.rig.draft import Draft
@@ -231,20 +224,27 @@ def inspection_text(inspection: Inspection) -> str:
         start = datetime.fromtimestamp(inspection.start_ns // 10**9, UTC)
         facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
     lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
-    if inspection.rig is not None:
-        lines += ["", "Used for a calibration", *_roles(inspection.rig)]
-    if inspection.motion is not None:
-        lines += ["", "Motion", *_motion_lines(inspection.motion)]
-    if inspection.board is not None:
-        lines += ["", "Board", *_board(inspection.board)]
-    lines += _lacks("Missing for a calibration", inspection.missing)
-    lines += _lacks("Limits of a calibration", inspection.weak)
-    if inspection.notes:
-        lines += ["", "Notes", *(line for note in inspection.notes for line in wrapped(note))]
+    lines += _section("Used for a calibration", () if inspection.rig is None else _roles(inspection.rig))
+    lines += _section("Motion", () if inspection.motion is None else _motion_lines(inspection.motion))
+    lines += _section("Board", () if inspection.board is None else _board(inspection.board))
+    lines += _section("Missing for a calibration", _lacks(inspection.missing))
+    lines += _section("Limits of a calibration", _lacks(inspection.weak))
+    lines += _section("Notes", _paragraphs(inspection.notes))
     conclusion = f"can be calibrated{', with limits' if inspection.weak else ''}"
     if inspection.missing:
         conclusion = f"cannot be calibrated as it is (exit code {inspection.exit_code})"
     return "\n".join([*lines, "", f"This recording {conclusion}."]) + "\n"
+
+
+def _section(title: str, lines: Iterable[str]) -> list[str]:
+    """An empty line, the title and the lines; nothing without lines."""
+    shown = list(lines)
+    return ["", title, *shown] if shown else []
+
+
+def _paragraphs(texts: Iterable[object]) -> Iterator[str]:
+    for text in texts:
+        yield from wrapped(str(text))
 
 
 def _topics(inspection: Inspection) -> list[str]:
@@ -254,12 +254,10 @@ def _topics(inspection: Inspection) -> list[str]:
             visible(topic.type),
             "?" if topic.messages is None else str(topic.messages),
             "" if topic.rate_hz is None else f"{topic.rate_hz:.1f} Hz",
-            ""
-            if topic.longest_gap_s is None
-            else f"{topic.longest_gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s",
+            "" if gap_s is None else f"{gap_s:.3f} s at {topic.gap_at_s or 0:.1f} s",
             f"{topic.steps_back} out of order" if topic.steps_back else "",
         )
-        for topic in inspection.topics
+        for topic, gap_s in ((topic, topic.longest_gap_s) for topic in inspection.topics)
     ]
     return Table.of(("topic", "type", "number:messages", "number:rate", "longest gap", ""), rows).lines()
 
@@ -306,17 +304,15 @@ def _board(board: BoardView) -> Iterable[str]:
         yield f"  square: {board.square_m * 1e3:.2f} mm measured with the stereo pair{stated}"
 
 
-def _lacks(title: str, lacks: Iterable[Lack]) -> list[str]:
-    lines = []
+def _lacks(lacks: Iterable[Lack]) -> Iterator[str]:
     for lack in lacks:
-        lines += wrapped(lack.what)
+        yield from wrapped(lack.what)
         if lack.cure:
-            lines += wrapped(f"hint: {lack.cure}", "    ")
-    return ["", title, *lines] if lines else []
+            yield from wrapped(f"hint: {lack.cure}", "    ")
 
 
-#: Criteria without which no other can be checked.
-_FIRST = ("rig.yaml", "recording")
+#: Criteria without which no other can be checked, and those that are listed for their problems only.
+_FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("recording", "priors", "gates")
 State = Literal["ok", "limit", "problem", "unknown"]
 
 
@@ -344,19 +340,18 @@ def checklist(inspection: Inspection) -> tuple[Line, ...]:
     lacks += [("limit", lack) for lack in inspection.weak]
     bad = [Line(lack.about, state, lack.what, lack.cure, lack.exit_code) for state, lack in lacks]
     opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
+    if opened:
+        return opened
     lines: list[Line] = []
-    for about in () if opened else inspection.CRITERIA:
-        lines += [line for line in bad if line.about == about] or _good(about, inspection)
-    return opened or tuple(lines)
-
-
-def _good(about: str, inspection: Inspection) -> list[Line]:
-    """A criterion without a problem: what was found, or unknown; none if it is about problems only."""
-    if about in ("recording", "priors", "gates"):
-        return []
-    known = {"rig.yaml": "valid", **_known(inspection.survey), **_measured(inspection)}.get(about)
+    known = {"rig.yaml": "valid", **_known(inspection.survey), **_measured(inspection)}
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
-    return [Line(about, "unknown", unknown) if known is None else Line(about, "ok", known)]
+    for about in inspection.CRITERIA:
+        problems = [line for line in bad if line.about == about]
+        if problems or about in _ONLY_PROBLEMS:
+            lines += problems
+        else:
+            lines.append(Line(about, "ok" if about in known else "unknown", known.get(about, unknown)))
+    return tuple(lines)
 
 
 def _known(survey: Survey | None) -> dict[str, str]:
@@ -390,10 +385,11 @@ def _known(survey: Survey | None) -> dict[str, str]:
 def _measured(inspection: Inspection) -> dict[str, str]:
     said = {}
     if inspection.covered is not None:
+        covered, images = inspection.covered
         first, *others = (inspection.survey and inspection.survey.images) or SIDES
-        others_words = "".join(f"{name} images, " for name in others)
-        said["time"] = "{} of {} {} images are within the time of {}joints and wheels".format(
-            *inspection.covered, first, others_words
+        of_others = "".join(f"{name} images, " for name in others)
+        said["time"] = (
+            f"{covered} of {images} {first} images are within the time of {of_others}joints and wheels"
         )
     if inspection.motion is not None:
         motion = inspection.motion
@@ -456,10 +452,6 @@ def draft_text(draft: Draft) -> str:
     for entry in draft.filled:
         lines += wrapped(f"{entry.value} ({entry.source})", f"  {entry.key:<{width}}  ")
     for title, needed in (("TODO: needed for a calibration", True), ("TODO: optional", False)):
-        todo = [entry for entry in draft.todo if entry.needed == needed]
-        lines += ["", title] if todo else []
-        for item in todo:
-            lines += wrapped(str(item))
-    if draft.notes:
-        lines += ["", "Notes", *(line for note in draft.notes for line in wrapped(note))]
+        lines += _section(title, _paragraphs(entry for entry in draft.todo if entry.needed == needed))
+    lines += _section("Notes", _paragraphs(draft.notes))
     return "\n".join(lines).lstrip("\n") + "\n"

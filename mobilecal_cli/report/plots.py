@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -24,7 +24,6 @@ from mobilecal_cli.model import (
     Snapshot,
     Solution,
     WheelGeometry,
-    WheelTrack,
     camera_words,
 )
 from mobilecal_cli.model.text import visible
@@ -32,18 +31,17 @@ from mobilecal_cli.report.numbers import image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
 
-#: An SVG element, or one with its caption.
-Drawn: TypeAlias = str | tuple[str, str]
+#: An SVG element ("" for none), and its caption: what this plot shows, from its numbers.
+Drawn: TypeAlias = tuple[str, str]
 _Draw = TypeVar("_Draw", bound=Callable[..., Drawn])
 _MOST_PATHS = 4  # recordings with their own plots
 
 
-@dataclass(frozen=True, slots=True)
-class Plot:
+class Plot(NamedTuple):
     """A plot in a section of the page, or the same plot of several recordings or of both cameras.
 
     Attributes:
-        parts: title, SVG element, and caption (what it shows, from its numbers) of each; "" for none.
+        parts: title ("" for none), SVG element and caption of each.
         half: half as wide as the page, side by side.
     """
 
@@ -52,8 +50,7 @@ class Plot:
     half: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Overlay:
+class Overlay(NamedTuple):
     """The region of an image around the board, as base64 ("" if it cannot be decoded), with marks, for the template.
 
     Region and marks are in pixels of the whole image; a mark is the corner as detected and as predicted, (u, v) each.
@@ -68,8 +65,7 @@ class Overlay:
     marks: list[list[float]]
 
 
-@dataclass(frozen=True, slots=True)
-class LegView:
+class LegView(NamedTuple):
     """The images of a leg's first station, with the corners predicted from the leg's other end.
 
     The rank is "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
@@ -110,8 +106,7 @@ class Drawings(NamedTuple):
     limits: Bar | None
 
 
-@dataclass(frozen=True, slots=True)
-class Bar:
+class Bar(NamedTuple):
     """One bar with its title and its legend: (style, label) each."""
 
     title: str
@@ -127,8 +122,7 @@ def plot(
 ) -> Callable[[_Draw], _Draw]:
     """Add a function to the plots of the page.
 
-    Its arguments are the solution, its data, and a log or a camera's index. It returns the SVG element ("" for none),
-    alone or with a caption: what this plot shows, from its numbers.
+    Its arguments are the solution, its data, and a log or a camera's index.
 
     Args:
         section, half: see `Plot`.
@@ -147,8 +141,7 @@ def plot(
             parts: list[tuple[str, str, str]] = []
             for subject in () if corners and extraction.measured else subjects[each]:
                 title = extraction.log_names[subject] if each == "log" and len(logs) > 1 else ""
-                drawn = draw(solution, extraction, *([] if each is None else [subject]))
-                element, caption = drawn if isinstance(drawn, tuple) else (drawn, "")
+                element, caption = draw(solution, extraction, *([] if each is None else [subject]))
                 said = {earlier for _, _, earlier in parts}
                 parts += [(title, element, "" if caption in said else caption)] if element else []
             return Plot(section, tuple(parts), half)
@@ -196,9 +189,8 @@ _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
 def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
     """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
     picked, boards, path, everything = _from_above(solution, extraction, log)
-    observations = [extraction.observations[i] for i in picked]
-    T_w_v = solution.residuals.T_w_v[picked]
-    T_w_c = solution.residuals.T_w_k[picked] @ se3.inverse(np.stack([o.T_c_k for o in observations]))
+    T_c_k = np.stack([extraction.observations[i].T_c_k for i in picked])
+    T_w_v, T_w_c = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked] @ se3.inverse(T_c_k)
     canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
     x, y = (Scale.of(column) for column in everything.T)
     axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
@@ -207,7 +199,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
-        without = trail(extraction.wheels[log], np.array([o.time_ns for o in observations]), nominal)
+        without = trail(extraction, log, nominal)
         axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "with nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
@@ -237,9 +229,8 @@ def path_picture(solution: Solution, extraction: Extraction) -> str:
     canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
     left, low = 10.0, canvas.height - 22.0
     x, y = (Scale.of(column) for column in everything.T)
-    axes = Axes(
-        canvas, replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
-    ).with_equal_units()
+    x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
+    axes = Axes(canvas, x, y).with_equal_units()
     axes.line(path, "soft")
     for i, board in zip(picked, boards, strict=True):
         axes.line(board, "green thin", [i])
@@ -260,18 +251,16 @@ def _from_above(
     observations, board = [extraction.observations[i] for i in picked], extraction.board
     ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
     ends_k *= float(np.median([o.square_m for o in observations]))
-    boards = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(observations), 2, 3)))[
-        ..., :2
-    ]
-    path = trail(
-        extraction.wheels[log], np.array([o.time_ns for o in observations]), solution.parameters.wheels
-    )
+    ends = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(observations), 2, 3)))
+    boards, path = ends[..., :2], trail(extraction, log, solution.parameters.wheels)
     stations = solution.residuals.T_w_v[picked, :2, 3]
     return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
 
 
-def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> FloatArray:
-    """Path of the base by dead reckoning from the first to the last time, in the frame of the first: (n, 2), m."""
+def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray:
+    """Path of the base in a recording by dead reckoning, in the frame of its first station: (n, 2), m."""
+    times_ns = [o.time_ns for o in extraction.observations if o.log == log]
+    track = extraction.wheels[log]
     start, end = max(times_ns[0], track.time_ns[0]), min(times_ns[-1], track.time_ns[-1])
     moments = np.unique(np.append(np.linspace(0, end - start, _TRAIL_POINTS).astype(np.int64) + start, end))
     if len(moments) < 2:
@@ -286,16 +275,17 @@ def trail(track: WheelTrack, times_ns: np.ndarray, wheels: WheelGeometry) -> Flo
 
 @plot("stations", half=True)
 def head_angles(_: Solution, extraction: Extraction) -> Drawn:
-    """Pan and tilt angle at each station; "" if the chain names neither joint."""
+    """Pan and tilt angle at each station; nothing if the chain names neither joint."""
     chain, observations = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
     if not columns:
-        return ""
+        return "", ""
     joints_deg = np.degrees(np.stack([o.joints for o in observations]))
     pan = joints_deg[:, columns[0]]
     other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(observations))
     canvas = Canvas(HALF, 290.0, "head angles at each station")
-    labels = [f"{_short(chain.joints[column])} [deg]" for column in columns]
+    joints = [visible(chain.joints[column]) for column in columns]
+    labels = [f"{joint if len(joint) <= 30 else f'{joint[:29]}…'} [deg]" for joint in joints]
     title = labels[1] if len(columns) == 2 else ""
     scales = (Scale.of(values, margin=0.15, least=_LEAST_SPAN_DEG) for values in (pan, other))
     axes = Axes.of(canvas, next(scales), next(scales), title)
@@ -305,15 +295,9 @@ def head_angles(_: Solution, extraction: Extraction) -> Drawn:
         axes.dot(float(x), float(y), "blue", [i], f"station {name}: {x:.1f}, {y:.1f} deg", r=4)
     if len(observations) <= _MOST_LABELS:
         canvas.labels(axes.at(np.column_stack([pan, other])), names)
-    spans = [
-        f"{label.partition(' [')[0]} {np.ptp(v):.0f}°" for label, v in zip(labels, (pan, other), strict=False)
-    ]
-    return canvas.svg, f"Range: {', '.join(spans)}."
-
-
-def _short(name: str) -> str:
-    shown = visible(name)
-    return shown if len(shown) <= 30 else f"{shown[:29]}…"
+    spans = zip(labels, (pan, other), strict=False)
+    ranges = (f"{label.partition(' [')[0]} {np.ptp(angles):.0f}°" for label, angles in spans)
+    return canvas.svg, f"Range: {', '.join(ranges)}."
 
 
 def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes]:
@@ -338,7 +322,7 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
-        return ""
+        return "", ""
     point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, residuals.corner_noise_m * 1e3
     legs = [(f"{names[i]}–{names[j]}", (i, j)) for i, j in residuals.legs.tolist()]
     canvas = Canvas(WIDE, 440.0, "point error and reprojection error of each leg")
@@ -379,7 +363,7 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
         axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
     axes.names(names, "" if pair else "station")
     if not pair:
-        return canvas.svg
+        return canvas.svg, ""
     sizes_mm = list(square_mm.values())
     size = Scale.of([*sizes_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * sizes_mm[0])
     axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
@@ -407,7 +391,7 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
     of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
     detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
     if not len(detected):
-        return ""
+        return "", ""
     camera, of_camera = extraction.rig.cameras.each[k], camera_words(extraction.rig.cameras.names[k])
     canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
     longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
@@ -438,7 +422,7 @@ def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray
 def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     """1 sigma of the pixel of a point that is known in the base, over the image of the first camera."""
     if solution.uncertainty is None:
-        return ""
+        return "", ""
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
     (across, down) = _CELLS
     u = (np.arange(across) + 0.5) * camera.width / across - 0.5
@@ -447,27 +431,22 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     flat, reached = undistorted(camera, pixels)
     points = AHEAD_M * np.column_stack([flat, np.ones(len(flat))])
     std = projection_std_px(solution, extraction.rig.cameras, points)
-    canvas, axes = image_axes(
-        extraction, 0, f"1 sigma in pixels of a projected point over the image of the {name}"
-    )
+    title = f"1 sigma in pixels of a projected point over the image of the {name}"
+    canvas, axes = image_axes(extraction, 0, title)
     wide, high = abs(axes.x(u[1]) - axes.x(u[0])), abs(axes.y(v[1]) - axes.y(v[0]))
     for (x, y), sigma in zip(axes.at(pixels[reached]).tolist(), std[reached].tolist(), strict=True):
-        shade = 0.6 * sigma / max(std[reached])
-        canvas.shape(
-            "rect", "fill blue", x=x - wide / 2, y=y - high / 2, width=wide, height=high, fill_opacity=shade
-        )
+        shade, left, top = 0.6 * sigma / max(std[reached]), x - wide / 2, y - high / 2
+        canvas.shape("rect", "fill blue", x=left, y=top, width=wide, height=high, fill_opacity=shade)
         canvas.text(x, y + 4, std_text(sigma), anchor="middle")
-    return (
-        canvas.svg,
-        f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {std_text(min(std))} to {std_text(max(std))}.",
-    )
+    extent = f"{std_text(min(std))} to {std_text(max(std))}"
+    return canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}."
 
 
 @plot("limits", half=True)
 def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
     """1 sigma of the position in the base of points ahead of the first camera, over their distance."""
     if solution.uncertainty is None:
-        return ""
+        return "", ""
     distances = np.linspace(0.0, _FARTHEST_M, 41)
     std_mm = ahead_std_m(solution, distances) * 1e3
     canvas = Canvas(HALF, 0.85 * HALF, "1 sigma of the position of a point in the base over its distance")
@@ -482,10 +461,10 @@ def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
 
 @plot("limits")
 def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
-    """Correlation matrix of the nine parameters; "" without a covariance."""
+    """Correlation matrix of the nine parameters; nothing without a covariance."""
     uncertainty = solution.uncertainty
     if uncertainty is None:
-        return ""
+        return "", ""
     std = np.sqrt(np.diag(uncertainty.reference_covariance))
     std = np.where(std > 0, std, np.nan)
     correlation = uncertainty.reference_covariance / np.outer(std, std)
@@ -508,9 +487,9 @@ def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
 
 @plot("limits")
 def error_budget(solution: Solution, _: Extraction) -> Drawn:
-    """What each variance consists of, one bar per parameter and expected error; "" without a budget."""
+    """What each variance consists of, one bar per parameter and expected error; nothing without a budget."""
     if solution.uncertainty is None:
-        return ""
+        return "", ""
     labels = {name: name for name in NINE}
     labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
     shares = {
@@ -553,11 +532,8 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
     residuals, observations = solution.residuals, extraction.observations
     cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
-    shown = [
-        leg
-        for leg, (i, _) in enumerate(residuals.legs)
-        if (observations[i].log, observations[i].station) in pictures
-    ]
+    first = [(observations[i].log, observations[i].station) for i in residuals.legs[:, 0]]
+    shown = [leg for leg, station in enumerate(first) if station in pictures]
     order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
     chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
     words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
@@ -568,8 +544,8 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
         size = sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for view in views for each in view.pictures)
         if len(views) >= len(ranks) and size > _MOST_VIEW_BYTES:
             break
-        i, j = residuals.legs[leg]
-        snapshot = pictures[observations[i].log, observations[i].station]
+        (i, j), predicted_px = residuals.legs[leg], residuals.predicted_px[:, leg]
+        snapshot = pictures[first[leg]]
         views.append(
             LegView(
                 observation=int(i),
@@ -578,12 +554,7 @@ def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Sn
                 to_station=names[j],
                 error_px=float(residuals.leg_reprojection_px[leg]),
                 pictures=tuple(
-                    _overlay(
-                        camera_words(name),
-                        snapshot.jpegs.get(name, b""),
-                        view,
-                        residuals.predicted_px[k, leg],
-                    )
+                    _overlay(camera_words(name), snapshot.jpegs.get(name, b""), view, predicted_px[k])
                     for k, (name, view) in enumerate(zip(cameras.names, observations[i].views, strict=True))
                     if view.pictures
                 ),

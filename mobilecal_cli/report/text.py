@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import base64
+import functools
 
 import numpy as np
 
 from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import decimals_of, numbers_table, std_text, value_text
+from mobilecal_cli.report.numbers import NumberData, decimals_of, numbers_table, std_text, value_text
 from mobilecal_cli.report.page import template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
-_WIDTH = 80
+_wrapped = functools.partial(wrapped, indent="  ", width=80)
 _LABEL = 22
 _MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
@@ -28,18 +30,18 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
     parameters, budget = report.parameters, report.error_budget
     frames = f"{visible(parameters.child_frame)} in {visible(parameters.parent_frame)}"
     sigma = " (± 1 sigma)" if report.uncertainty is not None else ""
-    lines = wrapped(f"{frames}, and wheels{sigma}", "", "  ", _WIDTH)
+    lines = _wrapped(f"{frames}, and wheels{sigma}", "")
     rows = numbers_table(report.numbers)
     wide = max(_LABEL, *(len(label) + 2 for label, _ in rows))
     lines += [f"  {label:<{wide}}{value}" for label, value in rows]
-    lines += wrapped(f"Stations used: {report.quality.stations_text}", "", "  ", _WIDTH)
+    lines += _wrapped(f"Stations used: {report.quality.stations_text}", "")
     most = len(report.notes) if verbose else _MOST_NOTES
     for note in report.notes[:most]:
-        lines += wrapped(visible(note), "Note: ", "  ", _WIDTH)
+        lines += _wrapped(note, "Note: ")
     if len(report.notes) > most:
         lines.append(f"Note: {len(report.notes) - most} more, see Input in the report")
-    if budget is not None and budget.limiting:
-        lines += wrapped(budget.limiting, "", "  ", _WIDTH)
+    if budget is not None:
+        lines += _wrapped(budget.limiting, "")
     if verbose:
         lines += _details(report)
     return "\n".join(lines) + "\n"
@@ -47,7 +49,7 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 
 def _details(report: ReportData) -> list[str]:
     quality = report.quality
-    lines = ["", *wrapped(report.parameters.orientation, "", "  ", _WIDTH)]
+    lines = ["", *_wrapped(report.parameters.orientation, "")]
     keys = {"time_joints": "clock of the joints", "time_wheels": "clock of the wheels"}
     for key, name in keys.items():
         if key in report.constants:
@@ -58,15 +60,15 @@ def _details(report: ReportData) -> list[str]:
     lines.append(f"  {'point error':<{_LABEL}}{quality.point_rms_mm:.2f} mm")
     if quality.reprojection_rms_px:
         lines.append(f"  {'reprojection error':<{_LABEL}}{quality.reprojection_rms_px:.2f} px")
-    lines += wrapped(quality.reprojection_text, "", "  ", _WIDTH) if quality.reprojection_text else []
+    lines += _wrapped(quality.reprojection_text, "")
     lines += ["", *(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})"
               for check in report.verdict.checks)]  # fmt: skip
     if report.hold_out is not None:
         lines += ["", "Test on the held-out stations", evaluation_text(report.hold_out).rstrip("\n")]
     for each in report.contradictions:
-        lines += wrapped(f"{each.text} {each.cure}", "Robot description: ", "  ", _WIDTH)
+        lines += _wrapped(f"{each.text} {each.cure}", "Robot description: ")
     for sentence in report.outliers_text:
-        lines += wrapped(sentence, "Outlier: ", "  ", _WIDTH)
+        lines += _wrapped(sentence, "Outlier: ")
     return [visible(line) if line else line for line in lines]
 
 
@@ -90,15 +92,13 @@ def job_summary(report: ReportData) -> str:
         f"{_cell(verdict.reason)} **Next:** {_cell(verdict.next_step)}",
         "",
     ]
-    heads = ["parameter", "value (± 1 sigma)"]
+    rows: list[tuple[str, ...]] = [("parameter", "value (± 1 sigma)"), *numbers_table(report.numbers)]
     if change is not None:
-        heads.append(f"change from {_cell(change.against)}")
-    lines += [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
-    for k, (label, text) in enumerate(numbers_table(report.numbers)):
-        cells = [label, text]
-        if change is not None:
-            cells.append(_change(report, k))
-        lines.append(f"| {' | '.join(map(_cell, cells))} |")
+        changes = (_change(change, k, number) for k, number in enumerate(report.numbers))
+        column = (f"change from {change.against}", *changes)
+        rows = [(*row, cell) for row, cell in zip(rows, column, strict=True)]
+    first, *others = (f"| {' | '.join(map(_cell, row))} |" for row in rows)
+    lines += [first, f"|{' --- |' * len(rows[0])}", *others]
     lines += ["", f"Stations used: {_cell(report.quality.stations_text)}."]
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
     lines += [""] if open_checks else []
@@ -107,10 +107,9 @@ def job_summary(report: ReportData) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _change(report: ReportData, k: int) -> str:
+def _change(change: Change, k: int, number: NumberData) -> str:
     """Change of a number in its unit, and in standard deviations where these are known."""
-    change, number = report.change, report.numbers[k]
-    if change is None or k >= len(change.value) or not np.isfinite(change.value[k]):
+    if k >= len(change.value) or not np.isfinite(change.value[k]):
         return ""
     if not number.unit:  # the change is that of the assumed wheels
         return f"{change.sigmas[k]:+.1f} sigma" if np.isfinite(change.sigmas[k]) else ""

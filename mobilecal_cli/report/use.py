@@ -220,13 +220,13 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
 
 
 def next_step_of(error: Error, solution: Solution, extraction: Extraction) -> str:
-    """The cheapest cure that brings an error within its limit; if none does alone, all of them; "" without any."""
+    """The cheapest cure that brings an error within its limit; if none does alone, all; without any, `advice`."""
     cures = cures_of(error, solution, extraction)
     for cure in cures:
         if cure.left * error.value <= error.limit:
             return cure.text(error)
     if not cures:
-        return ""
+        return advice(error.shares)
     first, *others = (cure.command for cure in cures)
     command = "; ".join((first, *(f"{other[0].lower()}{other[1:]}" for other in others)))
     return Cure(command, sum(cure.removed for cure in cures)).text(error)
@@ -249,7 +249,7 @@ def recommendation(
     error = worst_error(solution, limits)
     if error is None:
         return "", ""
-    cure = next_step_of(error, solution, extraction) or advice(error.shares)
+    cure = next_step_of(error, solution, extraction)
     return limiting_sentence(error.shares, error.figure.meaning), cure
 
 

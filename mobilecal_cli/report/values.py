@@ -307,7 +307,7 @@ class RobotData(JsonValue):
 
 
 class PathData(JsonValue):
-    """Path of the base in one recording."""
+    """Path of the base in one recording, in the frame of the base at its first station."""
 
     log: int
     points_m: Matrix
@@ -471,7 +471,9 @@ def build_report(case: Case) -> ReportData:
         error_budget=_budget(case),
         evidence=solution.evidence,
         contradictions=tuple(
-            _contradiction(evidence, solution, extraction) for evidence in solution.contradictions
+            like(ContradictionData, evidence, text=text, cure=cure)
+            for evidence in solution.contradictions
+            for text, cure in [contradiction_sentences(evidence, solution, extraction)]
         ),
         scale=None
         if scale is None
@@ -495,7 +497,10 @@ def build_report(case: Case) -> ReportData:
         change=case.change,
         stations=_stations(solution, extraction),
         robot=_robot(solution, extraction.rig),
-        paths=_paths(solution, extraction),
+        paths=tuple(
+            PathData(log=log, points_m=np.round(trail(extraction, log, solution.parameters.wheels), 4))
+            for log in sorted({o.log for o in extraction.observations})
+        ),
         motion=solution.motion,
         image_coverage=_coverage(extraction),
         board=like(
@@ -621,11 +626,6 @@ def _budget(case: Case) -> BudgetData | None:
     return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=limiting, advice=cure)
 
 
-def _contradiction(evidence: Evidence, solution: Solution, extraction: Extraction) -> ContradictionData:
-    text, cure = contradiction_sentences(evidence, solution, extraction)
-    return like(ContradictionData, evidence, text=text, cure=cure)
-
-
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
     joints, sentences = extraction.rig.chain.joints, suggestion_sentences(solution, extraction)
     return tuple(
@@ -682,16 +682,6 @@ def _robot(solution: Solution, rig: Rig) -> RobotData:
         camera=reference_pose(solution.parameters, solution.cameras)[:3],
         nominal_camera=None if nominal is None else nominal[:3],
     )
-
-
-def _paths(solution: Solution, extraction: Extraction) -> tuple[PathData, ...]:
-    """Path of the base in each recording, in the frame of the base at its first station."""
-    paths = []
-    for log in sorted({o.log for o in extraction.observations}):
-        times = np.array([o.time_ns for o in extraction.observations if o.log == log])
-        points_m = trail(extraction.wheels[log], times, solution.parameters.wheels)
-        paths.append(PathData(log=log, points_m=np.round(points_m, 4)))
-    return tuple(paths)
 
 
 def _coverage(extraction: Extraction) -> dict[str, float]:

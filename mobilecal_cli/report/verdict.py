@@ -24,7 +24,6 @@ from mobilecal_cli.report.use import (
     FIGURES,
     Error,
     Figure,
-    advice,
     next_step_of,
     shares_of,
     use_sentence,
@@ -188,7 +187,7 @@ def _gate_cure(made: Calibration, name: str, limit: float) -> str:
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
     value = float(reference_std(made.solution)[k] or 0.0)
     error = Error(Figure("", name, label, label, unit, 1.0), value, limit, shares)
-    return next_step_of(error, made.solution, made.extraction) or advice(shares)
+    return next_step_of(error, made.solution, made.extraction)
 
 
 def gate_checks(

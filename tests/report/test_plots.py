@@ -89,8 +89,7 @@ def test_a_head_with_one_joint():
 
 
 def test_the_trail_runs_through_the_stations(solution, extraction):
-    times = np.array([o.time_ns for o in extraction.observations])
-    path = trail(extraction.wheels[0], times, WHEELS)
+    path = trail(extraction, 0, WHEELS)
     ends = solution.residuals.T_w_v[:, :2, 3]
     assert np.linalg.norm(path[-1] - ends[-1]) < 0.03
     nearest = np.linalg.norm(path[None] - ends[:, None], axis=-1).min(axis=1)
