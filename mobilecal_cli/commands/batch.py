@@ -7,17 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilecal_cli.commands.options import (
-    AsJson,
-    Config,
-    Gates,
-    JUnit,
-    Quiet,
-    Settings,
-    conclude,
-    errors_to,
-    flags_of,
-)
+from mobilecal_cli.commands import options
 from mobilecal_cli.errors import OutputError, ResourceError
 
 
@@ -29,9 +19,9 @@ def batch(
     output: Annotated[
         Path, typer.Option("--output", "-o", readable=False, help="Directory for the results of all robots.")
     ],
-    config: Config = None,
-    setting: Settings = None,
-    gate: Gates = None,
+    config: options.Config = None,
+    setting: options.Settings = None,
+    gate: options.Gates = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one per core]")] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
@@ -43,9 +33,9 @@ def batch(
             help="Calibrate all robots again, and replace also results that this batch did not write.",
         ),
     ] = False,
-    as_json: AsJson = False,
-    junit: JUnit = None,
-    quiet: Quiet = False,
+    as_json: options.AsJson = False,
+    junit: options.JUnit = None,
+    quiet: options.Quiet = False,
 ) -> None:
     """Calibrate many robots and tabulate the results.
 
@@ -67,13 +57,13 @@ def batch(
 
     run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
-    with errors_to(junit, [source], replace, [config], {name: output / name for name in SUMMARIES}):
+    with options.errors_to(junit, [source], replace, [config], {name: output / name for name in SUMMARIES}):
         with progress_bar(quiet) as progress:
             rows = calibrate_each(
                 source,
                 output,
                 config_path=config,
-                flags=flags_of(setting),
+                flags=options.flags_of(setting),
                 gates=gate or [],
                 force=force,
                 run=run,
@@ -101,7 +91,7 @@ def batch(
     reason = f"{len(robots)} of {len(robots)} robots passed."
     if failed:
         reason = f"{len(failed)} of {len(robots)} robots did not pass: {names}."
-    conclude(
+    options.conclude(
         "FAIL" if failed else "PASS",
         reason,
         f"See {output / 'summary.html'}.",

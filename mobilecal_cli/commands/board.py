@@ -80,15 +80,7 @@ def print_board(
     marker_share: float | None = None,
     paper: Paper = "auto",
 ) -> BoardPrint:
-    """A board as a PDF at true scale.
-
-    Args:
-        columns, rows: inner corners.
-        square_m: side of a square, m.
-        charuco: with markers in the light squares.
-        dictionary: marker family by its OpenCV name; the smallest sufficient one of 5 x 5 cells by default.
-        marker_share: marker side over square side; 0.75 by default.
-        paper: page.
+    """A board as a PDF at true scale; for the arguments see `board`.
 
     Raises:
         ConfigError: a value is out of range, or the board does not fit on the page.

@@ -9,26 +9,12 @@ from typing import Annotated, Literal
 
 import typer
 
-from mobilecal_cli.commands.options import (
-    AsJson,
-    Config,
-    Force,
-    Gates,
-    JUnit,
-    Logs,
-    Quiet,
-    Settings,
-    Verbose,
-    conclude,
-    counts_of,
-    errors_to,
-    flags_of,
-)
+from mobilecal_cli.commands import options
 
 
 def calibrate(
-    logs: Logs,
-    config: Config = None,
+    logs: options.Logs,
+    config: options.Config = None,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -59,7 +45,7 @@ def calibrate(
         int | None,
         typer.Option(min=1, help="Worker processes for images. [default: one per core]"),
     ] = None,
-    setting: Settings = None,
+    setting: options.Settings = None,
     fix: Annotated[
         list[str] | None,
         typer.Option(
@@ -78,7 +64,7 @@ def calibrate(
             help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
         ),
     ] = None,
-    gate: Gates = None,
+    gate: options.Gates = None,
     hold_out: Annotated[
         float | None,
         typer.Option(
@@ -95,8 +81,8 @@ def calibrate(
         bool,
         typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
     ] = False,
-    as_json: AsJson = False,
-    junit: JUnit = None,
+    as_json: options.AsJson = False,
+    junit: options.JUnit = None,
     summary: Annotated[
         Path | None,
         typer.Option(
@@ -104,9 +90,9 @@ def calibrate(
             help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
         ),
     ] = None,
-    force: Force = False,
-    verbose: Verbose = False,
-    quiet: Quiet = False,
+    force: options.Force = False,
+    verbose: options.Verbose = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Calibrate head and wheels, and write parameters and a report.
 
@@ -125,14 +111,14 @@ def calibrate(
 
     began_s = time.perf_counter()
     outputs = {"--summary": summary, "--output": output or steps.default_output(logs[0])}
-    with errors_to(junit, logs, force, [config, last], outputs):
+    with options.errors_to(junit, logs, force, [config, last], outputs):
         if summary is not None:
             check_appendable(summary)
-        flags = flags_of(setting)
+        flags = options.flags_of(setting)
         if board is not None:
-            flags["board.columns"], flags["board.rows"] = counts_of("--board", board)
-        options = {"board.square_m": square_m, "stations": stations}
-        flags |= {key: value for key, value in options.items() if value is not None}
+            flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
+        given = {"board.square_m": square_m, "stations": stations}
+        flags |= {key: value for key, value in given.items() if value is not None}
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
             report, directory = steps.calibrate(
@@ -161,7 +147,7 @@ def calibrate(
     if open_report:
         typer.echo(open_page(directory / "report.html"), err=True)
     verdict = report.verdict
-    conclude(
+    options.conclude(
         verdict.level,
         verdict.reason,
         verdict.next_step,

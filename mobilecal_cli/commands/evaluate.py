@@ -7,18 +7,7 @@ from typing import Annotated
 
 import typer
 
-from mobilecal_cli.commands.options import (
-    AsJson,
-    Config,
-    Gates,
-    JUnit,
-    NoBar,
-    Settings,
-    Verbose,
-    conclude,
-    errors_to,
-    flags_of,
-)
+from mobilecal_cli.commands import options
 from mobilecal_cli.errors import ConfigError
 
 
@@ -38,14 +27,14 @@ def evaluate(
             help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]",
         ),
     ] = None,
-    config: Config = None,
-    setting: Settings = None,
-    gate: Gates = None,
-    as_json: AsJson = False,
-    junit: JUnit = None,
+    config: options.Config = None,
+    setting: options.Settings = None,
+    gate: options.Gates = None,
+    as_json: options.AsJson = False,
+    junit: options.JUnit = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing JUnit file.")] = False,
-    verbose: Verbose = False,
-    quiet: NoBar = False,
+    verbose: options.Verbose = False,
+    quiet: options.NoBar = False,
 ) -> None:
     """Test a calibration on another recording.
 
@@ -67,14 +56,14 @@ def evaluate(
             f"{params}: the only path given; evaluate needs a recording and a params.yaml",
             "mobilecal evaluate another.mcap log_calibration/params.yaml",
         )
-    with errors_to(junit, logs, force, [params, before, config]):
+    with options.errors_to(junit, logs, force, [params, before, config]):
         with progress_bar(quiet, verbose) as progress:
             result = evaluated(
                 logs,
                 params,
                 before=before,
                 config_path=config,
-                flags=flags_of(setting),
+                flags=options.flags_of(setting),
                 gates=gate or [],
                 progress=progress,
             )
@@ -85,4 +74,4 @@ def evaluate(
     else:
         text = evaluation_text(evaluation_data(result.evaluation), result.notes, result.verdict)
     typer.echo(text, nl=False)
-    conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)
+    options.conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)

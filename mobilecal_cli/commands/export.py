@@ -80,16 +80,14 @@ def export(
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
+    second = format_of(to).second_file
+    paths = [] if output is None else [output]
+    if second and output is None:
+        raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
+    paths += [path.with_suffix(second) for path in paths if second]
+    for path in paths:
+        check_file(path, force, [params, urdf, *(log or [])])
     given = {"left": left_joint, "right": right_joint}
-    inputs = [params, urdf, *(log or [])]
-    if output is not None:
-        check_file(output, force, inputs)
-    layout = None
-    if second := format_of(to).second_file:
-        if output is None:
-            raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
-        layout = output.with_suffix(second)
-        check_file(layout, force, inputs)
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(
         params,
@@ -103,13 +101,11 @@ def export(
         logs=log or [],
         allow_failed=allow_failed,
     )
-    if output is None:
+    if not paths:
         typer.echo(made.content, nl=False)
-    else:
-        write_file(output, made.content, force)
-    if layout is not None:
-        write_file(layout, made.layout.encode(), force)
+    for path, content in zip(paths, (made.content, made.layout.encode()), strict=False):
+        write_file(path, content, force)
     for note in made.notes:
         typer.echo(visible(note), err=True)
-    if output is not None:
-        typer.echo(written_line(output, *([layout] if layout is not None else [])))
+    if paths:
+        typer.echo(written_line(*paths))

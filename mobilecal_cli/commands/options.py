@@ -153,9 +153,7 @@ def conclude(
     """Print the verdict on standard output.
 
     Args:
-        level: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED".
-        reason: one or two sentences.
-        next_step: what to do now.
+        level, reason, next_step: see `Verdict`.
         written: the files written.
         quiet: print nothing on standard output (--quiet, --json), and a failure on standard error.
         exit_code: where the level is not PASS.
@@ -168,8 +166,8 @@ def conclude(
     passed = level == "PASS"
     if not quiet or not passed:
         typer.echo(verdict_text(level, reason, next_step, to_stderr=quiet), err=quiet)
-    if written and (not quiet or not passed):
-        typer.echo(written_line(*written), err=quiet)
+        if written:
+            typer.echo(written_line(*written), err=quiet)
     if not passed:
         raise typer.Exit(exit_code)
 
