@@ -367,6 +367,16 @@ class Drift:
     m_per_m: float | None
     rad_per_rad: float | None
 
+    @property
+    def mm_per_m(self) -> float | None:
+        """Position error per path length in mm per m."""
+        return None if self.m_per_m is None else self.m_per_m * 1e3
+
+    @property
+    def deg_per_turn(self) -> float | None:
+        """Heading error per full turn in degrees."""
+        return None if self.rad_per_rad is None else self.rad_per_rad * 360
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation(ReadOnly):

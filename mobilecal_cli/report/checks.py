@@ -20,7 +20,6 @@ from mobilecal_cli.model import (
     NINE,
     NO_IMAGES,
     AssumedOdometry,
-    Drift,
     Evaluation,
     Extraction,
     FloatArray,
@@ -68,14 +67,6 @@ def rms(values: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def drift_figures(drift: Drift) -> dict[str, float | None]:
-    """Drift in mm per m and degrees per full turn."""
-    return {
-        "mm_per_m": None if drift.m_per_m is None else drift.m_per_m * 1e3,
-        "deg_per_turn": None if drift.rad_per_rad is None else drift.rad_per_rad * 360,
-    }
-
-
 #: Figures of an evaluation.
 EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
     Metric("stations", at_least=True): lambda evaluation: float(evaluation.stations),
@@ -83,8 +74,8 @@ EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
     Metric("reprojection_rms_px", "px"): lambda evaluation: rms(evaluation.reprojection_px),
     Metric("rotation_rms_deg", "deg"): lambda evaluation: math.degrees(rms(evaluation.rotation_rad)),
     Metric("translation_rms_mm", "mm"): lambda evaluation: rms(evaluation.translation_m) * 1e3,
-    Metric("drift_mm_per_m", "mm/m"): lambda evaluation: drift_figures(evaluation.after)["mm_per_m"],
-    Metric("drift_deg_per_turn", "deg"): lambda evaluation: drift_figures(evaluation.after)["deg_per_turn"],
+    Metric("drift_mm_per_m", "mm/m"): lambda evaluation: evaluation.after.mm_per_m,
+    Metric("drift_deg_per_turn", "deg"): lambda evaluation: evaluation.after.deg_per_turn,
 }
 
 

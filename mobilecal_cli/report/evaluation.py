@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD, drift_figures, rms
+from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD, rms
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
@@ -37,12 +37,6 @@ _QUANTITIES = (
     ("radius_left", "left wheel radius", slice(7, 8), 1.0, "%"),
     ("separation", "wheel separation", slice(8, 9), 2.0, "%"),
 )
-#: What these are for odometry alone, whose wheels nobody measured.
-_OF_ODOMETRY = {
-    "radius_right": "right wheel radius multiplier",
-    "radius_left": "left wheel radius multiplier",
-    "separation": "wheel separation multiplier",
-}
 #: A difference counts from so many standard deviations on.
 _SIGMAS = 3.0
 #: The standard deviation may be this share of the limit: a difference of twice the limit is then 4 sigma.
@@ -129,17 +123,16 @@ def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | Mo
     """A gross error of the calibration, or of a recording that no calibration explains."""
     limit_px = PIXEL_ERROR_BAD * float(cameras.first.K[0, 0])
     px = float(np.median(evaluation.reprojection_px))
-    best_px = (
-        limit_px if isinstance(own, MobilecalError) else float(np.median(own.residuals.leg_reprojection_px))
-    )
+    best_px, best = limit_px, ""
+    if not isinstance(own, MobilecalError):
+        best_px = float(np.median(own.residuals.leg_reprojection_px))
+        best = f"; the recording's own estimate leaves {best_px:.1f} px"
     limit = max(limit_px, _TIMES_OWN * best_px)
     outcome: Outcome = "not_enough" if best_px > limit_px else "fail" if px > limit else "pass"
     if outcome == "not_enough":
         why = f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
         cure = "Check for wheel slip, a moved board and wrong encoder settings, and record again."
     else:
-        known = not isinstance(own, MobilecalError)
-        best = f"; the recording's own estimate leaves {best_px:.1f} px" if known else ""
         why = f"The median station-to-station corner error is {px:.1f} px (limit {limit_px:.1f} px){best}."
         cure = "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again."
     return Check(
@@ -166,8 +159,10 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         mine = np.diag(robot.knowledge.observable.astype(np.float64))
         covariance += mine @ robot.knowledge.covariance @ mine
     covariance *= np.outer(scales, scales)
-    for key, of_wheels, whole, limit, unit in _QUANTITIES:
-        name = of_wheels if robot.odometry is None else _OF_ODOMETRY.get(key, of_wheels)
+    for key, name, whole, limit, unit in _QUANTITIES:
+        of_camera = key.startswith("camera")
+        if robot.odometry is not None and not of_camera:
+            name = f"{name} multiplier"  # nobody measured the wheels
         part = np.arange(9)[whole][~uncertainty.described[whole]]
         at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
         x, C = change[part], covariance[np.ix_(part, part)]
@@ -191,8 +186,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         elif largest > needed:
             outcome = "not_enough"
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
-            of_head = key.startswith("camera")
-            small = " ".join(small_extents(own.motion, of_head, not of_head))
+            small = " ".join(small_extents(own.motion, of_camera, not of_camera))
             cure = small or "Record more stations; mobilecal suggest lists the most useful ones."
         yield Check(f"agreement.{key}", value, limit, outcome, name, measured, at_most, why, cure, unit=unit)
 
@@ -255,8 +249,8 @@ def evaluation_data(evaluation: Evaluation) -> EvaluationData:
             key: SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
             for key, values in errors.items()
         },
-        drift_before=None if evaluation.before is None else DriftData(**drift_figures(evaluation.before)),
-        drift_after=DriftData(**drift_figures(evaluation.after)),
+        drift_before=None if evaluation.before is None else like(DriftData, evaluation.before),
+        drift_after=like(DriftData, evaluation.after),
         per_leg=tuple(
             LegErrorData(
                 log=log,
@@ -319,20 +313,20 @@ def evaluation_text(
     if evaluation.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in evaluation.clock_offsets_s.items())
         lines.append(f"Clock offsets: {offsets}")
-    heads = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
-    lines += [
+    heads: tuple[str, ...] = (
+        "Prediction from station to station",
+        "number:rms",
+        "number:median",
+        "number:worst",
         "",
-        *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9)),
-        "",
-        *Table.of(("Drift", "number:before", "number:after", ""), drift_rows(evaluation)).lines((36, 9, 9)),
-    ]
+    )
+    lines += ["", *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9))]
+    heads = ("Drift", "number:before", "number:after", "")
+    lines += ["", *Table.of(heads, drift_rows(evaluation)).lines((36, 9, 9))]
     if verdict is not None:
-        lines += [
-            "",
-            f"  {'Calibration against this recording':<56}{'':<21}limit",
-            *(
-                f"  {check.label:<12}{check.name:<44}{check.measured_text:<21}{check.limit_text}"
-                for check in verdict.checks
-            ),
-        ]
+        lines += ["", f"  {'Calibration against this recording':<56}{'':<21}limit"]
+        lines += (
+            f"  {check.label:<12}{check.name:<44}{check.measured_text:<21}{check.limit_text}"
+            for check in verdict.checks
+        )
     return "\n".join(lines) + "\n"

@@ -47,9 +47,10 @@ class JsonValue:
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
 
 
-def like(cls: type[_T], source: object, **more: Any) -> _T:  # noqa: ANN401
-    """A value with further fields, and the others as in a value that has fields of the same name."""
-    own = {field.name: getattr(source, field.name) for field in fields(cls) if field.name not in more}  # type: ignore[arg-type]
+def like(cls: type[_T], *sources: object, **more: Any) -> _T:  # noqa: ANN401
+    """A value with further fields, and each of the others as in the first source that has it."""
+    names = [field.name for field in fields(cls) if field.name not in more]  # type: ignore[arg-type]
+    own = {name: next(getattr(s, name) for s in sources if hasattr(s, name)) for name in names}
     return cls(**own, **more)
 
 

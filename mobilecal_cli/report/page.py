@@ -45,8 +45,7 @@ _LEAST_PROBABILITY = 1e-6  # worth a digit
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
     failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
-    decisive = next((check for check in failed if check.why == report.verdict.reason), None)
-    return "" if decisive is None else section_of(decisive)
+    return next((section_of(check) for check in failed if check.why == report.verdict.reason), "")
 
 
 def report_html(report: ReportData, drawings: Drawings) -> str:

@@ -54,6 +54,8 @@ def change(case: Case) -> Rows:
     def shown(value: float, digits: int) -> str:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
 
+    parameters, stds = parameters_of(case.extraction.rig), reference_std(case.solution) or (None,) * len(NINE)
+    columns = (each.tolist() for each in (difference.value, difference.sigmas, difference.percent))
     return [
         (
             p.name,
@@ -62,14 +64,7 @@ def change(case: Case) -> Rows:
             shown(sigmas, 1),
             shown(percent, 2),
         )
-        for p, std, value, sigmas, percent in zip(
-            parameters_of(case.extraction.rig),
-            reference_std(case.solution) or (None,) * len(NINE),
-            difference.value.tolist(),
-            difference.sigmas.tolist(),
-            difference.percent.tolist(),
-            strict=True,
-        )
+        for p, std, value, sigmas, percent in zip(parameters, stds, *columns, strict=True)
         if np.isfinite(value)
     ]
 

@@ -417,20 +417,23 @@ def build_report(case: Case) -> ReportData:
     vector_std_deg, euler_std_deg = rotation_std_deg(solution)
     alone = extraction.rig.sources.assumed_wheels is not None
     legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
-    return ReportData(
+    return like(
+        ReportData,
+        case,
+        solution,
+        extraction,
         schema_version=6,
-        verdict=case.verdict,
         numbers=numbers_of(solution, extraction.rig),
         metrics=figures_of(case),
         parameters=like(
             ResultData,
             _nine(solution.parameters, cameras, alone),
+            cameras,
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
             parent_frame=extraction.rig.chain.head_frame,
             child_frame=cameras.of_reference.frame_id,
             camera=cameras.reference,
-            rectified=cameras.rectified,
             odometry=_odometry(solution, extraction),
         ),
         quality=_quality(solution, extraction),
@@ -450,8 +453,7 @@ def build_report(case: Case) -> ReportData:
         else like(
             RefinementData,
             _nine(refinement.parameters, cameras, alone),
-            method=refinement.method,
-            evaluations=refinement.evaluations,
+            refinement,
             point_rms_mm=refinement.point_rms_m * 1e3,
             point_rms_history_mm=refinement.point_rms_history_m * 1e3,
         ),
@@ -465,11 +467,9 @@ def build_report(case: Case) -> ReportData:
             for (first, second), m, px in legs
         ),
         uncertainty=_uncertainty(solution),
-        outliers=solution.outliers,
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
         constants=_constants(solution),
         error_budget=_budget(case),
-        evidence=solution.evidence,
         contradictions=tuple(
             like(ContradictionData, evidence, text=text, cure=cure)
             for evidence in solution.contradictions
@@ -494,14 +494,12 @@ def build_report(case: Case) -> ReportData:
         ),
         suggestions=_suggestions(solution, extraction),
         hold_out=None if case.trial is None else evaluation_data(case.trial),
-        change=case.change,
         stations=_stations(solution, extraction),
         robot=_robot(solution, extraction.rig),
         paths=tuple(
             PathData(log=log, points_m=np.round(trail(extraction, log, solution.parameters.wheels), 4))
             for log in sorted({o.log for o in extraction.observations})
         ),
-        motion=solution.motion,
         image_coverage=_coverage(extraction),
         board=like(
             BoardData,
@@ -517,7 +515,6 @@ def build_report(case: Case) -> ReportData:
             items=extraction.rejections,
         ),
         counts={"images" if name == "pictures" else name: count for name, count in counts.items()},
-        notes=extraction.notes,
         setting_sources=extraction.rig.setting_sources,
         provenance=like(ProvenanceData, case.provenance, tool="mobilecal"),
         tables=tables(case),
