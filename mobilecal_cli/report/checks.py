@@ -257,11 +257,8 @@ def observable(made: Calibration) -> Iterator[Check]:
     uncertainty = made.solution.uncertainty
     if uncertainty is None:
         return
-    missing = [
-        name for name, ok, by_user, described in zip(
-            NINE, uncertainty.observable, uncertainty.fixed, uncertainty.described, strict=True
-        ) if not (ok or by_user or described)
-    ]  # fmt: skip
+    known = uncertainty.observable | uncertainty.fixed | uncertainty.described
+    missing = [name for name, ok in zip(NINE, known, strict=True) if not ok]
     if not missing and not uncertainty.described.any():
         yield Check("observable", float(np.sum(uncertainty.observable | uncertainty.fixed)))
     elif not missing:
@@ -419,15 +416,16 @@ def second_solution(made: Calibration) -> Iterator[Check]:
     ratio = rival / kept if kept > 0 else math.inf
     fits = kept < fitting_share * board_distance_m(made.extraction)
     errors = f"point errors {kept * 1e3:.1f} and {rival * 1e3:.1f} mm"
+    measured = "all starts converge to one solution"
+    if math.isfinite(ratio):
+        measured = f"second-best point error {ratio:.1f} times larger"
+        if not fits:
+            measured = f"not compared: the linear solution has a point error of {kept * 1e3:.0f} mm"
     yield Check(
         "second_solution", ratio if math.isfinite(ratio) else None, limit,
         "pass" if ratio >= limit or not fits else "fail",
         "unique solution",
-        "all starts converge to one solution"
-        if not math.isfinite(ratio)
-        else f"second-best point error {ratio:.1f} times larger"
-        if fits
-        else f"not compared: the linear solution has a point error of {kept * 1e3:.0f} mm",
+        measured,
         f"second-best at least {limit:g} times larger",
         f"Two different solutions fit almost equally well: {errors}.",
         "State the nominal wheels in rig.yaml, or record smaller turns between stops.",
@@ -786,9 +784,8 @@ def methods(made: Calibration) -> Iterator[Check]:
         1e3 * float(np.linalg.norm(step[3:6])),
         100 * float(np.abs(linear.wheels.vector / refined.wheels.vector - 1).max()),
     ]
-    uncertainty = made.solution.uncertainty
-    if uncertainty is not None:
-        known = [bool(uncertainty.observable[part].all()) for part in (slice(3), slice(3, 6), slice(6, 9))]
+    if made.solution.uncertainty is not None:
+        known = [bool(part.all()) for part in made.solution.uncertainty.observable.reshape(3, 3)]
         apart = [value if ok else 0.0 for value, ok in zip(apart, known, strict=True)]
     largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
     text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
