@@ -46,7 +46,7 @@ class Metric:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One criterion of the verdict, with its sentences; without a name, a figure alone, which gates can limit.
+    """One criterion of the verdict, with its sentences; `limit` is a lower one if `at_least`.
 
     Attributes:
         id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint").
@@ -55,7 +55,7 @@ class Check:
         unit: of both, "" for counts and ratios; of the criteria of a calibration, `criterion` fills it in.
         at_least: whether the limit is a lower one; filled in likewise.
         outcome: "pass", "warning" (which passes), "fail" or "not_enough" (too little data to decide).
-        name: the criterion.
+        name: the criterion; "" for a figure alone, which gates can limit and no criterion judges.
         measured_text, limit_text: values with their units.
         why: a sentence; empty for "pass".
         next_step: what to do then; empty for "pass".

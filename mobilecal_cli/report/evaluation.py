@@ -102,14 +102,7 @@ def judge_evaluation(
         "Record at least ten stations.",
         at_least=True,
     )  # fmt: skip
-    if isinstance(own, MobilecalError):
-        cure = f"{own.hint[:1].upper()}{own.hint[1:]}." if own.hint else "Record again."
-        why = f"This recording cannot be solved by itself: {own.message}."
-        solved = Check("own_estimate", None, None, "not_enough", "estimate from this recording", "none",
-                       "all nine parameters", why, cure)  # fmt: skip
-        agreement = iter((solved,))
-    else:
-        agreement = _agreement(robot, own, cure)
+    agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
     checks = Checks((enough_stations, _corner_error(evaluation, cameras, own), *agreement, *gates))
     if checks.worst.outcome in LEVELS:
         return decided_by(checks.worst, checks)
@@ -143,6 +136,18 @@ def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | Mo
         why,
         cure,
         unit="px",
+    )  # fmt: skip
+
+
+def _unsolved(error: MobilecalError) -> Iterator[Check]:
+    """That the recording has no estimate of its own."""
+    yield Check(
+        "own_estimate", None, None, "not_enough",
+        "estimate from this recording",
+        "none",
+        "all nine parameters",
+        f"This recording cannot be solved by itself: {error.message}.",
+        f"{error.hint[:1].upper()}{error.hint[1:]}." if error.hint else "Record again.",
     )  # fmt: skip
 
 
@@ -313,16 +318,11 @@ def evaluation_text(
     if evaluation.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in evaluation.clock_offsets_s.items())
         lines.append(f"Clock offsets: {offsets}")
-    heads: tuple[str, ...] = (
-        "Prediction from station to station",
-        "number:rms",
-        "number:median",
-        "number:worst",
-        "",
+    heads = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
+    lines += ["", *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9)), ""]
+    lines += Table.of(("Drift", "number:before", "number:after", ""), drift_rows(evaluation)).lines(
+        (36, 9, 9)
     )
-    lines += ["", *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9))]
-    heads = ("Drift", "number:before", "number:after", "")
-    lines += ["", *Table.of(heads, drift_rows(evaluation)).lines((36, 9, 9))]
     if verdict is not None:
         lines += ["", f"  {'Calibration against this recording':<56}{'':<21}limit"]
         lines += (

@@ -307,7 +307,7 @@ class RobotData(JsonValue):
 
 
 class PathData(JsonValue):
-    """Path of the base in one recording, in the frame of the base at its first station."""
+    """Path of the base in one recording."""
 
     log: int
     points_m: Matrix
