@@ -86,8 +86,8 @@ def main() -> None:
         opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
         if not (opencv or isinstance(error, MemoryError)):
             raise
-        hint = "use --jobs 1, a shorter recording, or a machine with more memory"
-        _fail(ResourceError("out of memory", hint))
+        less = "use --jobs 1, a shorter recording, or a machine with more memory"
+        _fail(ResourceError("out of memory", less))
 
 
 def _fail(error: MobilecalError) -> NoReturn:
