@@ -117,6 +117,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         times_ns=times_ns,
         encoder_step_rad=steps,
         several_wheels=extraction.rig.sources.several_wheels,
+        first_log=0,
         layout=Layout(tuple(constants)),
     )
 

@@ -1,7 +1,7 @@
 """What a constant of the robot changes, and the derivative of the prediction by it.
 
-There is one class for each place where a constant enters: joint positions, the head's chain, the cameras, the board,
-the base, and the wheels. `nuisance` has the rows.
+There is one class for each place where a constant enters: stamps, joint positions, the head's chain, the cameras,
+the board, the base, and the wheels. `nuisance` has the rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.measurements import Measurements
-from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
+from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
 
 
 class Effect:
@@ -29,9 +29,31 @@ class Effect:
         return True
 
 
-def _in_motion(data: Measurements) -> bool:
-    """Only stations in motion show an offset of stamps."""
-    return bool(data.moving.any()) and bool(data.joint_tracks)
+def _in_motion(data: Measurements) -> BoolArray:
+    """(N,) stations that show an offset of stamps."""
+    return data.moving & bool(data.joint_tracks)
+
+
+@dataclass(frozen=True, slots=True)
+class Clock(Effect):
+    """Offset of the stamps of joints or wheels against the cameras', s: those in motion are read at another moment.
+
+    Attributes:
+        of: "joints" or "wheels".
+        log: the recording that it belongs to; None for all.
+    """
+
+    of: Literal["joints", "wheels"]
+    log: int | None = None
+
+    def stations(self, data: Measurements) -> BoolArray:
+        """(N,) those of the recording."""
+        every = np.ones(data.stations, dtype=np.bool_)
+        return every if self.log is None else np.asarray(data.first_log + data.log == self.log)
+
+    def offered(self, data: Measurements) -> bool:
+        """Only stations in motion show an offset."""
+        return bool((self.stations(data) & _in_motion(data)).any())
 
 
 # -- joints -----------------------------------------------------------------------------------------
@@ -43,30 +65,8 @@ class JointEffect(Effect, ABC):
     __slots__ = ()
 
     @abstractmethod
-    def rate(self, data: Measurements, value: float) -> FloatArray:
+    def rate(self, data: Measurements) -> FloatArray:
         """(N, J) derivative of the joint positions by the value."""
-
-    def shift(self, data: Measurements, value: float) -> FloatArray:
-        """(N, J) to be added to the joint readings, rad or m."""
-        shift: FloatArray = value * self.rate(data, value)
-        return shift
-
-
-@dataclass(frozen=True, slots=True)
-class JointClock(JointEffect):
-    """Offset of the joints' stamps, s: joints in motion are read at another moment."""
-
-    def offered(self, data: Measurements) -> bool:
-        """Only stations in motion show an offset."""
-        return _in_motion(data)
-
-    def shift(self, data: Measurements, value: float) -> FloatArray:
-        """(N, J) motion of the joints within the offset."""
-        return data.joint_shift(value)
-
-    def rate(self, data: Measurements, value: float) -> FloatArray:
-        """(N, J) joint rates."""
-        return data.joint_rates(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class JointReading(JointEffect):
         """Only a joint that was approached from both directions shows its play."""
         return self.error != "play" or bool(np.ptp(data.approach_direction[:, self.joint]))
 
-    def rate(self, data: Measurements, value: float) -> FloatArray:
+    def rate(self, data: Measurements) -> FloatArray:
         """(N, J) derivative of the joint positions by the value."""
         by_error: dict[str, FloatArray | float] = {
             "zero": 1.0,
@@ -316,7 +316,7 @@ class CameraEffect(Effect):
     def offered(self, data: Measurements) -> bool:
         """Only corners in the camera show it, and a time only in motion."""
         shown = data.seen if self.camera is None else data.seen[:, self.camera]
-        return bool(shown.any()) and (not self.of.endswith("_s") or _in_motion(data))
+        return bool(shown.any()) and (not self.of.endswith("_s") or bool(_in_motion(data).any()))
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add a value to the change."""
@@ -399,12 +399,3 @@ class TurnSlip(Effect):
     def offered(self, data: Measurements) -> bool:
         """Only several wheels a side slip in every turn."""
         return data.several_wheels
-
-
-@dataclass(frozen=True, slots=True)
-class WheelClock(Effect):
-    """Offset of the wheels' stamps, s: legs are cut at another moment."""
-
-    def offered(self, data: Measurements) -> bool:
-        """Only stations in motion show an offset."""
-        return _in_motion(data)

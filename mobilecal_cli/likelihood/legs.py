@@ -10,11 +10,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import TurnSlip, WheelClock
+from mobilecal_cli.likelihood.effects import Clock, TurnSlip
 from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State, Step, head_at, wheel_clock_s
+from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at
 from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
@@ -56,8 +56,8 @@ def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
     errors = state.encoder_errors
     if np.any(state.stamp_errors):
-        errors = errors + data.wheel_rates(wheel_clock_s(data, state)) * state.stamp_errors[:, None]
-    steps = data.steps(wheel_clock_s(data, state)).with_ends(-errors[i], errors[j])
+        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.stamp_errors[:, None]
+    steps = data.steps(clock_s(data, state, "wheels")).with_ends(-errors[i], errors[j])
     right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
     return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
 
@@ -114,7 +114,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     )
     by_clock = np.zeros((count, 3))
     if data.base_width > STAMP:
-        rates = data.wheel_rates(wheel_clock_s(data, state))
+        rates = data.wheel_rates(clock_s(data, state, "wheels"))
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
@@ -123,8 +123,8 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
     for column, row in enumerate(data.layout.constants, 9):
-        if isinstance(row.effect, WheelClock):
-            by_shared[:, :, column] = by_clock
+        if isinstance(row.effect, Clock) and row.effect.of == "wheels":
+            by_shared[:, :, column] = by_clock * row.effect.stations(data)[i, None]
         elif isinstance(row.effect, TurnSlip) and above is not None:
             by_shared[:, :, column] = arcs.by_widening(above)
     odometry = Legs(residual, by_start, by_end, by_shared)

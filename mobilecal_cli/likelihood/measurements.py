@@ -91,6 +91,7 @@ class Measurements:
         wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m;
             0 at rest.
         log: (N,) the recording of each station. Each recording has a board pose of its own.
+        first_log: number of the first of these recordings among all.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         motions: of a planar sensor over each leg; None where there is none.
@@ -124,6 +125,7 @@ class Measurements:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     several_wheels: bool
+    first_log: int
 
     @property
     def stations(self) -> int:
@@ -179,11 +181,12 @@ class Measurements:
 
     # -- stamps in motion -------------------------------------------------------------------------
 
-    def stamps_ns(self, time_offset_s: float) -> IntArray:
-        """(N,) stamps of the images by another clock. Stations at rest keep theirs."""
-        return np.asarray(self.times_ns + self.moving * round(time_offset_s * 1e9), dtype=np.int64)
+    def stamps_ns(self, time_offset_s: FloatArray | float) -> IntArray:
+        """(N,) stamps of the images by another clock, also of one for each station. Stations at rest keep theirs."""
+        offset_ns = np.rint(1e9 * np.asarray(time_offset_s)).astype(np.int64)
+        return np.asarray(self.times_ns + self.moving * offset_ns)
 
-    def joint_shift(self, time_offset_s: float) -> FloatArray:
+    def joint_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
         shift = np.zeros_like(self.joints)
         for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
@@ -193,7 +196,7 @@ class Measurements:
                 shift[mine, j] = track.mean(after, width_ns) - track.mean(before, width_ns)
         return shift
 
-    def joint_rates(self, time_offset_s: float) -> FloatArray:
+    def joint_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
         rates = np.zeros_like(self.joints)
         for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
@@ -204,7 +207,7 @@ class Measurements:
                 rates[mine, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
         return rates
 
-    def wheel_rates(self, time_offset_s: float) -> FloatArray:
+    def wheel_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
         rates = np.zeros((self.stations, 2))
         for number, track in enumerate(self.tracks):
@@ -218,9 +221,9 @@ class Measurements:
 
     # -- legs -------------------------------------------------------------------------------------
 
-    def steps(self, time_offset_s: float = 0.0) -> Increments:
+    def steps(self, time_offset_s: FloatArray | float = 0.0) -> Increments:
         """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
-        if time_offset_s == 0 or not self.moving.any():
+        if not (np.any(time_offset_s) and self.moving.any()):
             return self._steps_as_stamped
         return self._cut(self.stamps_ns(time_offset_s))
 
@@ -258,6 +261,7 @@ class Measurements:
             joint_tracks=self.joint_tracks[log : log + 1],
             joint_widths_ns=self.joint_widths_ns[log : log + 1],
             log=np.zeros(int(mine.sum()), dtype=np.int64),
+            first_log=self.first_log + log,
             legs=number[self.legs[legs]],
             motions=self.motions and SensorMotions(self.motions.motion[legs], self.motions.covariance[legs]),
             tracks=self.tracks[log : log + 1],

@@ -19,11 +19,10 @@ from mobilecal_cli.likelihood.effects import (
     CameraChange,
     CameraEffect,
     ChainEffect,
+    Clock,
     Effect,
-    JointClock,
     JointReading,
     TurnSlip,
-    WheelClock,
     bent,
     resized,
     sheared,
@@ -146,6 +145,7 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Const
     return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
 
 
+_AGAIN = 0.1  # how much of the offset of a clock is another one when a recorder is started again
 #: Names of the constants that lean the base.
 LEAN = ("lean_roll", "lean_pitch")
 _LENS_TERMS = (
@@ -238,8 +238,8 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
     every = f"{'both' if len(names) == 2 else 'all'} cameras" if len(names) > 1 else first
     # fmt: off
     return (
-        _row("time_joints", "clock", "joints", "joint clock minus camera clock", JointClock()),
-        _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", WheelClock()),
+        _row("time_joints", "clock", "joints", "joint clock minus camera clock", Clock("joints")),
+        _row("time_wheels", "clock", "wheels", "wheel clock minus camera clock", Clock("wheels")),
         *_of_each_camera(names),
         *_of_poses(names, calibrated),
         *(_row(name, kind, "board", meaning, BoardEffect(shape)) for name, kind, meaning, shape in _SHAPES),
@@ -341,6 +341,17 @@ def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:
     usual = cameras.calibrated and cameras.names == SIDES
     common = CONSTANTS if usual else _common(cameras.names, cameras.calibrated)
     return (*common, *_of_baseline(cameras), *_of_joints(chain))
+
+
+def clocks_of(logs: Iterable[int]) -> Iterator[Constant]:
+    """Rows of the clocks of recordings, numbered from 0, against those of an earlier one."""
+    for log in logs:
+        for of in ("joints", "wheels"):
+            meaning = (
+                f"{of[:-1]} clock minus camera clock in recording {log + 1}, against the first in motion"
+            )
+            row = _row(f"time_{of}_{log + 1}", "clock", of, meaning, Clock(of, log))
+            yield replace(row, sigma=_AGAIN * row.sigma)
 
 
 def camera_change(

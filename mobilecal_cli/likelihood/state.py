@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -14,9 +15,8 @@ from mobilecal_cli.likelihood.effects import (
     BoardEffect,
     ChainChange,
     ChainEffect,
-    JointClock,
+    Clock,
     JointEffect,
-    WheelClock,
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.nuisance import LEAN, camera_change
@@ -142,23 +142,25 @@ class State:
 
 def joints_at(data: Dataset, state: State) -> FloatArray:
     """(N, J) joint positions: readings, their errors, and the constants that shift joints."""
+    offset_s = clock_s(data, state, "joints")
     joints = data.joints + state.joint_errors
     for row in data.layout.constants:
         if isinstance(row.effect, JointEffect) and state.value(row.name):
-            joints = joints + row.effect.shift(data, state.value(row.name))
+            joints = joints + state.value(row.name) * row.effect.rate(data)
+    if np.any(offset_s):
+        joints = joints + data.joint_shift(offset_s)
     if np.any(state.stamp_errors):
-        joints = joints + data.joint_rates(joint_clock_s(data, state)) * state.stamp_errors[:, None]
+        joints = joints + data.joint_rates(offset_s) * state.stamp_errors[:, None]
     return joints
 
 
-def joint_clock_s(data: Dataset, state: State) -> float:
-    """Offset of the joints' clock, s."""
-    return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, JointClock))
-
-
-def wheel_clock_s(data: Dataset, state: State) -> float:
-    """Offset of the wheels' clock, s."""
-    return sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, WheelClock))
+def clock_s(data: Dataset, state: State, of: Literal["joints", "wheels"]) -> FloatArray:
+    """(N,) offset of the clock of joints or wheels at each station, s."""
+    offset = np.zeros(data.stations)
+    for row in data.layout.constants:
+        if isinstance(row.effect, Clock) and row.effect.of == of:
+            offset += state.value(row.name) * row.effect.stations(data)
+    return offset
 
 
 def chain_change(data: Dataset, state: State) -> ChainChange:

@@ -22,6 +22,7 @@ from mobilecal_cli.likelihood.effects import (
     BoardEffect,
     CameraEffect,
     ChainEffect,
+    Clock,
     JointEffect,
     Sight,
 )
@@ -33,10 +34,9 @@ from mobilecal_cli.likelihood.state import (
     Step,
     board_in_camera,
     chain_change,
-    joint_clock_s,
+    clock_s,
     joints_at,
     points_at,
-    wheel_clock_s,
 )
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
@@ -201,10 +201,10 @@ def view_rates(data: Dataset, state: State) -> FloatArray:
     if not data.moving.any() or not data.joint_tracks:
         return rates
     frames = JointFrames.at(chain_change(data, state).apply(data.chain), joints_at(data, state))
-    rolled = data.wheel_rates(wheel_clock_s(data, state)) * wheels.vector[:2]
+    rolled = data.wheel_rates(clock_s(data, state, "wheels")) * wheels.vector[:2]
     rates[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
     rates[:, 3] = rolled.mean(axis=1)
-    rates += (frames.by_joints() @ data.joint_rates(joint_clock_s(data, state))[..., None])[..., 0]
+    rates += (frames.by_joints() @ data.joint_rates(clock_s(data, state, "joints"))[..., None])[..., 0]
     moved: FloatArray = -(se3.adjoint(se3.inverse(frames.T_v_h @ T_h_c)) @ rates[..., None])[..., 0]
     return moved * data.moving[:, None]
 
@@ -227,7 +227,7 @@ def _pose_columns(
     by_own[..., joints:] = -Ad_c_floor @ _floor_twists(state)
     by_base[..., FLOOR] = by_own[..., joints:]
     if data.base_width > STAMP:
-        rates = data.joint_rates(joint_clock_s(data, state))
+        rates = data.joint_rates(clock_s(data, state, "joints"))
         by_base[..., STAMP] = (by_own[..., :joints] @ rates[..., None])[..., 0]
 
     by_shared = np.zeros((count, 6, layout.size))
@@ -240,8 +240,9 @@ def _pose_columns(
         by_shared[..., [column for column, _ in of_chain]] = -Ad_c_v @ twists
     for column, row in enumerate(layout.constants, 9):
         if isinstance(row.effect, JointEffect):
-            rate = row.effect.rate(data, state.value(row.name))
-            by_shared[..., column] = (by_own[..., :joints] @ rate[:, :, None])[..., 0]
+            by_shared[..., column] = (by_own[..., :joints] @ row.effect.rate(data)[:, :, None])[..., 0]
+        elif isinstance(row.effect, Clock) and row.effect.of == "joints" and data.base_width > STAMP:
+            by_shared[..., column] = by_base[..., STAMP] * row.effect.stations(data)[:, None]
         elif isinstance(row.effect, BaseLean):
             by_shared[..., column] = by_own[..., joints + row.effect.axis]
     return by_base, by_own, se3.adjoint(T_c_k), by_shared

@@ -45,6 +45,7 @@ _KIND_OF = {
     r"distortion_.+_(radial|tangential)_[12xy]": "distortion",
     r"turn_.+_[xyz]": "camera_rotation",
     r"shift_.+_[xyz]": "camera_position",
+    r"time_(joints|wheels)_\d+": "clock",
     r"time_.+": "stereo_clock",
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")

@@ -77,7 +77,8 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     """
     rig = extraction.rig
     described = nuisance.table(rig.cameras, rig.chain)
-    rows = (*described, *corner_modes(data, described))
+    further = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
+    rows = (*described, *corner_modes(data, described), *further)
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:

@@ -13,7 +13,7 @@ from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.likelihood.state import State, cameras_at, head_at, points_at, wheel_clock_s
+from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
 from mobilecal_cli.likelihood.views import view_rates
 from mobilecal_cli.model import (
     BoolArray,
@@ -47,7 +47,7 @@ def at_state(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
         T_v_h=head_at(data, as_read),
-        steps=data.steps(wheel_clock_s(data, state)),
+        steps=data.steps(clock_s(data, state, "wheels")),
     )
 
 

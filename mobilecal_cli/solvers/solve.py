@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.errors import SolveError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
@@ -316,8 +316,8 @@ def _different_cameras(
             return None
         try:
             fit = robust_fit(Inference.of(alone, constraints))
-        except (SolveError, np.linalg.LinAlgError):
-            return None
+        except (ConfigError, SolveError, np.linalg.LinAlgError):
+            return None  # one recording alone does not show all, or lacks what the user constrains
         alone_px = max(alone_px, fit.noise.pixel_px)
         alone_m = max(
             alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)

@@ -24,7 +24,7 @@ SHIFT_RAD = 0.02
 class ShakyJoint(JointEffect):
     """A made-up constant: the first joint is further than read, at odd stations only."""
 
-    def rate(self, data, value):
+    def rate(self, data):
         rate = np.zeros_like(data.joints)
         rate[1::2, 0] = 1.0
         return rate

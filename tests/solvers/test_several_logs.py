@@ -12,10 +12,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, WheelGeometry
+from mobilecal_cli.model import NINE, Corners, WheelGeometry, WheelTrack
+from mobilecal_cli.model.signals import sampled
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.verdict import judge
-from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from tests import truth
@@ -265,3 +266,36 @@ def test_recordings_of_different_cameras(second):
         assert found.diagnosis is None
     else:
         assert "the recordings have different cameras or boards" in found.diagnosis.cause
+
+
+def with_late_readings(extraction, late_s):
+    """The same recording, with joints and wheels that were stamped later."""
+    late_ns = round(late_s * 1e9)
+
+    def later(track):
+        return replace(track, time_ns=track.time_ns + late_ns)
+
+    (joints,), (wheels,) = extraction.joint_tracks, extraction.wheels
+    joints = tuple(map(later, joints))
+    observations = tuple(
+        replace(o, joints=sampled(joints, np.array([o.time_ns]))[0]) for o in extraction.observations
+    )
+    track = WheelTrack(later(wheels.right), later(wheels.left))
+    return replace(extraction, observations=observations, joint_tracks=(joints,), wheels=(track,))
+
+
+def test_each_recording_in_motion_has_clocks_of_its_own():
+    """One offset for all of them would leave 50 ms of motion to the time stamps of the images: FAIL."""
+    robot, noise = tick_robot(), Noise(0.1, 0.003, 0.0, 5e-4)
+    routes = [plan_route(robot, "moving", stations=8, seed=seed) for seed in (0, 1)]
+    alone = [ideal_extraction(robot, route, noise, seed) for seed, route in enumerate(routes)]
+    extraction = joined(with_late_readings(alone[0], 0.05), with_late_readings(alone[1], -0.05))
+    found = solve(extraction)
+    assert judge(found, extraction).level == "PASS"
+    assert truth.nees(found.parameters, found.uncertainty.covariance, robot) < 2.5
+    for name, late_s in (("joints", 0.05), ("wheels", 0.05), ("joints_2", -0.1), ("wheels_2", -0.1)):
+        clock = found.constants[f"time_{name}"]
+        assert abs(clock.value - late_s) < 4 * clock.std
+        assert clock.std < 0.002
+    fixed = solve(extraction, constraints=constraints_of(["time_joints_2=-0.1"], [], []))
+    assert fixed.constants["time_joints_2"].std == 0
