@@ -80,13 +80,15 @@ def export(
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
-    second = format_of(to).second_file
-    paths = [] if output is None else [output]
-    if second and output is None:
-        raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
-    paths += [path.with_suffix(second) for path in paths if second]
-    for path in paths:
-        check_file(path, force, [params, urdf, *(log or [])])
+    inputs, paths = [params, urdf, *(log or [])], []
+    if output is not None:
+        check_file(output, force, inputs)
+        paths.append(output)
+    if second := format_of(to).second_file:
+        if output is None:
+            raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
+        paths.append(output.with_suffix(second))
+        check_file(paths[1], force, inputs)
     given = {"left": left_joint, "right": right_joint}
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(
