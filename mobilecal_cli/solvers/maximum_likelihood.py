@@ -60,7 +60,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     first = _first_fit(inference, initial, noise, inliers)
     fit = _as_described(inference, first) if first.inliers.same(inliers) else None
     if fit is not None:
-        return inference.estimate_noise(fit, FINE)
+        return fit
     held = replace(inference, scales_stay=True)
     fit = _without_outliers(held, first)
     try:
@@ -76,10 +76,11 @@ def _as_described(inference: Inference, first: Fit) -> Fit | None:
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
         wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
-        plain = not wide and fit.inliers.views.all() and once_decided(inference, fit) is None
-    except SolveError:
+        if wide or not fit.inliers.views.all() or once_decided(inference, fit) is not None:
+            return None
+        return inference.estimate_noise(fit, FINE)
+    except (SolveError, np.linalg.LinAlgError):
         return None
-    return fit if plain else None
 
 
 def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
