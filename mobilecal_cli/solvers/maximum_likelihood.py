@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -76,7 +76,7 @@ def _as_described(inference: Inference, first: Fit) -> Fit | None:
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
         wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
-        if wide or not fit.inliers.views.all() or once_decided(inference, fit) is not None:
+        if wide or not fit.inliers.views.all() or any(_suspects(inference, fit)):
             return None
         return inference.estimate_noise(fit, FINE)
     except (SolveError, np.linalg.LinAlgError):
@@ -159,15 +159,8 @@ def once_decided(inference: Inference, fit: Fit) -> Fit | None:
         )
         if agreeing:
             return _refitted(inference, fit, outliers.changed(inliers, kind, agreeing, to=True))
-    for _, kind, places in outliers.candidates(fit):
-        without = outliers.changed(inliers, kind, places, to=False)
-        if without.views.sum() < outliers.FEWEST_VIEWS:
-            continue
+    for kind, wrong in _suspects(inference, fit):
         try:
-            beyond = outliers.external(inference.refit_near(fit, without), kind)
-            wrong = [at for at in places if beyond[at] > 1]
-            if not wrong:
-                continue
             trial = _refitted(inference, fit, outliers.changed(inliers, kind, wrong, to=False))
             beyond = outliers.external(trial, kind)
         except SolveError:
@@ -175,6 +168,21 @@ def once_decided(inference: Inference, fit: Fit) -> Fit | None:
         if any(beyond[at] > 1 for at in wrong):
             return trial
     return None
+
+
+def _suspects(inference: Inference, fit: Fit) -> Iterator[tuple[str, list[tuple[int, ...]]]]:
+    """Kind and indices of inliers that are outliers against all others, to first order; the most striking first."""
+    for _, kind, places in outliers.candidates(fit):
+        without = outliers.changed(fit.inliers, kind, places, to=False)
+        if without.views.sum() < outliers.FEWEST_VIEWS:
+            continue
+        try:
+            beyond = outliers.external(inference.refit_near(fit, without), kind)
+        except SolveError:
+            continue  # the other measurements alone do not determine all parameters
+        wrong = [at for at in places if beyond[at] > 1]
+        if wrong:
+            yield kind, wrong
 
 
 def _refitted(inference: Inference, fit: Fit, inliers: Inliers) -> Fit:
