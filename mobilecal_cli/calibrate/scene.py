@@ -16,6 +16,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import improved_cameras, improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
+from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Outlier, Rejection, Residuals
 from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
 from mobilecal_cli.report.numbers import station_names
@@ -90,9 +91,7 @@ def _motion(
     track = extraction.wheels[log]
     # Stations at rest keep their stamps.
     clocks = {} if extraction.observations[mine[0]].at_rest else constants
-    joints_ns, wheels_ns = (
-        time_ns + round(clocks.get(name, 0.0) * 1e9) for name in ("time_joints", "time_wheels")
-    )
+    joints_ns, wheels_ns = (time_ns + round(clock_s(of, log, clocks) * 1e9) for of in ("joints", "wheels"))
     read_ns = np.clip(wheels_ns, track.time_ns[0], track.time_ns[-1])
     T = [residuals.T_w_v[mine[0]]]
     if len(time_ns) > 1:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -145,7 +146,6 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Const
     return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
 
 
-_AGAIN = 0.1  # how much of the offset of a clock is another one when a recorder is started again
 #: Names of the constants that lean the base.
 LEAN = ("lean_roll", "lean_pitch")
 _LENS_TERMS = (
@@ -168,6 +168,7 @@ _SHAPES = (
     ("board_shear", "board_shear", "angle between rows and columns, less 90 degrees", sheared),
 )
 _LETTERS = "xyz"
+_CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
 def _unit(size: int, axis: int) -> tuple[float, ...]:
@@ -346,12 +347,14 @@ def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:
 def clocks_of(logs: Iterable[int]) -> Iterator[Constant]:
     """Rows of the clocks of recordings, numbered from 0, against those of an earlier one."""
     for log in logs:
-        for of in ("joints", "wheels"):
-            meaning = (
-                f"{of[:-1]} clock minus camera clock in recording {log + 1}, against the first in motion"
-            )
-            row = _row(f"time_{of}_{log + 1}", "clock", of, meaning, Clock(of, log))
-            yield replace(row, sigma=_AGAIN * row.sigma)
+        for of, word in _CLOCKS:
+            meaning = f"change of the {word} clock against the cameras' in recording {log + 1}"
+            yield _row(f"time_{of}_{log + 1}", "clock", of, meaning, Clock(of, log))
+
+
+def clock_s(of: str, log: int, constants: Mapping[str, float]) -> float:
+    """Offset of the clock of "joints" or "wheels" in a recording, s, of estimated constants by name."""
+    return constants.get(f"time_{of}", 0.0) + constants.get(f"time_{of}_{log + 1}", 0.0)
 
 
 def camera_change(

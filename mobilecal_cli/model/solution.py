@@ -393,7 +393,8 @@ class Evaluation(ReadOnly):
         driven_m, turned_rad: path length and absolute rotation, summed over the legs.
         before: drift with the wheels to compare with, None if there are none.
         after: drift with the calibrated wheels.
-        clock_offsets_s: estimated clock offset of "joints" and "wheels", s; empty if not estimated.
+        clock_offsets_s: estimated clock offset of "joints" and "wheels", s, and of further recordings against these;
+            empty if not estimated.
     """
 
     stations: int

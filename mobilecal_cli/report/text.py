@@ -50,13 +50,14 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 def _details(report: ReportData) -> list[str]:
     quality = report.quality
     lines = ["", *_wrapped(report.parameters.orientation, "")]
-    keys = {"time_joints": "clock of the joints", "time_wheels": "clock of the wheels"}
-    for key, name in keys.items():
-        if key in report.constants:
-            value, std = 1e3 * report.constants[key].value, 1e3 * (report.constants[key].std or 0.0)
+    for key, clock in report.constants.items():
+        if clock.kind == "clock":
+            of, _, recording = key.removeprefix("time_").partition("_")
+            value, std = 1e3 * clock.value, 1e3 * (clock.std or 0.0)
             sigma = f"± {std_text(std)} ms" if std else "ms, fixed"
-            shown = f"{value_text(value, std or None, 3)} {sigma}, added to the image stamps"
-            lines.append(f"  {name:<{_LABEL}}{shown}")
+            where = f"in recording {recording}, too" if recording else "to the image stamps"
+            shown = f"{value_text(value, std or None, 3)} {sigma}, added {where}"
+            lines.append(f"  {f'clock of the {of}':<{_LABEL}}{shown}")
     lines.append(f"  {'point error':<{_LABEL}}{quality.point_rms_mm:.2f} mm")
     if quality.reprojection_rms_px:
         lines.append(f"  {'reprojection error':<{_LABEL}}{quality.reprojection_rms_px:.2f} px")

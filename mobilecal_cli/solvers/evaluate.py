@@ -11,6 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import (
     Drift,
     Evaluation,
@@ -27,13 +28,15 @@ from mobilecal_cli.solvers.transfer import camera_motion
 _LEAST_M, _LEAST_RAD = 0.2, 0.35
 #: The number of station pairs grows quadratically: longer recordings use this many stations, evenly spaced.
 _MOST_STATIONS = 400
-_CLOCKS = ("joints", "wheels")
 
 
 def clock_offsets(solution: Solution) -> dict[str, float]:
-    """Estimated clock offset of "joints" and "wheels" against the images, s; empty if not estimated."""
-    names = [name for name in _CLOCKS if f"time_{name}" in solution.constants]
-    return {name: solution.constants[f"time_{name}"].value for name in names}
+    """Estimated clock offsets, s: "joints" and "wheels" against the images, "joints_2" of a recording against these."""
+    return {
+        name.removeprefix("time_"): constant.value
+        for name, constant in solution.constants.items()
+        if constant.kind == "clock"
+    }
 
 
 def evaluate(
@@ -80,8 +83,12 @@ def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> Motio
     data = dataset_of(extraction)
     if not offsets_s:
         return data.pairs
-    joints = data.joints + data.joint_shift(offsets_s.get("joints", 0.0))
-    steps = data.steps(offsets_s.get("wheels", 0.0))
+    constants = {f"time_{name}": offset_s for name, offset_s in offsets_s.items()}
+    joints_s, wheels_s = (
+        np.array([clock_s(of, log, constants) for log in range(data.logs)])[data.log]
+        for of in ("joints", "wheels")
+    )
+    joints, steps = data.joints + data.joint_shift(joints_s), data.steps(wheels_s)
     return replace(data.pairs, T_v_h=head_pose(data.chain, joints), steps=steps)
 
 

@@ -12,7 +12,7 @@ from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
 from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
 from mobilecal_cli.likelihood.views import view_rates
 from mobilecal_cli.model import (
@@ -89,7 +89,8 @@ def at_constants(
         constants: name → difference from the stated value.
     """
     rig = extraction.rig
-    rows = [row for row in table(rig.cameras, rig.chain) if constants.get(row.name)]
+    every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
+    rows = [row for row in every if constants.get(row.name)]
     data = dataset_of(extraction, rows)
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))

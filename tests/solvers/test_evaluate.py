@@ -117,6 +117,23 @@ def test_logs_stand_alone():
     assert found.before == found.after
 
 
+def test_each_of_two_moving_recordings_is_tested_with_its_clocks():
+    noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
+    routes = [plan_route(ROBOT, "moving", seed=seed) for seed in (3, 4)]
+
+    def recorded(*late_s):
+        each = enumerate(zip(routes, late_s, strict=True))
+        return joined(*(ideal_extraction(ROBOT, route, noise, k, camera_late_s=s) for k, (route, s) in each))
+
+    right, late = recorded(0.0, 0.0), recorded(0.03, -0.03)
+    offsets = {"joints": -0.03, "wheels": -0.03, "joints_2": 0.06, "wheels_2": 0.06}
+    assert clock_offsets(solve(late)) == pytest.approx(offsets, abs=3e-3)
+    found, without = evaluate(late, TRUTH, None, offsets_s=offsets), evaluate(right, TRUTH, None)
+    for name in ("reprojection_px", "rotation_rad", "translation_m"):
+        rms = [np.sqrt(np.mean(getattr(e, name) ** 2)) for e in (found, without)]
+        assert rms[0] < 1.15 * rms[1]
+
+
 def test_clock_offsets_of_a_moving_recording():
     """With the offsets that a solution of the recording gives, a late camera clock costs nothing."""
     noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
