@@ -150,7 +150,7 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
         )
 
 
-def _interruptions(readings: Readings) -> Iterator[Hypothesis]:
+def interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
     for log, track in enumerate(readings.wheels):
         mine = np.flatnonzero(readings.log == log)
@@ -432,6 +432,6 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 
 #: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
 #: say nothing.
-WHOLE: Stages = ((_joints, _wheels, _interruptions), (_delays, _neighbors))
+WHOLE: Stages = ((_joints, _wheels, interruptions), (_delays, _neighbors))
 FROZEN: Stages = ((_frozen_joints,),)
 FREE: Stages = ((_free_joints,), (_free_wheels,))

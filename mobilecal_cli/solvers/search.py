@@ -17,7 +17,16 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Parameters, Rig, WheelGeometry
-from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, MOVED, SIDES, WHOLE, Stages, of_sides
+from mobilecal_cli.solvers.hypotheses import (
+    FREE,
+    FROZEN,
+    MOVED,
+    SIDES,
+    WHOLE,
+    Stages,
+    interruptions,
+    of_sides,
+)
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
@@ -117,6 +126,18 @@ class Search:
         if self._fits:
             return None
         return self._from_a_station_on or self.frozen or self._free_part()
+
+    @cached_property
+    def interrupted(self) -> Diagnosis | None:
+        """The reading that stays the same for a stretch, without which all legs fit clearly better, not most alone."""
+        as_is = self._as_is
+        if as_is is None:
+            return None
+        for row in interruptions(self._readings):
+            fit = self._score(row.transform(self._readings))
+            if fit is not None and fit.misfit < FITS and fit.of_all < _BETTER * as_is.of_all:
+                return Diagnosis(row.cause, row.cure, self._base, fit.of_all)
+        return None
 
     @cached_property
     def frozen(self) -> Diagnosis | None:

@@ -263,7 +263,7 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
     """The mistake because of which a recording cannot be solved, or how badly it fits; None if neither is known."""
     if extraction.motions:  # mistakes are searched for with a target
         return None
-    diagnosis, share = search.diagnosis, search.misfit
+    diagnosis, share = search.diagnosis or search.interrupted, search.misfit
     if diagnosis is not None:
         return SolveError(
             f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
@@ -287,16 +287,19 @@ def _diagnosis(
 ) -> Diagnosis | None:
     """The mistake in the description or in the readings in spite of which there is a solution.
 
-    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for.
+    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
+    that changed is not known, a reading may have stopped.
     """
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
     distance_m = _board_distance_m(extraction)
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     fits_badly = solution.point_rms_m**2 - of_corners_m**2 > (_BAD_SHARE * distance_m) ** 2
     fits_badly |= gross > _MANY_OUTLIERS * len(extraction.observations)
-    jumps = any(jump.part for jump in solution.jumps)
+    parts = [jump.part for jump in solution.jumps]
+    if "" in parts and not extraction.motions and search.interrupted is not None:
+        return search.interrupted
     if fits_badly and not extraction.motions:
-        diagnosis = search.of_whole or search.frozen if jumps else search.diagnosis
+        diagnosis = search.of_whole or search.frozen if any(parts) else search.diagnosis
     else:
         diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)
     if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:

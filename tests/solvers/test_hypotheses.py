@@ -146,6 +146,20 @@ def test_a_frozen_joint_is_no_jump_of_another_part(seed):
     assert "the reading of pan_joint never changes" in said_of(MISTAKES["pan frozen"][0](made))
 
 
+@pytest.mark.parametrize(("seed", "side"), [(75, "right"), (77, "right")])
+def test_a_wheel_whose_readings_stop_under_a_fixed_camera_is_named(seed, side):
+    """Most legs fit without the stretch: it was "something changed"."""
+    robot, noise = fixed_camera_robot(), Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
+    made = ideal_extraction(robot, plan_route(robot, "moving", seed=seed), noise, seed)
+    track = getattr(made.wheels[0], side)
+    last = len(track.value) * 3 // 4
+    stopped = replace(
+        track, value=np.append(track.value[:last], np.full(len(track.value) - last, track.value[last]))
+    )
+    spoilt = replace(made, wheels=(replace(made.wheels[0], **{side: stopped}),))
+    assert f"the reading of the {side} wheel does not change between" in said_of(spoilt)
+
+
 def test_an_eccentric_wheel_is_not_blamed_on_a_joint_alone(recorded):
     """Pan explains what a short drive shows of a heading error, but the wheels explain more."""
 
