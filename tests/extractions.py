@@ -40,6 +40,7 @@ from tests.robots import corners_of, hidden, rig_of
 
 _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
+_WAVES = 200  # of a floor that is a function of the place
 _SHUTTER_ROUNDS = 4  # each shrinks the error by the rows that a corner moves during one image
 
 
@@ -58,6 +59,8 @@ class Noise:
         wheel_share: sigma of each wheel's relative scale error.
         floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
         floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
+        floor_place_m: the floor is a smooth function of the place, whose heights are alike within this distance; 0: it
+            is another one at each visit.
         wheel_length_m: driven distance over which a scale error stays the same; 0: one for each leg.
     """
 
@@ -73,6 +76,7 @@ class Noise:
     wheel_share: float = 0.0
     floor_length_m: float = 0.0
     floor_smooth: bool = False
+    floor_place_m: float = 0.0
     wheel_length_m: float = 0.0
 
 
@@ -161,9 +165,14 @@ class HeavyTails:
         return self._random.standard_t(3, size) / np.sqrt(3)
 
 
-def floor_in_base(noise: Noise, path_m: FloatArray, random: np.random.Generator, still: bool) -> FloatArray:
-    """As `actual.floor_in_base`, alike over the driven distances (N,) at the stations, m."""
+def floor_in_base(
+    noise: Noise, path_m: FloatArray, base: FloatArray, random: np.random.Generator, still: bool
+) -> FloatArray:
+    """As `actual.floor_in_base`, alike over the driven distances (N,) at the stations, m, or at base poses (N, 3)."""
     turns, lifts = random.normal(size=(len(path_m), 2)), random.normal(size=len(path_m))
+    if noise.floor_place_m:
+        turns, height_m = _smooth_surface(base, noise.floor_place_m, random)
+        lifts = height_m * noise.floor_rad / (noise.floor_m or np.inf)
     if noise.floor_length_m:
         root = _process_root(path_m / noise.floor_length_m, noise.floor_smooth)
         turns, lifts = root @ turns, root @ lifts
@@ -172,6 +181,19 @@ def floor_in_base(noise: Noise, path_m: FloatArray, random: np.random.Generator,
         turns, lifts = random.normal(size=(len(path_m), 2)), random.normal(size=len(path_m))
         poses = poses @ floor_poses(noise.sway_rad, noise.sway_m, turns, lifts, still)
     return poses
+
+
+def _smooth_surface(
+    base: FloatArray, alike_m: float, random: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Roll and pitch (N, 2) on a Gaussian field with slopes of 1 rad (rms), and its heights (N,), m."""
+    wave_per_m = random.normal(size=(2, _WAVES)) / alike_m
+    phase = base[:, :2] @ wave_per_m + random.uniform(0, 2 * np.pi, _WAVES)
+    size_m = alike_m * np.sqrt(2 / _WAVES)
+    by_x, by_y = (-size_m * np.sin(phase) @ wave_per_m.T).T
+    cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
+    turns = np.column_stack([cos * by_y - sin * by_x, -(cos * by_x + sin * by_y)])
+    return turns, size_m * np.cos(phase).sum(axis=1)
 
 
 def _process_root(at: FloatArray, smooth: bool) -> FloatArray:
@@ -363,7 +385,8 @@ def extraction_of(
     times_s = station_times_s(route, images)
     stamps_s = times_s + camera_late_s
     path_m = driven_m(actual, route, times_s)
-    floor = floor_in_base(noise, path_m, other_random, still=route.motion == "base_fixed")
+    base = route.drive.poses(times_s)
+    floor = floor_in_base(noise, path_m, base, other_random, still=route.motion == "base_fixed")
     if not at_rest:
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)

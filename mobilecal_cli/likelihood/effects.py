@@ -6,6 +6,7 @@ the board, the base, and the wheels. `nuisance` has the rows.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -385,11 +386,78 @@ def _from_middle(points_k: FloatArray) -> FloatArray:
 # -- base and wheels --------------------------------------------------------------------------------
 
 
+class FloorEffect(Effect, ABC):
+    """Changes how the base stands: its roll, pitch and height against the plane of x and y."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses (N, 3), see `State.base`."""
+
+    @abstractmethod
+    def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3, 3) derivative of these by a step of the base along its own x and y (m), and of its heading (rad)."""
+
+
 @dataclass(frozen=True, slots=True)
-class BaseLean(Effect):
+class BaseLean(FloorEffect):
     """Roll (0) or pitch (1) of the base against the floor's normal, the same at all stations, rad."""
 
     axis: int
+
+    def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
+        return np.broadcast_to(np.eye(3)[self.axis], base.shape)
+
+    def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3, 3) zero."""
+        return np.zeros((*base.shape, 3))
+
+
+@dataclass(frozen=True, slots=True)
+class FloorShape(FloorEffect):
+    """Height of the floor in one recording: x^a y^b, m, at a place (x, y), m, in the recording's world frame.
+
+    Attributes:
+        powers: a and b.
+        log: the recording that it belongs to.
+    """
+
+    powers: tuple[int, int]
+    log: int
+
+    def offered(self, data: Measurements) -> bool:
+        """Only a base that drives shows it."""
+        return bool((self._stations(data) & data.drives).any())
+
+    def _stations(self, data: Measurements) -> BoolArray:
+        return np.asarray(data.first_log + data.log == self.log)
+
+    def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
+        """(N,) so many times by x and by y, 0 in other recordings."""
+        (a, b), (x, y, _) = self.powers, base.T
+        factor = math.perm(a, by_x) * math.perm(b, by_y) * self._stations(data)
+        return np.asarray(factor * x ** max(a - by_x, 0) * y ** max(b - by_y, 0))
+
+    def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
+        height, by_x, by_y = (self._derivative(data, base, *by) for by in ((0, 0), (1, 0), (0, 1)))
+        cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
+        return np.stack([cos * by_y - sin * by_x, -cos * by_x - sin * by_y, height], axis=1)
+
+    def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
+        """(N, 3, 3) derivative of these by a step of the base."""
+        left, back, _ = self.stance(data, base).T
+        xx, xy, yy = (self._derivative(data, base, *by) for by in ((2, 0), (1, 1), (0, 2)))
+        cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
+        T = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
+        curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ np.swapaxes(T, 1, 2)
+        by = np.zeros((*base.shape, 3))
+        by[:, 0, :2], by[:, 1, :2] = curvature[:, 1], -curvature[:, 0]
+        by[:, 0, 2], by[:, 1, 2] = back, -left
+        by[:, 2, :2] = np.stack([-back, left], axis=1)
+        return by
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from scipy.special import chdtrc, ndtri
 
-from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.board_corners import UNDERSTATED
 from mobilecal_cli.likelihood.linearization import solvable
-from mobilecal_cli.likelihood.nuisance import FAMILIES, Constant, family
+from mobilecal_cli.likelihood.nuisance import FAMILIES, UNSTATED, Constant, family
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Evidence, EvidenceValue, FloatArray
 
@@ -46,7 +45,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
     values = lin.priors.displacement(lin.state)
     groups: dict[tuple[str, str], dict[int, Constant]] = {}
     for column, row in enumerate(layout.constants, 9):
-        if lin.priors.weight[column] and row.kind != CORNERS:  # patterns stand for others, too
+        if lin.priors.weight[column] and row.kind not in UNSTATED:
             kind = family(row.kind)
             groups.setdefault((kind, row.part if parts and kind not in FAMILIES else ""), {})[column] = row
     tested = []

@@ -22,6 +22,7 @@ from mobilecal_cli.likelihood.effects import (
     ChainEffect,
     Clock,
     Effect,
+    FloorShape,
     JointReading,
     TurnSlip,
     bent,
@@ -88,6 +89,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
     Kind("board_corners", "m", 0.00015, "mm", 1e3, "place of a corner on the board (across it, twice as much)"),
     Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
+    Kind("floor_shape", "m", 0.001, "mm", 1e3, "height of the floor at 1 m from the first station, beside a plane"),
     Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
@@ -98,6 +100,8 @@ KINDS: tuple[Kind, ...] = (
 # fmt: on
 _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
+#: Kinds that no description states: no data contradict them.
+UNSTATED = frozenset({"board_corners", "floor_shape"})
 #: Kinds that others are judged with, see `family`.
 FAMILIES = frozenset(_TOGETHER.values())
 
@@ -146,8 +150,6 @@ def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Const
     return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
 
 
-#: Names of the constants that lean the base.
-LEAN = ("lean_roll", "lean_pitch")
 _LENS_TERMS = (
     ("radial_1", "radial distortion, third order"),
     ("radial_2", "radial distortion, fifth order"),
@@ -168,6 +170,10 @@ _SHAPES = (
     ("board_shear", "board_shear", "angle between rows and columns, less 90 degrees", sheared),
 )
 _LETTERS = "xyz"
+_FLOOR_DEGREES = (
+    2,
+    3,
+)  # of what a floor is beside a plane; what is left of a smooth one varies along the way
 _CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
@@ -244,8 +250,8 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         *_of_each_camera(names),
         *_of_poses(names, calibrated),
         *(_row(name, kind, "board", meaning, BoardEffect(shape)) for name, kind, meaning, shape in _SHAPES),
-        _row(LEAN[0], "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
-        _row(LEAN[1], "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
+        _row("lean_roll", "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
+        _row("lean_pitch", "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
         _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
         *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
                CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
@@ -350,6 +356,16 @@ def clocks_of(logs: Iterable[int]) -> Iterator[Constant]:
         for of, word in _CLOCKS:
             meaning = f"change of the {word} clock against the cameras' in recording {log + 1}"
             yield _row(f"time_{of}_{log + 1}", "clock", of, meaning, Clock(of, log))
+
+
+def floors_of(logs: Iterable[int]) -> Iterator[Constant]:
+    """Rows of the floor's shape in recordings, numbered from 0."""
+    for log in logs:
+        number = f"_{log + 1}" if log else ""
+        for a, b in ((a, degree - a) for degree in _FLOOR_DEGREES for a in range(degree, -1, -1)):
+            term = "x" * a + "y" * b
+            row = f"floor_{term}{number}", "floor_shape", "floor", f"height by {term} at 1 m"
+            yield _row(*row, FloorShape((a, b), log))
 
 
 def clock_s(of: str, log: int, constants: Mapping[str, float]) -> float:

@@ -16,10 +16,11 @@ from mobilecal_cli.likelihood.effects import (
     ChainChange,
     ChainEffect,
     Clock,
+    FloorEffect,
     JointEffect,
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.nuisance import LEAN, camera_change
+from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
 
 
@@ -86,27 +87,6 @@ class State:
     def value(self, name: str) -> float:
         """Value of a constant."""
         return self.constants.get(name, 0.0)
-
-    @property
-    def floor(self) -> FloatArray:
-        """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor, sway and lean."""
-        lean = [self.value(name) for name in LEAN]
-        return np.asarray(self.processes[:, :3] + self.sway + [*lean, 0.0])
-
-    @property
-    def T_w_v(self) -> FloatArray:
-        """(N, 4, 4) base in the world."""
-        flat = np.concatenate([self.base[:, :2], np.zeros((len(self.base), 1))], axis=1)
-        T: FloatArray = se3.transform(se3.rotation_z(self.base[:, 2]), flat) @ self.T_floor_v
-        return T
-
-    @property
-    def T_floor_v(self) -> FloatArray:
-        """(N, 4, 4) base in a frame that stands level where the base is."""
-        floor = self.floor
-        turn, lift = np.zeros((2, len(floor), 3))
-        turn[:, :2], lift[:, 2] = floor[:, :2], floor[:, 2]
-        return se3.transform(se3.exp_so3(turn), lift)
 
     def plus(self, data: Dataset, step: Step) -> State:
         """The state after a step."""
@@ -196,8 +176,31 @@ def points_at(data: Dataset, state: State) -> FloatArray:
     return points
 
 
+def stance_at(data: Dataset, state: State) -> FloatArray:
+    """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor, sway and lean."""
+    stance: FloatArray = state.processes[:, :3] + state.sway
+    for row in data.layout.constants:
+        if isinstance(row.effect, FloorEffect) and state.value(row.name):
+            stance = stance + state.value(row.name) * row.effect.stance(data, state.base)
+    return stance
+
+
+def standing(stance: FloatArray) -> FloatArray:
+    """(N, 4, 4) base in a frame that stands level where the base is, from its stance (N, 3)."""
+    turn, lift = np.zeros((2, len(stance), 3))
+    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
+    return se3.transform(se3.exp_so3(turn), lift)
+
+
+def base_at(data: Dataset, state: State) -> FloatArray:
+    """(N, 4, 4) T_w_v of every station."""
+    flat = np.concatenate([state.base[:, :2], np.zeros((len(state.base), 1))], axis=1)
+    T: FloatArray = se3.transform(se3.rotation_z(state.base[:, 2]), flat) @ standing(stance_at(data, state))
+    return T
+
+
 def board_in_camera(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
-    T_w_c = state.T_w_v @ head_at(data, state) @ state.parameters.T_h_c
+    T_w_c = base_at(data, state) @ head_at(data, state) @ state.parameters.T_h_c
     T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.log]
     return T

@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import processes_of
-from mobilecal_cli.likelihood.state import State, cameras_at, head_at
+from mobilecal_cli.likelihood.state import State, base_at, cameras_at, head_at
 from mobilecal_cli.likelihood.views import linearize_views
 from mobilecal_cli.model import (
     NINE,
@@ -123,7 +123,7 @@ def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: Flo
 def _reachable(data: Dataset, state: State) -> _Stops:
     """Stops a turn and a drive away from the last, from which the whole board is seen."""
     rig = cameras_at(data, state)
-    T_w_c = state.T_w_v @ head_at(data, state) @ state.parameters.T_h_c
+    T_w_c = base_at(data, state) @ head_at(data, state) @ state.parameters.T_h_c
     distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[data.log])[:, :3, 3], axis=1)
     ways = [(np.radians(turn), drive, u, v) for turn in _TURNS_DEG for drive in _DRIVES_M for u, v in _LOOKS]
     turn, drive, u, v = np.array(ways).T
@@ -155,6 +155,7 @@ def _with_stops(data: Dataset, state: State, stops: _Stops) -> tuple[Dataset, St
         wheels_between=np.zeros((count + 1, 2)),
         joints_between=np.zeros((count + 1, J)),
         log=np.zeros(count + 1, dtype=np.int64),
+        first_log=int(data.first_log + data.log[-1]),
         tracks=data.tracks[data.log[-1] :][:1],
         motions=None,
         legs=np.stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)], axis=1),

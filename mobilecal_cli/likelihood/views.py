@@ -18,15 +18,15 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
-    BaseLean,
     BoardEffect,
     CameraEffect,
     ChainEffect,
     Clock,
+    FloorEffect,
     JointEffect,
     Sight,
 )
-from mobilecal_cli.likelihood.measurements import FLOOR, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
@@ -37,6 +37,8 @@ from mobilecal_cli.likelihood.state import (
     clock_s,
     joints_at,
     points_at,
+    stance_at,
+    standing,
 )
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
@@ -218,13 +220,18 @@ def _pose_columns(
     chain = change.apply(data.chain)
     frames = JointFrames.at(chain, positions)
     T_v_c = frames.T_v_h @ X
-    Ad_c_floor, Ad_c_v = se3.adjoint(se3.inverse(np.stack([state.T_floor_v @ T_v_c, T_v_c])))
+    stance = stance_at(data, state)
+    Ad_c_floor, Ad_c_v = se3.adjoint(se3.inverse(np.stack([standing(stance) @ T_v_c, T_v_c])))
     by_base = np.zeros((count, 6, data.base_width))
     by_base[..., 0], by_base[..., 1], by_base[..., 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
-    by_base[data.first] = 0.0  # the world is the base at its first station
     by_own = np.empty((count, 6, data.own_width))
     by_own[..., :joints] = -Ad_c_v @ frames.by_joints()
-    by_own[..., joints:] = -Ad_c_floor @ _floor_twists(state)
+    by_own[..., joints:] = -Ad_c_floor @ _stance_twists(stance)
+    for row in layout.constants:
+        if isinstance(row.effect, FloorEffect) and state.value(row.name):
+            moved = state.value(row.name) * row.effect.stance_by_base(data, state.base)
+            by_base[..., BASE] += by_own[..., joints:] @ moved
+    by_base[data.first] = 0.0  # the world is the base at its first station
     by_base[..., FLOOR] = by_own[..., joints:]
     if data.base_width > STAMP:
         rates = data.joint_rates(clock_s(data, state, "joints"))
@@ -243,20 +250,18 @@ def _pose_columns(
             by_shared[..., column] = (by_own[..., :joints] @ row.effect.rate(data)[:, :, None])[..., 0]
         elif isinstance(row.effect, Clock) and row.effect.of == "joints" and data.base_width > STAMP:
             by_shared[..., column] = by_base[..., STAMP] * row.effect.stations(data)[:, None]
-        elif isinstance(row.effect, BaseLean):
-            by_shared[..., column] = by_own[..., joints + row.effect.axis]
+        elif isinstance(row.effect, FloorEffect):
+            stance = row.effect.stance(data, state.base)
+            by_shared[..., column] = (by_own[..., joints:] @ stance[..., None])[..., 0]
     return by_base, by_own, se3.adjoint(T_c_k), by_shared
 
 
-def _floor_twists(state: State) -> FloatArray:
+def _stance_twists(stance: FloatArray) -> FloatArray:
     """(N, 6, 3) left twists of the base in its level frame by roll, pitch and height."""
-    floor = state.floor
-    turn = np.zeros((len(floor), 3))
-    turn[:, :2] = floor[:, :2]
+    turn, lift = np.zeros((2, len(stance), 3))
+    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
     twists = np.zeros((len(turn), 6, 3))
     twists[:, :3, :2] = se3.left_jacobian_so3(turn)[:, :, :2]
-    lift = np.zeros((len(turn), 3))
-    lift[:, 2] = floor[:, 2]
     twists[:, 3:, :2] = np.cross(lift[:, :, None], twists[:, :3, :2], axis=1)
     twists[:, 5, 2] = 1.0
     return twists

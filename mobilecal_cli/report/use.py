@@ -359,6 +359,8 @@ SOURCES: dict[str, Source] = {
                             "corners in their places", "Print the board again, and mount it on a flat plate."),
     "lean": Source("the lean of the base", "floor", "check that the base stands upright", "an upright base",
                    "Check tires and casters for size and wear, and the axes of the base in the URDF."),
+    "floor_shape": Source("the shape of the floor", "floor", "record on an even floor", "a plane floor",
+                          "Record on a floor that is more even, or over less of it."),
     "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints",
                          *_URDF),
     "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings",

@@ -47,6 +47,7 @@ _KIND_OF = {
     r"shift_.+_[xyz]": "camera_position",
     r"time_(joints|wheels)_\d+": "clock",
     r"time_.+": "stereo_clock",
+    r"floor_[xy]+(_\d+)?": "floor_shape",
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 

@@ -77,8 +77,9 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     """
     rig = extraction.rig
     described = nuisance.table(rig.cameras, rig.chain)
-    further = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
-    rows = (*described, *corner_modes(data, described), *further)
+    clocks = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
+    floors = nuisance.floors_of(np.unique(data.log).tolist())
+    rows = (*described, *corner_modes(data, described), *clocks, *floors)
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:

@@ -10,7 +10,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import _none_negative
-from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
@@ -33,7 +33,8 @@ class Case:
 
     def __init__(self, motion, constants=None, logs=1):
         robot = paper_robot()
-        constants = table(robot.rig_cameras, chain_of(robot)) if constants is None else constants
+        if constants is None:
+            constants = (*table(robot.rig_cameras, chain_of(robot)), *floors_of(range(logs)))
         route = plan_route(robot, motion, stations=STATIONS)
         disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives
         extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)

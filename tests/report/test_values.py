@@ -124,7 +124,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
     for R in (written.T_parent_child[:3, :3], shown):
         off_deg = np.degrees(np.linalg.norm(se3.log_so3(R @ truth[:3, :3].T)))
-        assert off_deg < 0.35
+        assert off_deg < 0.45  # one sigma of the three rotations together is 0.31 degrees
 
 
 def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():

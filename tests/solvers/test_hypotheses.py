@@ -93,7 +93,7 @@ CAUSES = {
     "sign of the left wheel": "the left wheel's encoder has the wrong sign",
     "signs of both wheels": "encoders of both wheels have the wrong sign",
     "wheels swapped": "the left and right wheels are swapped",
-    "nominal wheels twice as large": "The right wheel radius is 0.0824 m, about half of the nominal 0.1640 m",
+    "nominal wheels twice as large": "about half of the nominal 0.1640 m",
     "gear ratio 2 of both wheels": "about half of the nominal 0.0820 m",
     "gear ratio 1/2 of both wheels": "about twice the nominal 0.0820 m",
     "right wheel frozen": "the reading of the right wheel never changes",
