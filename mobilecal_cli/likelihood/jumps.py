@@ -9,7 +9,7 @@ without a change. The step is then ``-I^-1 g``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -193,9 +193,11 @@ def without(lin: Posterior, jump: Jump) -> Posterior:
 
 
 def again(lin: Posterior, jump: Jump) -> Jump:
-    """The test of a step whose residuals have been taken out, at other noise levels."""
-    value = jump.value
-    ((_, information, across, _),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
+    """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
+    ((gradient, information, across, known),) = _Test(lin).terms(
+        dict(_parts(lin))[jump.part], np.array([jump.station])
+    )
+    value = jump.value + _score(gradient, information, known)[2]
     chi2 = float(value @ information @ value)
     shift = -(lin.covariance[:9] @ across) @ value
     own = np.zeros(9)
@@ -246,8 +248,8 @@ def _after(lin: Posterior, first: int) -> BoolArray:
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None:
-    """The most probable jump, whether or not it is significant; None if nothing can be compared.
+def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
+    """The most probable jump of each part, whether or not it is significant; the most probable part first.
 
     Args:
         lin: an optimum.
@@ -256,23 +258,24 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None
     data = lin.data
     logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
     # Of two recordings, either may be the one that differs; a shorter one is an outlier.
-    moments = starts[stations >= each_side][len(logs) <= 2 :].tolist()
+    differing = starts[stations >= each_side][len(logs) <= 2 :].tolist()
+    inside: list[int] = []
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
-        moments += mine[each_side : len(mine) - each_side + 1].tolist()
-    if not moments:
-        return None
-    test, parts = _Test(lin), dict(_parts(lin))
-    every = math.ceil(len(moments) / _MOST_MOMENTS)
-    some = np.array(moments[::every])
-    best = _best(test, parts, some)
-    if every > 1 and best is not None:
-        near = np.array(moments)
-        best = _best(test, parts, near[np.abs(near - best.station) < every])
-    if best is None:
-        return None
-    tried = len(moments) * len(parts)
-    return replace(best, tried=tried, sigmas=_significance(best.chi2, best.dof, tried))
+        inside += mine[each_side : len(mine) - each_side + 1].tolist()
+    test, parts, ranked = _Test(lin), dict(_parts(lin)), []
+    tried = len(parts) * len(differing + inside)
+    for name, part in parts.items():
+        moments = inside if name == "board" else differing + inside  # each recording has a board of its own
+        every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
+        best = _best(test, name, part, moments[::every])
+        if every > 1 and best is not None:
+            best = _best(test, name, part, [at for at in moments if abs(at - best[1].station) < every])
+        if best is not None:
+            rank, jump = best
+            sigmas = _significance(jump.chi2, jump.dof, tried)
+            ranked.append((rank, replace(jump, tried=tried, sigmas=sigmas)))
+    return [jump for _, jump in sorted(ranked, key=lambda each: -each[0])]
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:
@@ -290,17 +293,14 @@ def lasts(lin: Posterior, jump: Jump) -> bool:
     return _score(gradient, information, known)[0] > _LASTING * jump.chi2
 
 
-def _best(test: _Test, parts: Mapping[str, _Part], moments: IntArray) -> Jump | None:
-    best: tuple[float, Jump] | None = None
-    for name, part in parts.items():
-        for first, (gradient, information, _, known) in zip(
-            moments.tolist(), test.terms(part, moments), strict=True
-        ):
-            chi2, dof, value = _score(gradient, information, known)
-            if not dof:
-                continue
-            # Minus twice the logarithm of the chance, far out in the tail.
+def _best(test: _Test, name: str, part: _Part, moments: Sequence[int]) -> tuple[float, Jump] | None:
+    """The most probable moment of a part's jump, and minus twice the logarithm of its chance, far out in the tail."""
+    ranked = []
+    for first, (gradient, information, _, known) in zip(
+        moments, test.terms(part, np.array(moments)) if moments else (), strict=True
+    ):
+        chi2, dof, value = _score(gradient, information, known)
+        if dof:
             rank = chi2 - (dof - 2) * math.log(max(chi2, 2.0) / 2) + 2 * math.lgamma(dof / 2)
-            if best is None or rank > best[0]:
-                best = rank, Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)
-    return None if best is None else best[1]
+            ranked.append((rank, Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)))
+    return max(ranked, key=lambda each: each[0], default=None)

@@ -102,6 +102,8 @@ _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
 UNSTATED = frozenset({"board_corners", "floor_shape"})
+#: Kinds of which each recording has rows of its own, beside those of `table`.
+OF_RECORDINGS = UNSTATED | {"clock"}
 #: Kinds that others are judged with, see `family`.
 FAMILIES = frozenset(_TOGETHER.values())
 

@@ -728,20 +728,22 @@ _ERROR_CURES = {
 def errors(made: Calibration) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
-    That is the depth noise of the cameras, within three standard deviations of its own mean square, and what joints,
-    floor and wheels cause at their noise levels, which have limits of their own. Point error: encoders with 300 steps
+    That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
+    limits of their own; all within three standard deviations of their own mean squares. Point error: encoders with 300 steps
     per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a wheel
     without slip loses on one leg.
     """
-    solution, bad = made.solution, 1.5
+    solution, bad, sigmas = made.solution, 1.5, 3.0
     if not len(solution.residuals.legs):
         return
     error, distance = solution.point_rms_m, board_distance_m(made.extraction)
     predicted, every = solution.residuals.corner_noise_m, solution.error_parts
     parts = [part for name, part in every.items() if name != "corners"]
-    corners = len(solution.residuals.legs) * len(made.extraction.board.grid())
-    depth_m2 = predicted**2 * (1 + 3 * math.sqrt(2 / corners))
-    explained = depth_m2 + sum(part.m**2 for part in parts)
+    legs = len(solution.residuals.legs)
+    of_corners, of_legs = (
+        1 + sigmas * math.sqrt(2 / n) for n in (legs * len(made.extraction.board.grid()), legs)
+    )
+    explained = predicted**2 * of_corners + sum(part.m**2 for part in parts) * of_legs
     unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
     error_mm, depth = error * 1e3, f"(depth noise alone: {predicted * 1e3:.1f} mm)"
     cause = max(every, key=lambda name: every[name].px, default="")
@@ -756,7 +758,7 @@ def errors(made: Calibration) -> Iterator[Check]:
         cure,
     )  # fmt: skip
     error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
-    px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts), 0.0))
+    px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0))
     yield Check(
         "reprojection_error", px, limit, graded(px, limit),
         "reprojection error",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.nuisance import KINDS, table
+from mobilecal_cli.likelihood.nuisance import KINDS, OF_RECORDINGS, Constant, Kind, table
 from mobilecal_cli.model import (
     SIDES,
     Board,
@@ -145,8 +145,8 @@ ALL = "all"
 def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: CameraRig, chain: HeadChain) -> dict[str, float]:
     """Name of each constant that the configuration mentions → its prior sigma, see `Rig.prior_sigmas`.
 
-    An entry for one constant overrides that of its kind, which overrides that of all. An entry is one standard
-    deviation in the kind's unit for people, "fixed" or "free".
+    Kinds stand for the constants of single recordings. An entry for one constant overrides that of its kind, which
+    overrides that of all. An entry is one standard deviation in the kind's unit for people, "fixed" or "free".
 
     Raises:
         ConfigError: a name that this robot does not have.
@@ -161,23 +161,29 @@ def prior_sigmas(priors: Mapping[str, PriorEntry], cameras: CameraRig, chain: He
             hint = f"did you mean {near[0]}?" if near else every
             raise ConfigError(f"priors.{name}: this robot has no such constant", hint)
     sigmas = {}
-    for row in rows:
-        entry = next((priors[key] for key in (row.name, row.kind, ALL) if key in priors), None)
+    for name, kind_of, factor in _units(rows):
+        entry = next((priors[key] for key in (name, kind_of.name, ALL) if key in priors), None)
         if isinstance(entry, str):
-            sigmas[row.name] = {"fixed": 0.0, "free": math.inf}[entry]
-        elif entry is not None:  # joints that slide have other units than those that turn
-            sigmas[row.name] = entry / row.of_kind.shown * (row.sigma / row.of_kind.sigma)
+            sigmas[name] = {"fixed": 0.0, "free": math.inf}[entry]
+        elif entry is not None:
+            sigmas[name] = entry * factor
     return sigmas
+
+
+def _units(rows: Iterable[Constant]) -> Iterator[tuple[str, Kind, float]]:
+    """Name, kind and how many of its unit one of the unit for people is: of constants, and of kinds of recordings."""
+    for row in rows:  # joints that slide have other units than those that turn
+        yield row.name, row.of_kind, row.sigma / row.of_kind.sigma / row.of_kind.shown
+    yield from ((kind.name, kind, 1 / kind.shown) for kind in KINDS if kind.name in OF_RECORDINGS)
 
 
 def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadChain) -> dict[str, PriorEntry]:
     """The inverse of `prior_sigmas`: name → standard deviation in the kind's unit for people, "fixed" or "free"."""
     words: dict[float, PriorEntry] = {0.0: "fixed", math.inf: "free"}
     entries: dict[str, PriorEntry] = {}
-    for row in table(cameras, chain):
-        if (sigma := sigmas.get(row.name)) is not None:
-            shown = sigma * row.of_kind.shown * (row.of_kind.sigma / row.sigma)
-            entries[row.name] = words.get(sigma, float(f"{shown:.12g}"))
+    for name, _, factor in _units(table(cameras, chain)):
+        if (sigma := sigmas.get(name)) is not None:
+            entries[name] = words.get(sigma, float(f"{sigma / factor:.12g}"))
     return entries
 
 

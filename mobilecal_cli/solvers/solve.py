@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError, SolveError
-from mobilecal_cli.kinematics import FEWEST_LEGS, integrate
+from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
@@ -50,7 +50,8 @@ from mobilecal_cli.solvers.transfer import point_rms_m
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
-# distance to the board, or where more than this share of the stations have an outlier.
+# distance to the board and than the steps of the encoders make it, or where more than this share of the stations have
+# an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
@@ -293,7 +294,11 @@ def _diagnosis(
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
     distance_m = _board_distance_m(extraction)
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
-    fits_badly = solution.point_rms_m**2 - of_corners_m**2 > (_BAD_SHARE * distance_m) ** 2
+    right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
+    step_rad = (
+        float(right_m + left_m) / solution.parameters.wheels.separation_m
+    )  # heading by one step of each wheel
+    fits_badly = solution.point_rms_m**2 - of_corners_m**2 > (max(_BAD_SHARE, step_rad) * distance_m) ** 2
     fits_badly |= gross > _MANY_OUTLIERS * len(extraction.observations)
     parts = [jump.part for jump in solution.jumps]
     if "" in parts and not extraction.motions and search.interrupted is not None:

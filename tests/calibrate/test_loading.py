@@ -9,13 +9,15 @@ import pytest
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.export import extraction_to_npz
-from mobilecal_cli.likelihood.nuisance import table
+from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers import Constraints, solve
+from mobilecal_cli.solvers.inference import dataset_for
 from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 
 
@@ -36,7 +38,8 @@ def loaded(npz, **flags):
 
 def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     rig = loaded(npz, priors__all="fixed", priors__pan_zero=0.2, noise__floor_m=0.001).rig
-    assert rig.prior_sigmas.keys() == {row.name for row in table(rig.cameras, rig.chain)}
+    names = {row.name for row in table(rig.cameras, rig.chain)}
+    assert rig.prior_sigmas.keys() == names | {"board_corners", "clock", "floor_shape"}
     assert rig.prior_sigmas["pan_zero"] == pytest.approx(math.radians(0.2))
     assert rig.noise.given == {"floor_m": 0.001}
     again = tmp_path / "extraction.npz"
@@ -53,6 +56,19 @@ def test_the_solver_uses_them(npz):
     narrow = solve(loaded(npz, priors__focal_length=0.0005))
     assert narrow.constants["focal_left"].prior == pytest.approx(5e-6)
     assert narrow.constants["focal_left"].std < 5.05e-6 < usual.constants["focal_left"].std
+
+
+def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz):
+    """Entries for the places of corners were accepted and ignored, and "all: fixed" left them free."""
+
+    def sigmas(**priors):
+        extraction = loaded(npz, **priors)
+        data = dataset_for(extraction, Constraints(), dataset_of(extraction))
+        return {row.kind: row.sigma for row in data.layout.constants if row.kind in OF_RECORDINGS}
+
+    assert sigmas() == pytest.approx({"board_corners": 0.00015, "floor_shape": 0.001})
+    assert sigmas(priors__board_corners=0.3, priors__floor_shape="fixed") == {"board_corners": 0.0003}
+    assert sigmas(priors__all="fixed") == {}
 
 
 @pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])

@@ -114,7 +114,8 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
     after = WheelTrack.at_same_times(track.time_ns, track.right_rad, left)
     solution = solve(replace(whole, wheels=(after,)))
     (jump,) = solution.jumps
-    assert (jump.part, jump.station) == ("left wheel", first)
+    assert jump.part == "left wheel"
+    assert abs(jump.station - first) <= 1  # the leg across it may look like a slip
     assert jump.move_m == pytest.approx((change - 1) * ROBOT.wheels.radius_left_m, rel=0.2)
     assert solution.contradictions == ()
     assert solution.diagnosis is None  # the jump explains the misfit

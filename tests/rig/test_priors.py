@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.likelihood.nuisance import KINDS, table
+from mobilecal_cli.likelihood.nuisance import KINDS, OF_RECORDINGS, table
 from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
@@ -43,12 +43,13 @@ def test_units_are_those_of_the_kinds():
 
 def test_the_defaults_as_entries_are_the_defaults():
     found = sigmas(**{kind.name: kind.sigma * kind.shown for kind in KINDS})
-    assert found == pytest.approx({name: row.sigma for name, row in ROWS.items()}, rel=1e-12)
+    of_kinds = {kind.name: kind.sigma for kind in KINDS if kind.name in OF_RECORDINGS}
+    assert found == pytest.approx(of_kinds | {name: row.sigma for name, row in ROWS.items()}, rel=1e-12)
 
 
 def test_one_constant_overrides_its_kind_and_that_overrides_all():
     found = sigmas(all="fixed", focal_length=1, focal_right="free", pan_zero=0.1)
-    assert found.keys() == ROWS.keys()
+    assert found.keys() == ROWS.keys() | OF_RECORDINGS
     assert found["focal_left"] == pytest.approx(0.01)
     assert math.isinf(found["focal_right"])
     assert found["pan_zero"] == pytest.approx(math.radians(0.1))
