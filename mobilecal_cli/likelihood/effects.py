@@ -415,6 +415,9 @@ class BaseLean(FloorEffect):
         return np.zeros((*base.shape, 3))
 
 
+_FLOOR_TERMS = 7  # of second and third degree
+
+
 @dataclass(frozen=True, slots=True)
 class FloorShape(FloorEffect):
     """Height of the floor in one recording: x^a y^b, m, at a place (x, y), m, in the recording's world frame.
@@ -428,8 +431,8 @@ class FloorShape(FloorEffect):
     log: int
 
     def offered(self, data: Measurements) -> bool:
-        """Only a base that drives shows it."""
-        return bool((self._stations(data) & data.drives).any())
+        """Only the images of a base that drives to more places than a floor has terms show it."""
+        return data.motions is None and int((self._stations(data) & data.drives).sum()) > _FLOOR_TERMS
 
     def _stations(self, data: Measurements) -> BoolArray:
         return np.asarray(data.first_log + data.log == self.log)

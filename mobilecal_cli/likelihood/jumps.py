@@ -28,6 +28,7 @@ from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 _FEWEST_EACH_SIDE = 3  # stations before and after a change
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _LEAST = 1e-9  # information about a direction, relative to that for known others, that is none
+_FAINT = 1.0  # 1/rad^2, 1/m^2: a step of one radian or meter that does not show, even for known others
 _LASTING = 0.25  # of chi-squared
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
 
@@ -169,7 +170,7 @@ class _Test:
 
 
 def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[float, int, FloatArray]:
-    unit = 1 / np.sqrt(np.where(known > 0, known, 1.0))
+    unit = np.where(known > _FAINT, 1 / np.sqrt(np.maximum(known, _FAINT)), 0.0)
     values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
     shown = values > _LEAST
     along = vectors.T @ (unit * g)

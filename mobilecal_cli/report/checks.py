@@ -729,9 +729,9 @@ def errors(made: Calibration) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
     That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
-    limits of their own; all within three standard deviations of their own mean squares. Point error: encoders with 300 steps
-    per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a wheel
-    without slip loses on one leg.
+    limits of their own; all within three standard deviations of their own mean squares. Point error: encoders with 300
+    steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a
+    wheel without slip loses on one leg.
     """
     solution, bad, sigmas = made.solution, 1.5, 3.0
     if not len(solution.residuals.legs):
