@@ -150,7 +150,8 @@ def _noise(track: Track) -> float:
     off_line = value[1:-1] - (value[:-2] * after + value[2:] * before) / (before + after)
     thirds = np.diff(off_line)[np.diff(value)[1:-1] != 0]
     # The variance of this difference is 5 times the noise's.
-    return float(np.median(np.abs(thirds))) / _MEDIAN / math.sqrt(5) if len(thirds) else 0.0
+    noise = float(np.median(np.abs(thirds))) / _MEDIAN / math.sqrt(5) if len(thirds) else 0.0
+    return noise if math.isfinite(noise) else 0.0  # damaged readings
 
 
 def _width_ns(noise: float, still: float) -> int:

@@ -416,6 +416,7 @@ class BaseLean(FloorEffect):
 
 
 _FLOOR_TERMS = 7  # of second and third degree
+_FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
 
 
 @dataclass(frozen=True, slots=True)
@@ -439,7 +440,7 @@ class FloorShape(FloorEffect):
 
     def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
         """(N,) so many times by x and by y, 0 in other recordings."""
-        (a, b), (x, y, _) = self.powers, base.T
+        (a, b), (x, y) = self.powers, np.clip(base[:, :2].T, -_FLOOR_REACH_M, _FLOOR_REACH_M)
         factor = math.perm(a, by_x) * math.perm(b, by_y) * self._stations(data)
         return np.asarray(factor * x ** max(a - by_x, 0) * y ** max(b - by_y, 0))
 

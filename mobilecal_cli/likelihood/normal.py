@@ -207,6 +207,9 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
     Args:
         S: the information.
         before: (P,) its diagonal before the elimination.
+
+    Raises:
+        LinAlgError: values that are too large, at a trial that is lost.
     """
     scale = np.sqrt(np.where(before > 0, before, 1.0))
     values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
@@ -214,7 +217,11 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
     if not negative.any():
         return S
     lost = scale[:, None] * vectors[:, negative] * np.sqrt(-values[negative])
-    return np.asarray(S + lost @ lost.T)
+    with np.errstate(over="ignore"):
+        mended = np.asarray(S + lost @ lost.T)
+    if not np.all(np.isfinite(mended)):
+        raise np.linalg.LinAlgError("too large to be solved")  # a trial that is lost
+    return mended
 
 
 def _by_log(data: Dataset, values: FloatArray) -> FloatArray:

@@ -273,8 +273,9 @@ def suggestions(lin: Posterior, covariance: FloatArray, most: int = 5) -> tuple[
     stops = _reachable(lin.data, lin.state)
     best: dict[tuple[float, float], Suggestion] = {}
     for c, M in enumerate(_informations(lin, stops)):
-        after = joint - joint @ M @ np.linalg.solve(np.eye(len(M)) + joint @ M, joint)
-        then = np.sqrt(np.diag(after)[:9])
+        told = joint @ M
+        after = joint[:9, :9] - told[:9] @ np.linalg.solve(np.eye(len(M)) + told, joint[:, :9])
+        then = np.sqrt(np.diag(after))
         gain = 1 - float(np.max(then / needed) / np.max(now / needed))
         way = (float(stops.turn_rad[c]), float(stops.drive_m[c]))
         if way not in best or best[way].gain < gain:

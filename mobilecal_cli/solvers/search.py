@@ -113,7 +113,7 @@ class Search:
         """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
         at_rest = _same_view(self._readings)
         if at_rest is None and self._as_is is not None and self._fits:
-            return _other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
+            return other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
         return at_rest or self._named(self._readings, WHOLE)
 
     @cached_property
@@ -359,7 +359,7 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     )
 
 
-def _other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagnosis | None:
+def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagnosis | None:
     """Wheel radii with which the recording fits but which are several times the nominal ones: another unit."""
     if nominal is None:
         return None

@@ -45,7 +45,7 @@ from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
-from mobilecal_cli.solvers.search import FITS, Search, turned_around
+from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import point_rms_m
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
@@ -174,7 +174,14 @@ def _linear_start(
         rms = point_rms_m(pairs, start)
         return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
-    if linear.point_rms_m > _GROSS_SHARE * _board_distance_m(extraction):
+    distance_m = _board_distance_m(extraction)
+    if (
+        linear.point_rms_m < _BAD_SHARE * distance_m
+    ):  # priors that are made wider would explain another unit, too
+        other = other_wheels(linear.parameters.wheels, extraction.rig.nominal.wheels)
+        if other is not None:
+            raise _refused(other)
+    if linear.point_rms_m > _GROSS_SHARE * distance_m:
         unexplained = search.misfit is not None and search.misfit > _HOPELESS_SHARE
         hopeless = search.of_whole is not None or (unexplained and search.diagnosis is None)
         refusal = _refusal(extraction, search) if hopeless else None
@@ -266,9 +273,7 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
         return None
     diagnosis, share = search.diagnosis or search.interrupted, search.misfit
     if diagnosis is not None:
-        return SolveError(
-            f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
-        )
+        return _refused(diagnosis)
     if share is None:
         return None
     apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
@@ -280,6 +285,12 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
         "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
         "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
         "the board nor a cable moved",
+    )
+
+
+def _refused(diagnosis: Diagnosis) -> SolveError:
+    return SolveError(
+        f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
     )
 
 
