@@ -249,8 +249,8 @@ def _after(lin: Posterior, first: int) -> BoolArray:
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
-    """The most probable jump of each part, whether or not it is significant; the most probable part first.
+def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None:
+    """The most probable jump, whether or not it is significant; None if nothing can be compared.
 
     Args:
         lin: an optimum.
@@ -273,10 +273,11 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
         if every > 1 and best is not None:
             best = _best(test, name, part, [at for at in moments if abs(at - best[1].station) < every])
         if best is not None:
-            rank, jump = best
-            sigmas = _significance(jump.chi2, jump.dof, tried)
-            ranked.append((rank, replace(jump, tried=tried, sigmas=sigmas)))
-    return [jump for _, jump in sorted(ranked, key=lambda each: -each[0])]
+            ranked.append(best)
+    if not ranked:
+        return None
+    _, jump = max(ranked, key=lambda each: each[0])
+    return replace(jump, tried=tried, sigmas=_significance(jump.chi2, jump.dof, tried))
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:

@@ -45,7 +45,6 @@ _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
-_CONTENDERS = 3  # parts that are tested; which one explains most is not known at the usual noise levels
 MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
@@ -346,22 +345,31 @@ class Inference:
         return found
 
     def _likeliest_jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        # Noise levels that a jump has made large conceal it: it shows at the usual ones.
+        # Noise levels that a jump has made large conceal it: it shows at the usual ones. Which part explains most is
+        # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
-        tight = fit.lin.with_noise(fit.noise.with_levels({k: usual[k] for k in usual.keys() - self.given}))
-        # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-        optimum = tight.predicted(proposed(tight)[0])
-        tested = []
-        for jump in jumps.likeliest(optimum)[:_CONTENDERS]:
-            if jump.sigmas > _CANDIDATE_SIGMAS:
-                lin = _past(optimum, jump)
-                lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
-                tested.append((jumps.again(lin, jump), lin))
-        tested = [(jump, lin) for jump, lin in tested if jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)]
-        if not tested:
+        first = self._tested(
+            fit, fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
+        )
+        tested = None if first is None else self._tested(fit, first[1].noise)
+        if tested is None:
             return None
-        jump, lin = max(tested, key=lambda each: each[0].sigmas)
-        return jump, replace(fit, lin=lin)
+        jump, lin = tested
+        significant = jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)
+        return (jump, replace(fit, lin=lin)) if significant else None
+
+    def _tested(self, fit: Fit, noise: Noise) -> tuple[jumps.Jump, Posterior] | None:
+        """The jump that is likeliest at some noise levels, at those without it, and the point without it."""
+        optimum = fit.lin.with_noise(noise)
+        # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
+        optimum = optimum.predicted(proposed(optimum)[0])
+        jump = jumps.likeliest(optimum)
+        if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
+            return None
+        lin = _past(optimum, jump)
+        lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+        jump = jumps.again(lin, jump)
+        return (jump, lin) if jump.sigmas > _CANDIDATE_SIGMAS else None
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
@@ -382,7 +390,7 @@ class Inference:
         try:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
-            jump = next(iter(jumps.likeliest(lin, each_side=_SEVERAL)), None)
+            jump = jumps.likeliest(lin, each_side=_SEVERAL)
             if jump is None or not jump.part.endswith("wheel"):
                 return None
             lin = _past(lin, jump)
