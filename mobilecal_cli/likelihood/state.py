@@ -178,10 +178,15 @@ def points_at(data: Dataset, state: State) -> FloatArray:
 
 def stance_at(data: Dataset, state: State) -> FloatArray:
     """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor, sway and lean."""
-    stance: FloatArray = state.processes[:, :3] + state.sway
+    return np.asarray(state.processes[:, :3] + state.sway + constant_stance(data, state))
+
+
+def constant_stance(data: Dataset, state: State) -> FloatArray:
+    """(N, 3) the part of `stance_at` that constants make: the shape of the floor, and lean."""
+    stance = np.zeros((data.stations, 3))
     for row in data.layout.constants:
         if isinstance(row.effect, FloorEffect) and state.value(row.name):
-            stance = stance + state.value(row.name) * row.effect.stance(data, state.base)
+            stance += state.value(row.name) * row.effect.stance(data, state.base)
     return stance
 
 

@@ -22,6 +22,7 @@ def error_parts(
     parameters: Parameters,
     residuals: Residuals,
     noise: Noise,
+    stance: FloatArray,
 ) -> dict[str, ErrorPart]:
     """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
 
@@ -30,6 +31,7 @@ def error_parts(
         extraction, pairs: with the estimated constants, see `residuals.at_state`.
         parameters, residuals: of the estimate.
         noise: its levels.
+        stance: (N, 3) see `constant_stance`.
     """
     if not len(residuals.legs):
         return {}
@@ -37,9 +39,9 @@ def error_parts(
     T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
     points_cov = np.stack([o.points_cov for o in extraction.observations])
     _, by_point = project_with_jacobian(extraction.rig.cameras.first, points_c)  # (N, M, 2, 3) px/m
-    base = np.zeros((6, 3))  # twists of the base by roll, pitch and height of the floor
-    base[0, 0] = base[1, 1] = math.hypot(noise.floor_rad, noise.sway_rad)
-    base[5, 2] = math.hypot(noise.floor_m, noise.sway_m)
+    base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
+    turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
+    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], stance)
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
         @ head_jacobian(data.chain, data.joints)

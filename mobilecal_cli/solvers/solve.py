@@ -14,6 +14,7 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     NINE,
@@ -148,7 +149,13 @@ def _by_likelihood(
         outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         error_parts=error_parts(
-            data, corrected_extraction, corrected, parameters, solution.residuals, fit.noise
+            data,
+            corrected_extraction,
+            corrected,
+            parameters,
+            solution.residuals,
+            fit.noise,
+            constant_stance(data, state),
         ),
         constants=constants_of(fit),
         evidence=evidence(fit.lin),

@@ -23,7 +23,8 @@ QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=
 def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     """The parts at true levels, for cameras as stated."""
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
-    return error_parts(data, extraction, data.pairs, solution.parameters, solution.residuals, true)
+    flat = np.zeros((data.stations, 3))
+    return error_parts(data, extraction, data.pairs, solution.parameters, solution.residuals, true, flat)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +54,21 @@ def test_a_small_corner_noise_is_not_rounded_to_zero():
     noise = replace(solution.uncertainty.noise, pixel_px=0.0041)
     quiet = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
     assert "has a noise of 0.0041 px" in made(quiet, extraction).quality.reprojection_text
+
+
+@pytest.mark.parametrize(
+    ("robot", "noise"),
+    [
+        ("paper", {"floor_rad": np.radians(1.0), "floor_m": 5e-4, "floor_place_m": 1.0}),
+        ("fixed_camera", {"encoder_step_rad": 2 * np.pi / 30, "floor_rad": 1e-3, "floor_m": 3e-4}),
+    ],
+    ids=["bent floor", "coarse encoders"],
+)
+def test_the_point_error_of_a_healthy_robot_is_explained(robot, noise):
+    """FAIL before: "The point error is 50 mm", and "the readings of the wheels do not fit the drive"."""
+    of_all = extractions.Noise(0.2, 0.003, joint_rad=1e-4)
+    extraction = extractions.simulated("standard", replace(of_all, **noise), robot, 20, 2)
+    assert judge(solve(extraction), extraction).level == "PASS"
 
 
 @pytest.mark.parametrize("claimed_px", [0.8, 0.1])
