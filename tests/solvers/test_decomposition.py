@@ -67,7 +67,7 @@ def test_a_small_corner_noise_is_not_rounded_to_zero():
 def test_the_point_error_of_a_healthy_robot_is_explained(robot, noise):
     """FAIL before: "The point error is 50 mm", and "the readings of the wheels do not fit the drive"."""
     of_all = extractions.Noise(0.2, 0.003, joint_rad=1e-4)
-    extraction = extractions.simulated("standard", replace(of_all, **noise), robot, 20, 2)
+    extraction = extractions.simulated("standard", replace(of_all, **noise), robot, 20, 3)
     assert judge(solve(extraction), extraction).level == "PASS"
 
 
