@@ -415,7 +415,6 @@ class BaseLean(FloorEffect):
         return np.zeros((*base.shape, 3))
 
 
-_FLOOR_TERMS = 7  # of second and third degree
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
 
 
@@ -426,14 +425,16 @@ class FloorShape(FloorEffect):
     Attributes:
         powers: a and b.
         log: the recording that it belongs to.
+        terms: number of terms of the whole shape.
     """
 
     powers: tuple[int, int]
     log: int
+    terms: int
 
     def offered(self, data: Measurements) -> bool:
         """Only the images of a base that drives to more places than a floor has terms show it."""
-        return data.motions is None and int((self._stations(data) & data.drives).sum()) > _FLOOR_TERMS
+        return data.motions is None and int((self._stations(data) & data.drives).sum()) > self.terms
 
     def _stations(self, data: Measurements) -> BoolArray:
         return np.asarray(data.first_log + data.log == self.log)

@@ -89,7 +89,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
     Kind("board_corners", "m", 0.00015, "mm", 1e3, "place of a corner on the board (across it, twice as much)"),
     Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
-    Kind("floor_shape", "m", 0.001, "mm", 1e3, "height of the floor at 1 m from the first station, beside a plane"),
+    Kind("floor_shape", "m", 0.001, "mm", 1e3, "deviation of the floor from a plane, 1 m from the first station"),
     Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
     Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
     Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
@@ -172,10 +172,8 @@ _SHAPES = (
     ("board_shear", "board_shear", "angle between rows and columns, less 90 degrees", sheared),
 )
 _LETTERS = "xyz"
-_FLOOR_DEGREES = (
-    2,
-    3,
-)  # of what a floor is beside a plane; what is left of a smooth one varies along the way
+# Powers of x and y in the shape of a floor beside its plane; what is left of a smooth floor varies along the way.
+_FLOOR_POWERS = tuple((a, degree - a) for degree in (2, 3) for a in range(degree, -1, -1))
 _CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
@@ -364,10 +362,11 @@ def floors_of(logs: Iterable[int]) -> Iterator[Constant]:
     """Rows of the floor's shape in recordings, numbered from 0."""
     for log in logs:
         number = f"_{log + 1}" if log else ""
-        for a, b in ((a, degree - a) for degree in _FLOOR_DEGREES for a in range(degree, -1, -1)):
+        for a, b in _FLOOR_POWERS:
             term = "x" * a + "y" * b
-            row = f"floor_{term}{number}", "floor_shape", "floor", f"height by {term} at 1 m"
-            yield _row(*row, FloorShape((a, b), log))
+            meaning = f"height of the {term} term at 1 m"
+            effect = FloorShape((a, b), log, len(_FLOOR_POWERS))
+            yield _row(f"floor_{term}{number}", "floor_shape", "floor", meaning, effect)
 
 
 def clock_s(of: str, log: int, constants: Mapping[str, float]) -> float:

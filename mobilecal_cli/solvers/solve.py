@@ -182,9 +182,8 @@ def _linear_start(
         return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
     distance_m = _board_distance_m(extraction)
-    if (
-        linear.point_rms_m < _BAD_SHARE * distance_m
-    ):  # priors that are made wider would explain another unit, too
+    if linear.point_rms_m < _BAD_SHARE * distance_m:
+        # Another unit of the wheels. Wider priors of squares and baseline would explain it, too.
         other = other_wheels(linear.parameters.wheels, extraction.rig.nominal.wheels)
         if other is not None:
             raise _refused(other)
