@@ -267,14 +267,15 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
     A = (J * P[:, None, :]) @ np.swapaxes(J, 1, 2)
     shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
     information, forth = shrink @ G[:, :6], A @ G[:, :6, 6:]
-    # With the present errors o the gradient is that of delta - J o: moved back by them.
-    wanted = views.gradient - (G[:, :, :6] @ (J @ lin.own_errors[..., None]))[..., 0]
+    # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
+    back = lin.own_errors / (1 + damping)
+    wanted = views.gradient - (G[:, :, :6] @ (J @ back[..., None]))[..., 0]
     gradient = (shrink @ wanted[:, :6, None])[..., 0]
     root = np.sqrt(P)
     across = np.swapaxes(J, 1, 2) @ G[:, :6]
     M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
     inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
-    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / P
+    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / sigma**2
     return _Own(
         information,
         gradient,

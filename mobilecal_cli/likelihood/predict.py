@@ -26,7 +26,7 @@ def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
     R = parameters.T_h_c[:3, :3]
     camera = np.zeros((1, 6, 9))
     camera[0, :3, :3] = camera[0, 3:, 3:6] = R.T
-    return _expected(gradients(parameters, camera), covariance)
+    return _expected(_weights(parameters, camera), covariance)
 
 
 def predicted_at(lin: Posterior, covariance: FloatArray) -> AtWork:
@@ -36,7 +36,7 @@ def predicted_at(lin: Posterior, covariance: FloatArray) -> AtWork:
         lin: the optimum.
         covariance: (P, P) of the shared parameters.
     """
-    return _expected(gradients_at(lin), covariance)
+    return _expected(weights_at(lin), covariance)
 
 
 def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
@@ -56,17 +56,18 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
     return np.mean(by_shared @ covariance @ np.swapaxes(by_shared, 1, 2), axis=0), tuple(own)
 
 
-def gradients_at(lin: Posterior) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (k, P) derivatives by the shared parameters; their variances add up to the figure's."""
+def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
+    """Field of `AtWork` → (P, P) W: its variance is the sum over the elements of W times the covariance."""
     camera = -lin.views.by_shared  # the board moves the other way
-    return gradients(lin.state.parameters, camera)
+    return _weights(lin.state.parameters, camera)
 
 
-def gradients(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (k, K) derivatives by K parameters, of which the nine come first.
+def _weights(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
+    """Field of `AtWork` → (K, K) weights of the covariance of K parameters, of which the nine come first.
 
-    Straight driving over s meters: both wheels turn by s / r, so a radius error moves its wheel by s dr / r. Turn in
-    place by psi: psi = (rR phiR - rL phiL) / b with rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
+    The mean of g g^T over the derivatives g of the figure. Straight driving over s meters: both wheels turn by s / r,
+    so a radius error moves its wheel by s dr / r. Turn in place by psi: psi = (rR phiR - rL phiL) / b with
+    rR phiR = -rL phiL = psi b / 2 (paper, eq. 10).
 
     Args:
         parameters: the nine.
@@ -76,33 +77,29 @@ def gradients(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatA
     rR, rL, b = wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m
     ahead = camera[:, 3:] + np.cross(camera[:, :3], np.array([[[0.0], [0.0], [AHEAD_M]]]), axis=1)
 
-    def all_of(rows: FloatArray) -> FloatArray:
-        return np.asarray(rows.reshape(-1, K) / math.sqrt(count))
+    def of_camera(rows: FloatArray) -> FloatArray:
+        flat = rows.reshape(-1, K)
+        return np.asarray(flat.T @ flat / count)
 
     def of_wheels(*values: float) -> FloatArray:
-        row = np.zeros((1, K))
-        row[0, 6:9] = values
-        return row
+        gradient = np.zeros(K)
+        gradient[6:9] = values
+        return np.outer(gradient, gradient)
 
     heading = of_wheels(1 / (rR * b), -1 / (rL * b), 0.0)
     return {
-        "camera_m": all_of(camera[:, 3:]),
-        "camera_rad": all_of(camera[:, :3]),
-        "point_m": all_of(ahead),
+        "camera_m": of_camera(camera[:, 3:]),
+        "camera_rad": of_camera(camera[:, :3]),
+        "point_m": of_camera(ahead),
         "along_m_per_m": of_wheels(0.5 / rR, 0.5 / rL, 0.0),
         "heading_rad_per_m": heading,
-        "sideways_m_per_m": heading / 2,
-        "heading_rad_per_turn": 2 * math.pi * of_wheels(0.5 / rR, 0.5 / rL, -1 / b),
+        "sideways_m_per_m": heading / 4,
+        "heading_rad_per_turn": (2 * math.pi) ** 2 * of_wheels(0.5 / rR, 0.5 / rL, -1 / b),
     }
 
 
-def variance(gradient: FloatArray, covariance: FloatArray) -> float:
-    """Sum of the variances of k figures, (k, K) and (K, K)."""
-    return float(np.sum((gradient @ covariance) * gradient))
-
-
-def _expected(by: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
-    return AtWork(**{name: math.sqrt(max(0.0, variance(g, covariance))) for name, g in by.items()})
+def _expected(weights: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
+    return AtWork(**{name: math.sqrt(max(0.0, float(np.sum(W * covariance)))) for name, W in weights.items()})
 
 
 def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArray) -> FloatArray:

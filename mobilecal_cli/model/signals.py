@@ -45,13 +45,18 @@ class Track(ReadOnly):
         """
         if not len(times_ns):
             return np.zeros(0)
-        start, ends_ns = times_ns.min() - width_ns, times_ns + np.array([[-1], [1]]) * (width_ns // 2)
-        inside = (self.time_ns > ends_ns.min()) & (self.time_ns < ends_ns.max())
-        knots_ns = np.union1d(self.time_ns[inside], ends_ns)
-        knots, values = (knots_ns - start).astype(np.float64), self.at(knots_ns)
-        integral = np.concatenate([[0.0], np.cumsum(np.diff(knots) * (values[1:] + values[:-1]) / 2)])
-        first, last = integral[np.searchsorted(knots_ns, ends_ns)]
-        return np.asarray((last - first) / (2 * (width_ns // 2)), dtype=np.float64)
+        ends_ns = times_ns + np.array([[-1], [1]]) * (width_ns // 2)
+        begin = max(int(np.searchsorted(self.time_ns, ends_ns.min())) - 1, 0)
+        stamps, values = (
+            part[begin : np.searchsorted(self.time_ns, ends_ns.max()) + 1]
+            for part in (self.time_ns, self.value)
+        )
+        knots, ends = ((part - stamps[0]).astype(np.float64) for part in (stamps, ends_ns))
+        up_to_knots = np.append(0.0, np.cumsum(np.diff(knots) * (values[1:] + values[:-1]) / 2))
+        last = np.maximum(np.searchsorted(stamps, ends_ns, side="right") - 1, 0)  # the knot before each end
+        at_ends = np.interp(ends, knots, values)
+        integral = up_to_knots[last] + (ends - knots[last]) * (values[last] + at_ends) / 2
+        return np.asarray((integral[1] - integral[0]) / (2 * (width_ns // 2)), dtype=np.float64)
 
 
 def sampled(tracks: Sequence[Track], times_ns: IntArray) -> FloatArray:

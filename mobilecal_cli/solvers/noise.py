@@ -19,6 +19,9 @@ _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).
 _LENGTH_FACTOR = 3.0
 _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
+#: Tolerance of a correlation length over that of a level. Few recordings show one within half of itself, and it moves
+#: far along a ridge on which the standard deviations stay.
+_LENGTH_TOLERANCE = 5.0
 _WORTH, _FADES_AT = 2.0, 4.0
 # Stated priors may be too narrow, those of one kind or all of them: the chance of more than s times falls as these
 # powers of 1 / s. What the data show of a kind's constants by less than `_SHOWN` is not used, see `widths`.
@@ -260,6 +263,10 @@ class LevelSearch:
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:
-    """Whether no level moved by more than a share of itself."""
+    """Whether no level moved by more than a share of itself, and no correlation length by more than five times that."""
     a, b = before.all_levels, after.all_levels
-    return all(abs(level - a.get(name, 1.0)) <= tolerance * a.get(name, 1.0) for name, level in b.items())
+    allowed = dict.fromkeys(LENGTHS, _LENGTH_TOLERANCE * tolerance)
+    return all(
+        abs(level - a.get(name, 1.0)) <= allowed.get(name, tolerance) * a.get(name, 1.0)
+        for name, level in b.items()
+    )

@@ -20,8 +20,9 @@ _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
 # Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
-# for long: the optimization ends where they gain less than this, and no longer ever less by leaps.
-_KINKED, _LEAP = 1e-4, 0.05
+# for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
+# leaps, or where a step that promises less does not help.
+_KINKED, _LEAP = 1e-3, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)

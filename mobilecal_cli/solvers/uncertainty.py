@@ -9,7 +9,7 @@ from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
-from mobilecal_cli.likelihood.predict import camera_covariance, gradients_at, predicted_at, variance
+from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at, weights_at
 from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import NINE, Budget, FloatArray, NoiseLevels, Uncertainty
 from mobilecal_cli.solvers.fit import Fit
@@ -79,13 +79,13 @@ def _budget_of(fit: Fit, shows: FloatArray) -> Budget:
     kinds = {f"prior {row.name}": row.kind for row in layout.constants}
     kinds |= {f"prior {name}": "nominal" for name in NINE}
     kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
-    gradients = {name: gradient @ shows for name, gradient in gradients_at(lin).items()}
+    weights = {name: shows @ W @ shows for name, W in weights_at(lin).items()}
     nine: dict[str, FloatArray] = {}
     figures: dict[str, FloatArray] = {}
     for name, share in fit.budget.items():
         source = kinds.get(name, name)
         nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [variance(gradient, share) for gradient in gradients.values()]
+        of = [float(np.sum(W * share)) for W in weights.values()]
         figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
     shares = np.array(list(nine.values()))
     whole = np.array(list(figures.values()))
@@ -94,7 +94,7 @@ def _budget_of(fit: Fit, shows: FloatArray) -> Budget:
         for values in (shares, whole)
         for total in [values.sum(axis=0)]
     ]
-    return Budget(tuple(nine), parts[0], dict(zip(gradients, parts[1].T, strict=True)))
+    return Budget(tuple(nine), parts[0], dict(zip(weights, parts[1].T, strict=True)))
 
 
 def _jackknife_covariance(fit: Fit) -> FloatArray:

@@ -154,6 +154,18 @@ def test_elimination_is_exact(case):
     assert wrong[~clocks].max() < 1e-7 * largest
 
 
+@pytest.mark.parametrize("damping", [0.1, 100.0])
+def test_a_damped_step_gains_what_it_promises_along_the_gradient(case, damping):
+    """With another gradient, no damped step decreased the cost: fits ended where one was needed."""
+    normal, (_, g) = case.lin.eliminated(damping), case.dense
+    shared = -np.linalg.pinv(normal.S, rcond=1e-13, hermitian=True) @ normal.s
+    made = normal.step(shared)
+    step = np.concatenate([shared, made.boards.ravel(), made.base.ravel(), made.own.ravel()])
+    promised = normal.gain - normal.s @ shared
+    assert promised > 0
+    assert -g @ step == pytest.approx(promised, rel=1e-4)
+
+
 def test_rounding_makes_no_information_negative():
     """Corners of 0.006 px, a wheel that changes: a calibration ended with "do not determine all parameters"."""
     rotation = np.linalg.qr(np.random.default_rng(3).normal(size=(4, 4)))[0]
