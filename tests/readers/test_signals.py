@@ -324,3 +324,17 @@ def test_one_stray_stamp_costs_one_sample():
     keep, _, dropped, _ = in_order(stamps)
     assert dropped == 1
     assert not keep[40]
+
+
+@pytest.mark.parametrize("topic", ["/j", "/head"])
+def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
+    """A latched message, sent long before the recording."""
+    rows = [(*row[:2], NAMES[1:], row[3][1:]) for row in steady()]
+    items = [*images(), *joints([(0, at(-60), NAMES[:1], [0.3])], topic), *joints(rows)]
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints=(topic,)))
+    pan = signals.joints["pan"]
+    np.testing.assert_array_equal(pan.value, [0.3, 0.3])
+    assert pan.time_ns[0] <= min(index.time_ns[0] for index in signals.images.values())
+    assert pan.time_ns[-1] >= max(index.time_ns[-1] for index in signals.images.values())
+    assert f"joint pan on {topic}: one reading only; the joint counts as standing still" in signals.notes
+    assert not any("clocks differ" in note for note in signals.notes)

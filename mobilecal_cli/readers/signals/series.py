@@ -213,8 +213,8 @@ class Clock:
 def clock_notes(clocks: list[Clock]) -> list[str]:
     """Notes of all topics, and on topics with stamps from different clocks."""
     notes = [note for clock in clocks for note in clock.notes()]
-    # A topic without stamps uses the log time, so its lag is zero.
-    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages}
+    # A topic without stamps uses the log time, so its lag is zero. What is published once may be older.
+    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
         if lags[high] - lags[low] > CLOCKS_DIFFER_S:
