@@ -182,8 +182,8 @@ class _Channel:
 
     @property
     def interval_s(self) -> float:
-        """Usual time between two readings, s."""
-        return float(np.median(np.diff(self.track.time_ns))) / _NS
+        """Usual time between two readings, s; 0 for one reading."""
+        return float(np.median(np.diff(self.track.time_ns) if len(self.track.time_ns) > 1 else 0)) / _NS
 
     def covers(self, times_ns: IntArray) -> BoolArray:
         """Whether readings exist near each time, or are equal before and after it, (n,)."""

@@ -199,6 +199,8 @@ def detect_segment(
         if name not in place.thumbnails:
             place.thumbnails[name] = thumbnail_jpeg(picture)
         place.found[name][stamp] = followers[name].find(picture, stamp)
+        for earlier_ns, detection in followers[name].earlier.items():
+            detections[where[name][earlier_ns]].found[name][earlier_ns] = detection
         if count is not None:
             count(1)
     return detections

@@ -338,3 +338,18 @@ def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
     assert pan.time_ns[-1] >= max(index.time_ns[-1] for index in signals.images.values())
     assert f"joint pan on {topic}: one reading only; the joint counts as standing still" in signals.notes
     assert not any("clocks differ" in note for note in signals.notes)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        [(k, at(3), NAMES[:1], [0.1 * k]) for k in range(3)],
+        [(0, at(0), NAMES[:1], [0.3]), (1, at(1), NAMES[:1], [np.nan])],
+    ],
+)
+def test_a_joint_with_one_good_reading_of_several_does_not_count_as_still(tmp_path, bad):
+    """All stamps are the same, or the others are not finite."""
+    items = [*images(), *joints(bad, "/head"), *joints(steady())]
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints=("/head",)))
+    assert len(signals.joints["pan"].value) == 1
+    assert not any("standing still" in note for note in signals.notes)

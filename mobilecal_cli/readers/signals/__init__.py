@@ -365,12 +365,11 @@ def read_signals(
         samples = {series: each.arranged(some) for series, each in recorded.items()}
         tracks = {name: _track(joint, samples, some) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
-        for name, track in tracks.items():
-            if len(track.time_ns) == 1:
-                some.append(
-                    f"{moving[name].series.label}: one reading only; the joint counts as standing still"
-                )
-                tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), np.repeat(track.value, 2))
+        for name, joint in moving.items():
+            if len(joint.series) == 1 and not joint.series.not_finite:
+                some.append(f"{joint.series.label}: one reading only; the joint counts as standing still")
+                still = np.repeat(tracks[name].value, 2)
+                tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
             {
                 side: [(wheel.series.label, _track(wheel, samples, some)) for wheel in each]
