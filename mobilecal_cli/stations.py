@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
+    FEW_READINGS,
     NO_IMAGES,
     BoolArray,
     FloatArray,
@@ -33,6 +34,7 @@ STILL_REVOLUTE_RAD = 0.006  # range over the window: six times a joint noise of 
 STILL_PRISMATIC_M = 0.002
 STILL_WHEEL_RAD = 0.004  # or one step of a coarse encoder
 LARGEST_GAP_S = 0.5
+_WHEEL_INTERVAL_S = 0.125  # usual one; over longer ones, what the base does is not known well enough
 SHOTS_PER_REST = 10
 RESTS_ENOUGH = 6
 KEYFRAMES = 80
@@ -44,8 +46,10 @@ _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a 
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 # Reasons for pairs that are not used, and what to do.
 _NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
+_RATE = "joints and wheels at 20 Hz or more"
 _NOT_USED = {
     _NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
+    FEW_READINGS: f"{FEW_READINGS} ({{0}}). Publish {_RATE}, or stop longer at each place.",
     _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }
 _NS = 1_000_000_000
@@ -175,6 +179,11 @@ class _Channel:
     name: str
     track: Track
     tolerance: float
+
+    @property
+    def interval_s(self) -> float:
+        """Usual time between two readings, s; 0 for one reading."""
+        return float(np.median(np.diff(self.track.time_ns) if len(self.track.time_ns) > 1 else 0)) / _NS
 
     def covers(self, times_ns: IntArray) -> BoolArray:
         """Whether readings exist near each time, or are equal before and after it, (n,)."""
@@ -339,20 +348,27 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     times = np.array([pair.time_ns for pair in pairs])
     rejections: list[Rejection] = []
     covered = np.ones(len(pairs), dtype=bool)
-    lacking = []
+    slow = {
+        c.name: f"{c.name} {1 / c.interval_s:.2g} per second"
+        for c in channels
+        if c.interval_s > LARGEST_GAP_S and c.track.time_ns[0] < times[-1] and times[0] < c.track.time_ns[-1]
+    }
+    few = f"{', '.join(slow.values())}; at least {1 / LARGEST_GAP_S:g} needed in motion"
+    lacking: dict[str, str] = {}
     for channel in channels:
         missing = ~channel.covers(times)
-        lacking += [channel.name] * bool(missing.any())
-        rejections += [
-            Rejection("stations", _NO_READINGS, channel.name, int(time_ns))
-            for time_ns in times[missing & covered]
-        ]
+        reason, detail = (FEW_READINGS, few) if channel.name in slow else (_NO_READINGS, channel.name)
+        if missing.any():
+            lacking[detail] = reason
+        rejections += [Rejection("stations", reason, detail, int(at)) for at in times[missing & covered]]
         covered &= ~missing
     if not covered.any():
         raise RecordingError(
             f"none of {len(pairs)} {what} has readings of all joints and wheels around it; missing: "
-            f"{', '.join(dict.fromkeys(lacking))}",
-            "check that cameras, joints and wheels use the same clock and were recorded at the same time",
+            f"{', '.join(lacking)}",
+            f"publish {_RATE}, or stop longer at each place"
+            if FEW_READINGS in lacking.values()
+            else "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
     shown = _Shown(signals.images, channels)
     pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok])
@@ -431,6 +447,16 @@ class _Shown:
         return kept
 
 
+def _slow_wheels(channels: Sequence[_Channel]) -> Iterator[str]:
+    """A note on wheels that are published slowly."""
+    for channel in channels:
+        if channel.interval_s > _WHEEL_INTERVAL_S:
+            yield (
+                f"{channel.name}: {FEW_READINGS} ({1 / channel.interval_s:.2g}, at least {1 / _WHEEL_INTERVAL_S:g} "
+                f"needed). The path between them is not known. Publish {_RATE}."
+            )
+
+
 def _not_used(log: _Pairs) -> Iterator[str]:
     """A note on shots that are not used, for each reason and joint, wheel or camera."""
     what = shots_words(len(log.signals.images))
@@ -497,6 +523,7 @@ def plan_stations(
     notes += (note for log, _ in paired for note in _silences(log.signals.recorded_ns))
     notes += (note for log, _ in paired for note in _blind(log.signals.recorded_ns, log.channels))
     notes += (note for log, _ in paired for note in _not_used(log))
+    notes += dict.fromkeys(note for log, _ in paired for note in _slow_wheels(log.channels[len(joints) :]))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

@@ -345,3 +345,30 @@ def test_two_of_three_cameras_that_are_triggered_together_stay_together():
     a, b = Shot((5, 105, 6)), Shot((5, None, 6))
     assert a.split(10) == [Shot((5, None, 6)), Shot((None, 105, None))]
     assert b.split(10) == [b]
+
+
+def slow(hz, **changes):
+    """Rests of two seconds, in a recording with few joint and wheel readings."""
+    return signals(staircase, lambda t: 3 * staircase(t), joint_hz=hz, **changes)
+
+
+def test_joints_and_wheels_that_are_published_slowly_are_named_with_their_rates():
+    (used,) = plan_stations([slow(1.0)], ("pan",))
+    lost = {(rejection.reason, rejection.detail) for rejection in used.rejections}
+    rates = "pan 1 per second, wheels 1 per second; at least 2 needed in motion"
+    assert lost == {("too few readings per second", rates)}
+    assert (
+        f"too few readings per second ({rates}). Publish joints and wheels at 20 Hz or more" in used.notes[0]
+    )
+    assert used.notes[1].startswith("wheels: too few readings per second (1, at least 8 needed).")
+
+
+def test_wheels_at_ten_readings_per_second_are_enough():
+    assert planned(slow(10.0), ("pan",)).notes == ()
+
+
+def test_images_that_lie_between_slow_readings_in_motion_name_their_rate():
+    moving = signals(lambda t: t, lambda t: t, joint_hz=1.0)
+    with pytest.raises(RecordingError, match="pan 1 per second, wheels 1 per second; at least 2") as caught:
+        plan_stations([moving], ("pan",))
+    assert "20 Hz" in caught.value.hint

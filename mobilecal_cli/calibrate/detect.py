@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -10,6 +11,7 @@ from itertools import islice, pairwise
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from mobilecal_cli.calibrate import Progress
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
@@ -29,7 +31,9 @@ from mobilecal_cli.vision import (
 )
 
 SNAPSHOTS = 60  # images kept for the report, limited to save memory
-SIZE_PICTURES = 8
+#: Stations, spread over the recording, whose images tell the board's size: a few if they agree, otherwise more. Another
+#: board may be in view at some of them.
+SIZE_STATIONS = (3, 24)
 SIZE_VOTES = 3  # number of agreeing images that determine the board's size
 #: Shots per segment. Tracking runs inside a segment, so segments and results do not depend on the
 #: number of processes.
@@ -111,11 +115,13 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
         RecordingError: none of them can be decoded, or one has another size than stated.
     """
     rejections: list[Rejection] = []
-    stride = max(1, -(-sum(len(plan.stations) for plan in plans) // SIZE_PICTURES))
+    count = sum(len(plan.stations) for plan in plans)
 
-    def pictures() -> Iterator[GrayImage]:
+    def pictures(most: int) -> Iterator[GrayImage]:
+        chosen = set(np.linspace(0, count - 1, most).round().astype(int).tolist())
+        numbers = itertools.count()
         for plan in plans:
-            firsts = [replace(station, shots=station.shots[:1]) for station in plan.stations[::stride]]
+            firsts = [replace(s, shots=s.shots[:1]) for s in plan.stations if next(numbers) in chosen]
             wanted = images_of(firsts, plan.images)
             for name, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
                 if isinstance(picture, Rejection):
@@ -124,7 +130,10 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
                     check_picture(picture, name, rig.cameras)
                     yield picture
 
-    vote = identify_size(pictures(), SIZE_VOTES)
+    for most in SIZE_STATIONS:
+        vote = identify_size(pictures(most))
+        if len(vote.votes) == 1 and vote.votes.total() >= SIZE_VOTES:
+            break
     if not vote.pictures and rejections:
         raise undecodable(rejections)
     return vote.size
@@ -190,6 +199,8 @@ def detect_segment(
         if name not in place.thumbnails:
             place.thumbnails[name] = thumbnail_jpeg(picture)
         place.found[name][stamp] = followers[name].find(picture, stamp)
+        for earlier_ns, detection in followers[name].earlier.items():
+            detections[where[name][earlier_ns]].found[name][earlier_ns] = detection
         if count is not None:
             count(1)
     return detections

@@ -315,11 +315,21 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
         observations=tuple(observations),
         wheels=tuple(log.plan.wheels for log in logs),
         rejections=tuple(rejections),
-        notes=tuple(dict.fromkeys(note for log in logs for note in log.notes)),
+        notes=_notes(logs),
         logs=tuple(sources),
         counts=counts,
         joint_tracks=tuple(log.plan.joints for log in logs),
     )
+
+
+def _notes(logs: Sequence[ExtractedLog]) -> tuple[str, ...]:
+    """Notes on all recordings; one that does not hold for all of them names its own."""
+
+    def named(log: ExtractedLog, note: str) -> str:
+        everywhere = all(note in other.notes for other in logs if other.name != log.name)
+        return note if everywhere or log.name in note else f"{log.name}: {note}"
+
+    return tuple(dict.fromkeys(named(log, note) for log in logs for note in log.notes))
 
 
 _SAME_SHARE = 0.9  # of the readings while both were recorded

@@ -21,7 +21,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
-from mobilecal_cli.vision import SQUARES_UNKNOWN
+from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN
 
 FEWEST_STATIONS = 4
 #: Notes on a recording in the hint of a refusal.
@@ -123,8 +123,10 @@ def require_stations(extraction: Extraction) -> None:
     have = len(extraction.observations)
     logs = len({o.log for o in extraction.observations})
     if have < FEWEST_STATIONS or have - logs < FEWEST_LEGS:
-        reasons = Counter(rejection.reason for rejection in extraction.rejections).most_common()
-        counted = ", ".join(f"{n} x {reason}" for reason, n in reasons)
+        reasons = Counter(
+            (rejection.stage, rejection.reason) for rejection in extraction.rejections
+        ).most_common()
+        counted = ", ".join(f"{n} x {reason}" for (_, reason), n in reasons)
         rejected = f"; rejected: {counted}" if counted else ""
         looked_at = extraction.counts.get("stations", have)
         where = f"the board was found at {have} of {looked_at} stations"
@@ -132,9 +134,15 @@ def require_stations(extraction: Extraction) -> None:
         cure = (
             f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
         )
-        if have == looked_at:
+        stage, reason = reasons[0][0] if reasons else ("", "")
+        if have == looked_at or stage == "stations":
             cure = "; noted: ".join(["stop at more places in front of the board", *extraction.notes[:_NOTED]])
-        if reasons and reasons[0][0] == SQUARES_UNKNOWN:
+        if reason in OTHER_BOARDS:
+            cure = (
+                f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
+                f"{extraction.board.rows} was used; keep other checkerboards out of view"
+            )
+        if reason == SQUARES_UNKNOWN:
             cure = (
                 "set board.square_m in rig.yaml, or --square-m: stations that one camera alone shows need it"
             )

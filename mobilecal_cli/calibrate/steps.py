@@ -27,6 +27,7 @@ from mobilecal_cli.export import (
     write_outputs,
 )
 from mobilecal_cli.model import (
+    FEW_READINGS,
     CalibratedRobot,
     CameraRig,
     Evaluation,
@@ -227,7 +228,7 @@ def fitted(
     """`solve` with constraints as a value.
 
     Raises:
-        MobilecalError: see `errors`; a `SolveError` also names the motion that the recording lacks.
+        MobilecalError: see `errors`; a `SolveError` also names the motion or readings that the recording lacks.
     """
     constraints = constraints or Constraints()
     check_options(method, constraints, hold_out)
@@ -246,10 +247,12 @@ def fitted(
         )
     except SolveError as error:
         gaps = motion_gaps(extraction, constraints.fixed)
-        if not gaps:
+        slow = [note.removesuffix(".") for note in extraction.notes if FEW_READINGS in note]
+        cures = [*slow, *(gap.cure for gap in gaps)]
+        if not cures:
             raise
-        because, cures = "; ".join(gap.because for gap in gaps), "; ".join(gap.cure for gap in gaps)
-        raise SolveError(f"{error.message}; {because}", f"{cures}; or {error.hint}") from error
+        message = "; ".join([error.message, *(gap.because for gap in gaps)])
+        raise SolveError(message, f"{'; '.join(cures)}; or {error.hint}") from error
     trial = None
     if rest is not None:
         nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)

@@ -64,6 +64,7 @@ from mobilecal_cli.model.robot_description import (
     TopicInfo,
 )
 from mobilecal_cli.model.signals import (
+    FEW_READINGS,
     NO_IMAGES,
     PictureIndex,
     Rejection,

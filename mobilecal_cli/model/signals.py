@@ -99,6 +99,8 @@ class PictureIndex(ReadOnly):
 
 #: Begin of a note on cameras that recorded nothing while the robot moved.
 NO_IMAGES = "No images for"
+#: Part of a note on joints or wheels that are published too slowly.
+FEW_READINGS = "too few readings per second"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

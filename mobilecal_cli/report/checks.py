@@ -128,7 +128,7 @@ def stations(made: Calibration) -> Iterator[Check]:
     everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
     notes = made.extraction.notes
-    causes = [note for note in notes if note.startswith(NO_IMAGES)]
+    causes = [visible(note) for note in notes if NO_IMAGES in note]
     causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
     for (_, reason), count in rejection_counts(made.extraction).items():
         details = {item.detail for item in made.extraction.rejections if item.reason == reason}

@@ -80,7 +80,7 @@ def head_of(
 
     Raises:
         RecordingError: none of them gives it.
-        ConfigError: several joints match, or the URDF is invalid.
+        ConfigError: several joints match, a configured one is not in the chain, or the URDF is invalid.
     """
     if config.head.chain is not None:
         pan, tilt = pan_and_tilt(
@@ -88,6 +88,7 @@ def head_of(
         )
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
+        _check_configured(config, chain)
         return Head(chain, None, Nominal(), "head.chain of the configuration", ())
     origin, notes = "head.urdf of the configuration", []
     if urdf_text is None and not description.urdfs:
@@ -112,6 +113,7 @@ def head_of(
         base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
     chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
+    _check_configured(config, chain)
     drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
 
@@ -285,6 +287,15 @@ def pan_and_tilt(config: RigConfig, names: Collection[str]) -> tuple[str, str]:
     if pan and pan == tilt:
         raise ConfigError(f"joints.pan and joints.tilt are both {pan!r}", "set them to different joints")
     return pan, tilt
+
+
+def _check_configured(config: RigConfig, chain: HeadChain) -> None:
+    for role in ("pan", "tilt"):
+        name = getattr(config.joints, role)
+        if name and name not in chain.joints:
+            raise ConfigError(
+                f"joints.{role}: no joint {name!r} in the head chain", f"its joints: {listed(chain.joints)}"
+            )
 
 
 def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:

@@ -16,9 +16,10 @@ from mobilecal_cli.vision.pose import (
     triangulate,
 )
 from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
-from mobilecal_cli.vision.values import Detection, Miss, StereoPoints
+from mobilecal_cli.vision.values import OTHER_BOARDS, Detection, Miss, StereoPoints
 
 __all__ = [
+    "OTHER_BOARDS",
     "SQUARES_UNKNOWN",
     "BoardFollower",
     "Detection",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -186,7 +186,7 @@ class SizeVote:
         pictures: number of images examined.
     """
 
-    votes: Mapping[tuple[int, int], int]
+    votes: Counter[tuple[int, int]]
     pictures: int
 
     @property
@@ -197,7 +197,7 @@ class SizeVote:
         )
 
 
-def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> SizeVote:
+def identify_size(images: Iterable[GrayImage]) -> SizeVote:
     """Estimate the board's size from several images.
 
     A grid is grown from a few corners to the edge of the pattern in each image. The size counts when the
@@ -206,7 +206,6 @@ def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> Siz
 
     Args:
         images: (height, width) gray images, some of which show the board.
-        enough: stop after this number of votes if they all agree; None examines all images.
     """
     votes: Counter[tuple[int, int]] = Counter()
     pictures = 0
@@ -215,8 +214,6 @@ def identify_size(images: Iterable[GrayImage], enough: int | None = None) -> Siz
         size = _size_in(image)
         if size is not None:
             votes[size] += 1
-        if len(votes) == 1 and votes.total() == enough:
-            break
     return SizeVote(votes, pictures)
 
 

@@ -70,13 +70,17 @@ class BoardFollower:
     The position is extrapolated from the last two detections; after a gap of half a second the last position
     is used. If the board is not there, optical flow predicts it. Otherwise the whole image is searched. After
     the first detection, a search needs as many saddle points as the board has corners, with a tenth of their
-    response. Unless it is thorough, the next search after a failed one waits.
+    response. Unless it is thorough, the next search after a failed one waits; when the board is back, it is tracked
+    back through the images that were not searched.
 
     A second board is searched for until the first detection, and in every thorough search.
 
     Args:
         board: board to detect; boards with markers are searched for in every image.
         thorough: see `detect`.
+
+    Attributes:
+        earlier: time → the board in earlier images, tracked back from the last image.
     """
 
     def __init__(self, board: Board, thorough: bool) -> None:
@@ -87,6 +91,8 @@ class BoardFollower:
         self._least_response = 0.0  # of a saddle point that may be a corner of the board
         self._lost = False
         self._failed_ns: int | None = None  # time of the last search, if it failed
+        self._waited: list[tuple[int, GrayImage]] = []  # images since then that were not searched
+        self.earlier: dict[int, Detection] = {}
 
     def find(self, image: GrayImage, time_ns: int) -> Detection | Miss:
         """Detect the board in the next image.
@@ -95,6 +101,7 @@ class BoardFollower:
             image: (height, width) gray.
             time_ns: its stamp.
         """
+        self.earlier = {}
         if self._board.markers is not None:
             return find_board(image, self._board)
         if self._lost and not may_show_board(image, self._board.corners, self._least_response):
@@ -104,9 +111,27 @@ class BoardFollower:
             detection = self._searched(image, time_ns, detection)
         self._lost = not isinstance(detection, Detection)
         if isinstance(detection, Detection):
-            self._last_two.append((time_ns, detection))
-            self._last_image = image
+            self._remember(image, time_ns, detection)
+            self._track_back()
         return detection
+
+    def _remember(self, image: GrayImage, time_ns: int, detection: Detection) -> None:
+        self._last_two.append((time_ns, detection))
+        self._last_image = image
+
+    def _track_back(self) -> None:
+        """Track the board from the last image to earlier ones, which are later ones if time runs back."""
+        back = BoardFollower(self._board, self._thorough)
+        last_ns, last = self._last_two[-1]
+        back._remember(self._last_image, -last_ns, last)
+        while self._waited:
+            time_ns, image = self._waited.pop()
+            detection = back._followed(image, -time_ns)
+            if not isinstance(detection, Detection):
+                self._waited.clear()
+                break
+            back._remember(image, -time_ns, detection)
+            self.earlier[time_ns] = detection
 
     def _followed(self, image: GrayImage, time_ns: int) -> Detection | Miss | None:
         """Detect the board at its predicted position; None before the first detection."""
@@ -147,12 +172,15 @@ class BoardFollower:
             return lost or self._nothing
         since_ns = None if self._failed_ns is None else time_ns - self._failed_ns
         if since_ns is not None and not self._thorough and 0 <= since_ns < _AGAIN_NS:
+            self._waited.append((time_ns, image))
             return lost or Miss(
                 "no board found", f"the last search, {since_ns / 1e9:.2f} s earlier, found none"
             )
         alone = not self._thorough and self._least_response > 0
         detection = find_board(image, self._board, self._thorough, alone)
         self._failed_ns = None if isinstance(detection, Detection) else time_ns
+        if self._failed_ns is not None:
+            self._waited.clear()
         if isinstance(detection, Detection):
             own = least_response(image, self._board.corners)
             self._least_response = min(self._least_response or own, own)

@@ -26,6 +26,8 @@ Reason = Literal[
 ]
 #: Also of the part of a board that is seen, where too little of it is.
 OCCLUDED: Final = "board partly occluded or outside the image"
+#: Of images that show a checkerboard with other numbers of corners.
+OTHER_BOARDS: Final = ("board extends beyond the grid", "board of a different size")
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
 LARGE_PX = 1280  # image width from which detectors run at reduced size first, which is three times as fast

@@ -15,12 +15,14 @@ from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export import THUMBNAILS
-from mobilecal_cli.model import PictureIndex, Shot, Station, Track, WheelTrack
+from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.stations import Plan
+from tests.commands.edited import edited
 from tests.pairs import with_pair
+from tests.vision.scenes import pose, render, stereo_rig
 
 EXTRACTING = sys.modules["mobilecal_cli.calibrate.extract"]  # the package's `extract` is the function in it
 
@@ -134,3 +136,24 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:
         everything(log, 2)
     assert raised.value.hint
+
+
+def test_another_board_at_the_first_stations_is_not_the_board(sample_logs, tmp_path):
+    """Seen at the first three of twelve stops, it would win a vote of the first images."""
+    other = Board(7, 5)
+    image = render(
+        stereo_rig().each[0], pose(0.0, 0.0, 1.1, (0.2, 0.0, 0.0), other, 0.04), other, 0.04, blur_px=0.7
+    )
+    left = dict.fromkeys(("left", "right"), 6)
+
+    def edit(topic, message):
+        side = next((side for side in left if topic == f"/stereo/{side}/image_raw/compressed"), None)
+        if side is None or not left[side]:
+            return message
+        left[side] -= 1  # each image is new
+        return replace(message, data=cv2.imencode(".png", cv2.subtract(image, float(left[side])))[1].ravel())
+
+    log = edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", edit)
+    extraction, _ = extract([log], load_rig(None))
+    assert (extraction.board.columns, extraction.board.rows) == (9, 6)
+    assert len(extraction.observations) == 9

@@ -11,6 +11,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS
+from tests.commands.edited import edited
 from tests.pairs import with_pair
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
@@ -48,3 +49,22 @@ def test_the_recording_with_the_error_is_named(sample_logs):
     said = r"imperfect_robot\.mcap: wheels\.left: no topic /wheel_ticks/left"
     with pytest.raises(RecordingError, match=said):
         extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))
+
+
+def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):
+    """The head stands still in one, published once, and moves in the other."""
+    sent = []
+
+    def once(topic, message):
+        if topic != "/joint_states":
+            return message
+        sent.append(topic)
+        kept = [i for i, name in enumerate(message.name) if len(sent) == 1 or "wheel" in name]
+        return replace(
+            message, name=[message.name[i] for i in kept], position=message.position[np.array(kept)]
+        )
+
+    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "still.mcap", once)
+    extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
+    said = "joint head_tilt_joint on /joint_states: one reading only; the joint counts as standing still"
+    assert f"{log}: {said}" in extraction.notes

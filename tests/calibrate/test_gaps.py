@@ -3,8 +3,9 @@ from dataclasses import replace
 import pytest
 
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
+from mobilecal_cli.calibrate.steps import fitted
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import NINE, Rejection
+from mobilecal_cli.model import NINE, Nominal, Rejection
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.vision import SQUARES_UNKNOWN
@@ -97,3 +98,29 @@ def test_too_few_legs_are_counted(count, stations, legs):
 )
 def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
     assert len(motion_gaps(extraction(motion), fixed)) == gaps
+
+
+@pytest.mark.parametrize(
+    ("stage", "reason", "cure"),
+    [
+        ("stations", "too few readings per second", "noted: wheels: too few readings per second"),
+        ("vision", "board of a different size", "--board: 9 x 6 was used"),
+        ("vision", "blurred", "in good light"),
+    ],
+)
+def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cure):
+    few = extraction("standard")
+    few = replace(few, observations=few.observations[:2], notes=("wheels: too few readings per second",))
+    lost = Rejection(stage, reason, "", 0)
+    with pytest.raises(ObservationError) as caught:
+        require_stations(replace(few, counts={"stations": 12}, rejections=(lost,)))
+    assert cure in caught.value.hint
+
+
+def test_a_refusal_names_readings_that_are_too_few():
+    note = "wheels: too few readings per second (1, at least 8 needed). Publish them faster."
+    whole = extraction("head_fixed")
+    whole = replace(whole, rig=replace(whole.rig, nominal=Nominal()), notes=(note, "of no concern"))
+    with pytest.raises(SolveError, match="the head's tilt spans") as caught:
+        fitted(whole)
+    assert caught.value.hint.startswith(f"{note[:-1]}; tilt the head")

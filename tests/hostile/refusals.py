@@ -241,6 +241,10 @@ CASES = (
         "joints.pan and joints.tilt are both 'head_pan_joint'",
     ),
     Case(
+        "the pan joint is not in the head chain", ("calibrate", LOG, "--set", "joints.pan=head_pan"), 2,
+        "joints.pan: no joint 'head_pan' in the head chain",
+    ),
+    Case(
         "both cameras are one topic",
         ("calibrate", LOG, *(f"--set=cameras.{side}.image={IMAGES[0]}" for side in ("left", "right"))), 2,
         "cameras.left.image and cameras.right.image are both",

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
-from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers import open_recording, read_signals
 from mobilecal_cli.readers.signals.series import Series, in_order
 from mobilecal_cli.readers.signals.wheels import Counter, from_positions
 
@@ -103,7 +103,7 @@ def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
     assert len(track.time_ns) == 6
     np.testing.assert_allclose((track.time_ns - r.START_NS) / S, track.value)
     dropped = "2 of 8 samples are out of order and dropped"
-    assert f"joint pan on /j: the clock steps back by up to 1.500 s; {dropped}" in signals.notes
+    assert f"/j: the clock steps back by up to 1.500 s; {dropped}" in signals.notes
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -140,7 +140,7 @@ def test_duplicate_stamps_keep_the_first(tmp_path):
     rows = [(0.1 * k, at(0.1 * (k // 2)), NAMES, [k, k, k]) for k in range(10)]
     signals = signals_of(tmp_path, [*images(), *joints(rows), *images()])
     np.testing.assert_array_equal(signals.joints["pan"].value, [0, 2, 4, 6, 8])
-    assert "joint wl on /j: 5 of 10 stamps occur twice; the first is kept" in signals.notes
+    assert "/j: 5 of 10 stamps occur twice; the first is kept" in signals.notes
     assert "/l: 3 of 6 stamps occur twice; the first is kept" in signals.notes
 
 
@@ -324,3 +324,52 @@ def test_one_stray_stamp_costs_one_sample():
     keep, _, dropped, _ = in_order(stamps)
     assert dropped == 1
     assert not keep[40]
+
+
+@pytest.mark.parametrize("topic", ["/j", "/head"])
+def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
+    """A latched message, sent long before the recording."""
+    rows = [(*row[:2], NAMES[1:], row[3][1:]) for row in steady()]
+    items = [*images(), *joints([(0, at(-60), NAMES[:1], [0.3])], topic), *joints(rows)]
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints=(topic,)))
+    pan = signals.joints["pan"]
+    np.testing.assert_array_equal(pan.value, [0.3, 0.3])
+    assert pan.time_ns[0] <= min(index.time_ns[0] for index in signals.images.values())
+    assert pan.time_ns[-1] >= max(index.time_ns[-1] for index in signals.images.values())
+    assert f"joint pan on {topic}: one reading only; the joint counts as standing still" in signals.notes
+    assert not any("clocks differ" in note for note in signals.notes)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        [(k, at(3), NAMES[:1], [0.1 * k]) for k in range(3)],
+        [(0, at(0), NAMES[:1], [0.3]), (1, at(1), NAMES[:1], [np.nan])],
+    ],
+)
+def test_a_joint_with_one_good_reading_of_several_does_not_count_as_still(tmp_path, bad):
+    """All stamps are the same, or the others are not finite."""
+    items = [*images(), *joints(bad, "/head"), *joints(steady())]
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints=("/head",)))
+    assert len(signals.joints["pan"].value) == 1
+    assert not any("standing still" in note for note in signals.notes)
+
+
+def test_a_clock_that_steps_early_is_not_another_clock(tmp_path):
+    """Few images: most of their stamps are those after the step."""
+    late = [(0.02 * k, at(0.02 * k + 5 * (k >= 150)), NAMES, [k, k, k]) for k in range(400)]
+    few = [
+        r.Item(
+            topic,
+            "sensor_msgs/msg/Image",
+            at(0.2 * k),
+            r.image(r.picture(k), "mono8", at(0.2 * k + 5 * (k >= 15))),
+        )
+        for k in range(40)
+        for topic in ("/l", "/r")
+    ]
+    items = sorted([*few, *joints(late)], key=lambda item: item.log_ns)
+    with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
+        first, *_ = read_signals(recording, SOURCES, ("pan",))
+    assert any("steps forward by 5.000 s" in note for note in first.notes)
+    assert not any("clocks differ" in note for note in first.notes)

@@ -171,3 +171,30 @@ def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(first):
         hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
         assert isinstance(detect(hidden, 9, 6), Miss), corner
         assert isinstance(follow(hidden, truth, appearance, 9, 6), Miss), corner
+
+
+def test_a_board_that_is_found_again_is_tracked_back_through_the_images_that_were_not_searched(film):
+    covered = film[0][0].copy()
+    covered[:, int(film[0][1][:, 0].mean()) :] = 110
+    follower = BoardFollower(BOARD, thorough=False)
+    missed(follower.find(covered, 0))
+    for i in range(1, 7):
+        missed(follower.find(film[i][0], i * STEP_NS))
+        assert not follower.earlier
+    detected(follower.find(film[7][0], 7 * STEP_NS))
+    assert sorted(follower.earlier) == [i * STEP_NS for i in range(1, 7)]
+    for i in range(1, 7):
+        assert rms(follower.earlier[i * STEP_NS].pixels - film[i][1]) < 0.02
+    detected(follower.find(film[8][0], 8 * STEP_NS))
+    assert not follower.earlier
+
+
+def test_tracking_back_ends_where_the_board_comes_into_view(film):
+    wall = np.clip(np.random.default_rng(3).normal(110, 12, (480, 640)), 0, 255).astype(np.uint8)
+    follower = BoardFollower(BOARD, thorough=False)
+    for i in range(5):
+        missed(follower.find(wall, i * STEP_NS))
+    missed(follower.find(film[5][0], 5 * STEP_NS))
+    missed(follower.find(film[6][0], 6 * STEP_NS))
+    detected(follower.find(film[7][0], 7 * STEP_NS))
+    assert sorted(follower.earlier) == [5 * STEP_NS, 6 * STEP_NS]

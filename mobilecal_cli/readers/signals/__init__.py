@@ -364,6 +364,12 @@ def read_signals(
         some: list[str] = []
         samples = {series: each.arranged(some) for series, each in recorded.items()}
         tracks = {name: _track(joint, samples, some) for name, joint in moving.items()}
+        times_ns = np.concatenate([each.time_ns for each in samples.values()])
+        for name, joint in moving.items():
+            if len(joint.series) == 1 and not joint.series.not_finite:
+                some.append(f"{joint.series.label}: one reading only; the joint counts as standing still")
+                still = np.repeat(tracks[name].value, 2)
+                tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
             {
                 side: [(wheel.series.label, _track(wheel, samples, some)) for wheel in each]

@@ -54,7 +54,7 @@ class Samples:
         late = self.stamp_ns < np.maximum.accumulate(self.stamp_ns)
         behind_s = float((np.maximum.accumulate(self.stamp_ns) - self.stamp_ns).max()) * 1e-9
         notes.append(
-            f"{self.label}: {int(late.sum())} of {len(self)} samples are recorded after later ones, by up to "
+            f"{self.topic}: {int(late.sum())} of {len(self)} samples are recorded after later ones, by up to "
             f"{behind_s:.3f} s; they are put in order of their stamps"
         )
         return self.rows(np.argsort(self.stamp_ns, kind="stable"), self.shift_ns)
@@ -64,10 +64,10 @@ class Samples:
         keep, duplicates, dropped, back_s = in_order(self.stamp_ns)
         total = len(self)
         if duplicates:
-            notes.append(f"{self.label}: {duplicates} of {total} stamps occur twice; the first is kept")
+            notes.append(f"{self.topic}: {duplicates} of {total} stamps occur twice; the first is kept")
         if dropped:
             notes.append(
-                f"{self.label}: the clock steps back by up to {back_s:.3f} s; {dropped} of {total} samples "
+                f"{self.topic}: the clock steps back by up to {back_s:.3f} s; {dropped} of {total} samples "
                 "are out of order and dropped"
             )
         return keep
@@ -162,8 +162,8 @@ class Series:
 _NS = 1_000_000_000
 #: Two topics whose lags between stamp and log time differ by more use different clocks.
 CLOCKS_DIFFER_S = 1.0
-#: Lags stored per topic, enough for a median.
-_LAGS = 101
+#: Lags stored per topic: of its first messages, before a clock steps.
+_LAGS = 11
 
 
 @dataclass(slots=True)
@@ -213,8 +213,8 @@ class Clock:
 def clock_notes(clocks: list[Clock]) -> list[str]:
     """Notes of all topics, and on topics with stamps from different clocks."""
     notes = [note for clock in clocks for note in clock.notes()]
-    # A topic without stamps uses the log time, so its lag is zero.
-    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages}
+    # A topic without stamps uses the log time, so its lag is zero. What is published once may be older.
+    lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
         if lags[high] - lags[low] > CLOCKS_DIFFER_S:
