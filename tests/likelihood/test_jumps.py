@@ -50,7 +50,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
 
     left = [jump("board", 5, 0.7), jump("head mount", 11, 5.0), jump("joint pan_joint", 12, 9.0)]
 
-    def likeliest(inference, fit):
+    def likeliest(inference, fit, written):
         return (left.pop(0), fit) if left else None
 
     monkeypatch.setattr(Inference, "_likeliest_jump", likeliest)
