@@ -231,7 +231,7 @@ def jump(made: Calibration) -> Iterator[Check]:
         size = " by " + " and ".join(parts) if parts else ""
         if change.also:
             other, also = _jumps(change.also)
-            size, cure = f"{size}, or {other},", f"{cure}. {also}"
+            what, size, cure = f"{what} or {other}", "", f"{cure}. {also}"
         moved = "moved" if change.part in ("head mount", "board", "right camera") else "changed"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []

@@ -44,7 +44,7 @@ NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the ba
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
-JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.0, 0.5
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 2.7, 0.5
 MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
