@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.special import chdtrc
+from scipy.special import betainc, chdtrc
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.chain import banded
@@ -27,9 +27,9 @@ from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
 _FEWEST_EACH_SIDE = 3  # stations before and after a change
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
-_LEAST = 1e-9  # information about a direction, relative to that for known others, that is none
-_FAINT = 1.0  # 1/rad^2, 1/m^2: a step of one radian or meter that does not show, even for known others
+_FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _LASTING = 0.25  # of chi-squared
+_ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
 
 
@@ -47,6 +47,7 @@ class Jump:
             deviations.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
             own frame (rad, m), rotation and position of a camera against the first one (rad, m), or m of the radius.
+        also: another part that explains about the same; "" if none does.
     """
 
     part: str
@@ -57,6 +58,7 @@ class Jump:
     sigmas: float
     shift_sigmas: float
     value: FloatArray
+    also: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,12 +108,8 @@ class _Test:
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared
 
-    def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, ...]]:
-        """For a jump before each of some stations: gradient, information, across, and known.
-
-        Gradient (m,) by the jump, its information (m, m), that with the shared parameters (P, m), and (m,) its diagonal
-        for known others.
-        """
+    def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """For a jump before each of some stations: gradient (m,) by the jump, and its information (m, m)."""
         lin, count = self._lin, self._lin.data.stations
         P, B = lin.data.layout.size, lin.data.base_width
         gradient, own, base, start, board, shared = self._by_station(part)
@@ -135,7 +133,7 @@ class _Test:
             across += normal.base_by_shared[mine].reshape(-1, P).T @ at[rows]
             information = owns[k] - at.T @ solved[:, k * m : (k + 1) * m] - across.T @ self._C @ across
             information -= with_board.T @ normal.board_covariance[log] @ with_board
-            yield gradients[k], information, across, np.diag(owns[k])
+            yield gradients[k], information
 
     def _by_station(self, part: _Part) -> tuple[FloatArray, ...]:
         """What each station, and the leg that ends there, says of a part.
@@ -169,13 +167,12 @@ class _Test:
         return gradient, own, base, start, np.zeros((count, 6, m)), shared
 
 
-def _score(g: FloatArray, information: FloatArray, known: FloatArray) -> tuple[float, int, FloatArray]:
-    unit = np.where(known > _FAINT, 1 / np.sqrt(np.maximum(known, _FAINT)), 0.0)
-    values, vectors = np.linalg.eigh(information * np.outer(unit, unit))
-    shown = values > _LEAST
-    along = vectors.T @ (unit * g)
+def _score(g: FloatArray, information: FloatArray) -> tuple[float, int, FloatArray]:
+    values, vectors = np.linalg.eigh(information)
+    shown = values > _FAINT
+    along = vectors.T @ g
     over = np.where(shown, along / np.where(shown, values, 1.0), 0.0)
-    return float(along @ over), int(shown.sum()), -unit * (vectors @ over)
+    return float(along @ over), int(shown.sum()), -(vectors @ over)
 
 
 def without(lin: Posterior, jump: Jump) -> Posterior:
@@ -195,23 +192,40 @@ def without(lin: Posterior, jump: Jump) -> Posterior:
 
 def again(lin: Posterior, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
-    ((gradient, information, across, known),) = _Test(lin).terms(
-        dict(_parts(lin))[jump.part], np.array([jump.station])
-    )
-    value = jump.value + _score(gradient, information, known)[2]
+    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
+    value = jump.value + _score(gradient, information)[2]
     chi2 = float(value @ information @ value)
-    shift = -(lin.covariance[:9] @ across) @ value
-    own = np.zeros(9)
+    return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
+
+
+def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump) -> float:
+    """How far a jump moves the nine parameters that are written, or is itself in their units: see `Jump`.
+
+    Args:
+        written: the result, which takes no jump into account.
+        covariance: (P, P) of the result.
+        lin: the point without the residuals of the jump.
+        jump: from `again`.
+    """
+    moved = lin.state.parameters.minus(written.state.parameters)
+    return max(_in_sigmas(moved, np.diag(covariance)[:9]), _own_sigmas(lin.covariance, jump))
+
+
+def _own_sigmas(covariance: FloatArray, jump: Jump) -> float:
+    variance, size = np.diag(covariance), np.abs(jump.value)
     if jump.part == "head mount":
-        own[:6] = value
-    elif jump.part.startswith("joint"):
-        own[:3] = np.linalg.norm(value) * (np.arange(3) == np.argmin(np.diag(lin.covariance)[:3]))
-    elif jump.part.endswith("wheel"):
-        own[6 + (jump.part == "left wheel")] = value[0]
-    std = np.sqrt(np.diag(lin.covariance)[:9])
-    moved = np.maximum(np.abs(shift), np.abs(own)) / np.where(std > 0, std, np.inf)
-    significance = _significance(chi2, jump.dof, jump.tried)
-    return replace(jump, chi2=chi2, value=value, sigmas=significance, shift_sigmas=float(moved.max()))
+        return _in_sigmas(size, variance[:6])
+    if jump.part.startswith("joint"):
+        return _in_sigmas(size, variance[:3].min(keepdims=True))
+    if jump.part.endswith("wheel"):  # alone: all three may have a common scale that hardly shows
+        known = np.linalg.pinv(covariance[6:9, 6:9], hermitian=True)
+        k = int(jump.part == "left wheel")
+        return float(size[0] * math.sqrt(max(known[k, k], 0.0)))
+    return 0.0
+
+
+def _in_sigmas(step: FloatArray, variance: FloatArray) -> float:
+    return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf))))
 
 
 def cause(lin: Posterior, first: int) -> str:
@@ -231,8 +245,8 @@ def cause(lin: Posterior, first: int) -> str:
     for name, part in parts.items():
         if part.views is None:
             continue
-        ((gradient, information, _, known),) = test.terms(part, np.array([first]))
-        chi2, dof, value = _score(gradient, information, known)
+        ((gradient, information),) = test.terms(part, np.array([first]))
+        chi2, dof, value = _score(gradient, information)
         left = without(lin, Jump(name, first, chi2, dof, 1, 0.0, 0.0, value)).views.cost[after].sum()
         if left < least:
             best, least = name, float(left)
@@ -243,14 +257,46 @@ def _significance(chi2: float, dof: int, tried: int) -> float:
     return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
 
 
+def significance(lin: Posterior, jump: Jump) -> float:
+    """`Jump.sigmas` by an F test, as a jump may itself have made the noise levels without it small.
+
+    With n residuals that the levels rest on, the score of a jump of m numbers is S at levels with its residuals, and
+    chi2 = S / (1 - S / n) at those without. Both show n; S / n has Beta's distribution with m / 2 and (n - m) / 2.
+
+    Args:
+        lin: the optimum whose noise levels rest on the residuals of the jump, too.
+        jump: from `again`, at levels without its residuals.
+    """
+    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
+    score, dof, _ = _score(gradient, information)
+    if score >= jump.chi2 or not dof:
+        return jump.sigmas
+    residuals = 1 / (1 / score - 1 / jump.chi2)
+    if residuals <= dof:
+        return 0.0
+    chance = float(betainc((residuals - dof) / 2, dof / 2, score / jump.chi2))
+    return from_chance(min(1.0, chance * jump.tried))
+
+
+def alike(ranked: Sequence[Jump]) -> list[Jump]:
+    """Other jumps that are hardly less probable than the first of `likeliest`."""
+    least = _rank(ranked[0].chi2, ranked[0].dof) - _ALIKE
+    return [jump for jump in ranked[1:] if _rank(jump.chi2, jump.dof) > least]
+
+
+def _rank(chi2: float, dof: int) -> float:
+    """Minus twice the logarithm of the chance of a chi-squared, far out in the tail."""
+    return chi2 - (dof - 2) * math.log(max(chi2, 2.0) / 2) + 2 * math.lgamma(dof / 2)
+
+
 def _after(lin: Posterior, first: int) -> BoolArray:
     """(N,) stations of the same recording from a station on."""
     log = lin.data.log
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None:
-    """The most probable jump, whether or not it is significant; None if nothing can be compared.
+def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
+    """The most probable jump of each part, the best first, whether or not it is significant.
 
     Args:
         lin: an optimum.
@@ -274,10 +320,10 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> Jump | None
             best = _best(test, name, part, [at for at in moments if abs(at - best[1].station) < every])
         if best is not None:
             ranked.append(best)
-    if not ranked:
-        return None
-    _, jump = max(ranked, key=lambda each: each[0])
-    return replace(jump, tried=tried, sigmas=_significance(jump.chi2, jump.dof, tried))
+    ranked.sort(key=lambda each: -each[0])
+    return [
+        replace(jump, tried=tried, sigmas=_significance(jump.chi2, jump.dof, tried)) for _, jump in ranked
+    ]
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:
@@ -291,18 +337,17 @@ def lasts(lin: Posterior, jump: Jump) -> bool:
     if later >= lin.data.stations:
         return False
     lin = without(lin, replace(jump, value=-jump.value))
-    ((gradient, information, _, known),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([later]))
-    return _score(gradient, information, known)[0] > _LASTING * jump.chi2
+    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([later]))
+    return _score(gradient, information)[0] > _LASTING * jump.chi2
 
 
 def _best(test: _Test, name: str, part: _Part, moments: Sequence[int]) -> tuple[float, Jump] | None:
-    """The most probable moment of a part's jump, and minus twice the logarithm of its chance, far out in the tail."""
+    """The most probable moment of a part's jump, and its rank."""
     ranked = []
-    for first, (gradient, information, _, known) in zip(
+    for first, (gradient, information) in zip(
         moments, test.terms(part, np.array(moments)) if moments else (), strict=True
     ):
-        chi2, dof, value = _score(gradient, information, known)
+        chi2, dof, value = _score(gradient, information)
         if dof:
-            rank = chi2 - (dof - 2) * math.log(max(chi2, 2.0) / 2) + 2 * math.lgamma(dof / 2)
-            ranked.append((rank, Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)))
+            ranked.append((_rank(chi2, dof), Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)))
     return max(ranked, key=lambda each: each[0], default=None)

@@ -174,6 +174,7 @@ class Jump:
         sigmas: its significance; infinite (math.inf) where some are rejected.
         shift_sigmas: how far it moves the result, or is itself, in standard deviations of the nine parameters.
         turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius.
+        also: another part that explains the recording about as well, and moves the result less; "" if none does.
     """
 
     part: str
@@ -185,6 +186,7 @@ class Jump:
     shift_sigmas: float
     turn_rad: float
     move_m: float
+    also: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -207,6 +207,13 @@ _JUMPS = {
 }
 
 
+def _jumps(part: str) -> tuple[str, str]:
+    """What a part that changed is called, and what to do about it."""
+    joint = visible(part.removeprefix("joint "))
+    at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
+    return _JUMPS.get(part, at_joint)
+
+
 @criterion(Metric("jump", "sigma"), gated=False, section="stations")
 def jump(made: Calibration) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
@@ -218,12 +225,13 @@ def jump(made: Calibration) -> Iterator[Check]:
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
-        joint = visible(change.part.removeprefix("joint "))
-        at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
-        what, cure = _JUMPS.get(change.part, at_joint)
+        what, cure = _jumps(change.part)
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
+        if change.also:
+            other, also = _jumps(change.also)
+            what, size, cure = f"{what} or {other}", "", f"{cure}. {also}"
         moved = "moved" if change.part in ("head mount", "board", "right camera") else "changed"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []

@@ -104,7 +104,7 @@ def jumps_of(
     move = float(value[0]) if slides or not turns else move
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
-    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes),), without
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),), without
 
 
 def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:

@@ -44,7 +44,7 @@ NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the ba
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
-JUMP_SIGMAS, _CANDIDATE_SIGMAS = 4.0, 0.5
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 2.7, 0.5
 MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
@@ -336,7 +336,7 @@ class Inference:
             return behind
         found = None
         for _ in range(_MOST_JUMPS):
-            further = self._likeliest_jump(fit if found is None else found[1])
+            further = self._likeliest_jump(fit if found is None else found[1], fit)
             if further is None:
                 break
             found = further
@@ -344,32 +344,34 @@ class Inference:
                 break
         return found
 
-    def _likeliest_jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
+    def _likeliest_jump(self, fit: Fit, written: Fit) -> tuple[jumps.Jump, Fit] | None:
+        """The likeliest jump and the fit without it; of parts that explain about the same, the worst one."""
         # Noise levels that a jump has made large conceal it: it shows at the usual ones. Which part explains most is
         # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
-        first = self._tested(
-            fit, fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
-        )
-        tested = None if first is None else self._tested(fit, first[1].noise)
-        if tested is None:
+        noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
+        for _ in range(2):
+            optimum = fit.lin.with_noise(noise)
+            # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
+            optimum = optimum.predicted(proposed(optimum)[0])
+            ranked = jumps.likeliest(optimum)
+            if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
+                return None
+            lin = _past(optimum, ranked[0])
+            lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+            jump = jumps.again(lin, ranked[0])
+            if jump.sigmas < _CANDIDATE_SIGMAS:
+                return None
+            noise = lin.noise
+        jump = replace(jump, sigmas=jumps.significance(fit.lin, jump))
+        if jump.sigmas < JUMP_SIGMAS or not jumps.lasts(lin, jump):
             return None
-        jump, lin = tested
-        significant = jump.sigmas > JUMP_SIGMAS and jumps.lasts(lin, jump)
-        return (jump, replace(fit, lin=lin)) if significant else None
-
-    def _tested(self, fit: Fit, noise: Noise) -> tuple[jumps.Jump, Posterior] | None:
-        """The jump that is likeliest at some noise levels, at those without it, and the point without it."""
-        optimum = fit.lin.with_noise(noise)
-        # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-        optimum = optimum.predicted(proposed(optimum)[0])
-        jump = jumps.likeliest(optimum)
-        if jump is None or jump.sigmas < _CANDIDATE_SIGMAS:
-            return None
-        lin = _past(optimum, jump)
-        lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
-        jump = jumps.again(lin, jump)
-        return (jump, lin) if jump.sigmas > _CANDIDATE_SIGMAS else None
+        points = [(jump, lin)]
+        for other in jumps.alike(ranked):
+            past = _past(optimum, other)
+            points.append((replace(jumps.again(past, other), sigmas=jump.sigmas, also=jump.part), past))
+        worst = max((_sized(written, *point) for point in points), key=lambda each: each.shift_sigmas)
+        return worst, replace(fit, lin=lin)
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
@@ -390,11 +392,11 @@ class Inference:
         try:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
-            jump = jumps.likeliest(lin, each_side=_SEVERAL)
-            if jump is None or not jump.part.endswith("wheel"):
+            ranked = jumps.likeliest(lin, each_side=_SEVERAL)
+            if not ranked or not ranked[0].part.endswith("wheel"):
                 return None
-            lin = _past(lin, jump)
-            jump, without = jumps.again(lin, jump), replace(fit, lin=lin)
+            lin, jump = _past(lin, ranked[0]), ranked[0]
+            jump, without = _sized(fit, jumps.again(lin, jump), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
         explained = outliers.restored(was, without, agreeing=True)[self.data.log[jump.station]]
@@ -435,6 +437,11 @@ def _past(lin: Posterior, jump: jumps.Jump) -> Posterior:
     """The optimum without a jump, to first order."""
     lin = jumps.without(lin, jump)
     return lin.predicted(proposed(lin)[0])
+
+
+def _sized(written: Fit, jump: jumps.Jump, lin: Posterior) -> jumps.Jump:
+    """A jump with how far it moves the result that is written, from the point without it."""
+    return replace(jump, shift_sigmas=jumps.shift(written.lin, written.covariance, lin, jump))
 
 
 def _same_space(a: FloatArray, b: FloatArray) -> bool:

@@ -8,10 +8,15 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.model import WheelTrack
+from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.maximum_likelihood import robust_fit
+from tests.bench.imperfect import USUAL, Case, judged
+from tests.bench.jumps import RECORDINGS, changed
 from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction
 from tests.pairs import with_views
 
@@ -50,13 +55,50 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
 
     left = [jump("board", 5, 0.7), jump("head mount", 11, 5.0), jump("joint pan_joint", 12, 9.0)]
 
-    def likeliest(inference, fit):
+    def likeliest(inference, fit, written):
         return (left.pop(0), fit) if left else None
 
     monkeypatch.setattr(Inference, "_likeliest_jump", likeliest)
     (found,) = solve(whole).jumps
     assert (found.part, found.station) == ("head mount", 11)
     assert [each.part for each in left] == ["joint pan_joint"]
+
+
+@pytest.fixture(scope="module", params=[3, 5])
+def moved_board(request):
+    """A board that moves by ten standard deviations, in the middle of a recording, and the robot."""
+    case = RECORDINGS["20 stations"]
+    extraction, after, _, _ = changed(
+        case, "board", 10.0, request.param, solve(case.extraction(request.param))
+    )
+    return extraction, after.robot
+
+
+def test_a_moved_board_is_no_mistake_of_a_result_that_is_right(moved_board):
+    """The leg across it is rejected: what the board moved beside the base, along the floor, does not show."""
+    extraction, robot = moved_board
+    run = judged(solve(extraction), extraction, robot)
+    assert np.all(np.abs(run.error) < 3 * run.std)
+    assert (run.level, run.jumps) == ("PASS", ())
+
+
+def test_of_parts_that_explain_the_same_the_worse_one_counts(monkeypatch, moved_board):
+    extraction, _ = moved_board
+    monkeypatch.setattr(jumps, "_ALIKE", np.inf)
+    solution = solve(extraction)
+    (jump,) = solution.jumps
+    assert (jump.part != "board", jump.also, jump.shift_sigmas > 2) == (True, "board", True)
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert " or the board " in verdict.reason
+    assert "Fasten the board." in verdict.next_step
+
+
+def test_noise_levels_that_a_jump_makes_small_do_not_confirm_it():
+    """A healthy robot: at the levels without it, a move of the board has a chance of one in 100,000."""
+    extraction = Case(stations=20).drawn(noise=USUAL).extraction(9)
+    inference = Inference.of(extraction, Constraints())
+    assert inference.jump(robust_fit(inference)) is None
 
 
 def test_what_a_moved_camera_explains_contradicts_nothing(whole):
