@@ -15,6 +15,10 @@ _NEWTON_STEPS = 60  # a few are usual; near the edge of a model's range, steps a
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
 _EXACT = 5e-16  # relative rounding error of the distorted coordinates
 _CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
+_SHORTEST_WAVE = 4  # half waves over the image: a wave of half its width
+_WAVES = np.array([(k, n - k) for n in range(1, _SHORTEST_WAVE + 1) for k in range(n, -1, -1)])
+#: Terms of a lens correction: four of the distortion, and the waves along x and y.
+LENS_TERMS = 4 + 2 * len(_WAVES)
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
 
@@ -101,19 +105,23 @@ def _distorted(camera: Camera, points: FloatArray) -> tuple[FloatArray, FloatArr
     return scale[..., None] * XY, J
 
 
-def lens_terms(camera: Camera, center_px: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Displacements of pixels by a lens correction of one, term by term, and their Jacobians.
+def lens_terms(
+    camera: Camera, center_px: FloatArray, pixels: FloatArray, shares: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Displacements of pixels by a lens correction of one, term by term, and the Jacobian of a correction.
 
-    With p the offset from the center in shares of half the image's diagonal, the terms are p |p|^2, p |p|^4,
-    (3x^2 + y^2, 2xy) and (2xy, x^2 + 3y^2), each with the length of the image's width at the image corner.
+    With p the offset from the center in shares of half the image's diagonal, the first terms are p |p|^2, p |p|^4,
+    (3x^2 + y^2, 2xy) and (2xy, x^2 + 3y^2), each with the length of the image's width at the image corner. The others
+    are waves over the image, see `lens_waves`, of an amplitude of the image's width, along x and along y.
 
     Args:
         camera: gives the image size.
-        center_px: (2,) where the terms are zero.
+        center_px: (2,) where the first terms are zero.
         pixels: (..., 2) pixels without the correction.
+        shares: (L,) of the correction; L is 4, or `LENS_TERMS` with the waves.
 
     Returns:
-        (..., 4, 2) px, and (..., 4, 2, 2) by the pixels.
+        (L, ..., 2) px, and (..., 2, 2) derivative of the displacement of the correction by the pixels.
     """
     diagonal = float(np.hypot(camera.width, camera.height))
     p = (pixels - center_px) * (2 / diagonal)
@@ -125,28 +133,52 @@ def lens_terms(camera: Camera, center_px: FloatArray, pixels: FloatArray) -> tup
     xx, yy, xy = x * x, y * y, 2 * x * y
     q = xx + yy
     scale, slope = camera.width / unit, 2 * camera.width / diagonal / unit
-    terms, J = np.empty((*x.shape, 4, 2)), np.empty((*x.shape, 4, 2, 2))
+    terms, J = np.empty((len(shares), *x.shape, 2)), np.empty((4, *x.shape, 2, 2))
     for k, radial, by_q in ((0, q, 1.0), (1, q * q, 2 * q)):
-        terms[..., k, 0], terms[..., k, 1] = scale[k] * radial * x, scale[k] * radial * y
-        J[..., k, 0, 0], J[..., k, 1, 1] = radial + 2 * by_q * xx, radial + 2 * by_q * yy
-        J[..., k, 0, 1] = J[..., k, 1, 0] = by_q * xy
-    terms[..., 2, 0], terms[..., 2, 1] = scale[2] * (3 * xx + yy), scale[2] * xy
-    terms[..., 3, 0], terms[..., 3, 1] = scale[3] * xy, scale[3] * (xx + 3 * yy)
-    J[..., 2, 0, 0], J[..., 2, 0, 1], J[..., 2, 1, 0], J[..., 2, 1, 1] = 6 * x, 2 * y, 2 * y, 2 * x
-    J[..., 3, 0, 0], J[..., 3, 0, 1], J[..., 3, 1, 0], J[..., 3, 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
-    J *= slope[:, None, None]
-    return terms, J
+        terms[k, ..., 0], terms[k, ..., 1] = scale[k] * radial * x, scale[k] * radial * y
+        J[k, ..., 0, 0], J[k, ..., 1, 1] = radial + 2 * by_q * xx, radial + 2 * by_q * yy
+        J[k, ..., 0, 1] = J[k, ..., 1, 0] = by_q * xy
+    terms[2, ..., 0], terms[2, ..., 1] = scale[2] * (3 * xx + yy), scale[2] * xy
+    terms[3, ..., 0], terms[3, ..., 1] = scale[3] * xy, scale[3] * (xx + 3 * yy)
+    J[2, ..., 0, 0], J[2, ..., 0, 1], J[2, ..., 1, 0], J[2, ..., 1, 1] = 6 * x, 2 * y, 2 * y, 2 * x
+    J[3, ..., 0, 0], J[3, ..., 0, 1], J[3, ..., 1, 0], J[3, ..., 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
+    by_pixels: FloatArray = np.tensordot(slope * shares[:4], J, 1)
+    if len(shares) > 4:
+        waves, by_pixel = lens_waves(camera, pixels)
+        terms[4:] = 0.0
+        terms[4::2, ..., 0] = terms[5::2, ..., 1] = camera.width * waves
+        by_pixels += camera.width * np.einsum("wa,wb...->...ab", shares[4:].reshape(-1, 2), by_pixel)
+    return terms, by_pixels
+
+
+def lens_waves(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """cos(pi k u) cos(pi l v), 1 <= k + l <= 4, u and v from 0 to 1 over the image.
+
+    Args:
+        camera: gives the image size.
+        pixels: (..., 2).
+
+    Returns:
+        (14, ...), and (14, 2, ...) by the pixels.
+    """
+    numbers = np.arange(_SHORTEST_WAVE + 1)
+    values, slopes = [], []
+    for axis, size in enumerate((camera.width, camera.height)):
+        angle = np.multiply.outer(np.pi * numbers, (pixels[..., axis] + 0.5) / size)
+        values.append(np.cos(angle)[_WAVES[:, axis]])
+        by_angle = np.pi * numbers.reshape(-1, *(1,) * (pixels.ndim - 1)) / size
+        slopes.append((-by_angle * np.sin(angle))[_WAVES[:, axis]])
+    x, y = values
+    return x * y, np.stack([slopes[0] * y, x * slopes[1]], axis=1)
 
 
 def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray | None]:
     """Pixels (..., 2) after the camera's lens correction, and their Jacobian (..., 2, 2), None for the identity."""
     if camera.correction is None:
         return pixels, None
-    terms, J = lens_terms(camera, camera.correction.center_px, pixels)
     shares = camera.correction.shares
-    return pixels + np.einsum("...ka,k->...a", terms, shares), np.eye(2) + np.einsum(
-        "...kab,k->...ab", J, shares
-    )
+    terms, J = lens_terms(camera, camera.correction.center_px, pixels, shares)
+    return pixels + np.tensordot(shares, terms, 1), np.eye(2) + J
 
 
 def _uncorrected(camera: Camera, pixels: FloatArray) -> FloatArray:

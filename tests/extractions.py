@@ -95,6 +95,8 @@ class Outside:
         print_across_m: the same across the plane, m.
         print_seed: see there.
         sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
+        lens_px: rms of what each lens does beside its model: waves of 320 px over the image; `lens_seed` draws them.
+        lens_seed: see there.
     """
 
     sag_rad: float = 0.0
@@ -104,6 +106,8 @@ class Outside:
     print_across_m: float = 0.0
     print_seed: int = 0
     sheet_m: float = 0.0
+    lens_px: float = 0.0
+    lens_seed: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -280,8 +284,17 @@ def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatA
         if half_s:
             first, last = (exposed(camera, T_x_c, late_s + half) for half in (-half_s, half_s))
             at = _row_by_row(first, at, last, camera.height)
-        every.append(at)
+        every.append(at + _waves(at, actual.outside, k))
     return Views(poses[0.0], tuple(every))
+
+
+def _waves(at: FloatArray, outside: Outside, camera: int) -> FloatArray:
+    """Displacements (N, M, 2) of pixels by eight plane waves in random directions, along x and y each, px."""
+    random = np.random.default_rng([outside.lens_seed, 12, camera])
+    direction = random.uniform(0, 2 * np.pi, (8, 2))
+    ways = np.stack([np.cos(direction), np.sin(direction)]) * 2 * np.pi / 320  # (2, 8, 2)
+    phase = np.tensordot(np.nan_to_num(at), ways, 1) + random.uniform(0, 2 * np.pi, (8, 2))
+    return np.asarray(outside.lens_px * np.sqrt(2 / 8) * np.sin(phase).sum(axis=2))
 
 
 def _row_by_row(first: FloatArray, middle: FloatArray, last: FloatArray, height: int) -> FloatArray:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mobilecal_cli.camera import project, project_with_jacobian, undistorted
-from mobilecal_cli.model import Camera
+from mobilecal_cli.camera import LENS_TERMS, project, project_with_jacobian, undistorted
+from mobilecal_cli.model import Camera, LensCorrection
 
 K = np.array([[533.5, 0.0, 341.6], [0.0, 531.0, 235.2], [0.0, 0.0, 1.0]])
 TILTED = [0.31, -0.12, 0.001, -0.0007, 0.01, 0.6, -0.05, 0.02, 0.002, -0.001, 0.003, 0.0007, 0.03, -0.02]
@@ -69,6 +71,28 @@ def test_pixels_to_rays_and_rays_to_pixels_and_back(name: str) -> None:
     points = directions(2)
     flat = undistorted(camera(name), project(camera(name), points))[0]
     np.testing.assert_allclose(flat, points[:, :2] / points[:, 2:], atol=1e-12)
+
+
+def test_the_waves_of_a_lens_are_small_over_the_image_and_have_their_derivatives() -> None:
+    random = np.random.default_rng(0)
+    shares = np.append(np.zeros(4), 1e-4 * random.normal(size=LENS_TERMS - 4))
+    K = np.array([[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]])
+    plain = Camera("c", 640, 480, K, np.zeros(5), "plumb_bob")
+    waving = replace(plain, correction=LensCorrection(shares, K[:2, 2]))
+    points = np.column_stack([random.uniform([-0.6, -0.45], [0.6, 0.45], (50, 2)), np.ones(50)])
+    moved = project(waving, points) - project(plain, points)
+    amplitudes = 640 * np.abs(shares[4:].reshape(-1, 2)).sum(axis=0)
+    assert np.all(np.abs(moved) <= amplitudes)
+    assert moved.std() > 0.01 * amplitudes.max()
+    _, J = project_with_jacobian(waving, points)
+    h = 1e-6
+    numeric = [
+        (project(waving, points + h * e) - project(waving, points - h * e)) / (2 * h) for e in np.eye(3)
+    ]
+    np.testing.assert_allclose(J, np.stack(numeric, axis=-1), atol=1e-5)
+    rays, good = undistorted(waving, project(waving, points))
+    assert good.all()
+    np.testing.assert_allclose(rays, points[:, :2], atol=1e-9)
 
 
 def test_optical_axis_of_the_equidistant_model() -> None:

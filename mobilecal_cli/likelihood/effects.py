@@ -168,7 +168,7 @@ class CameraChange:
         shift: (C, 3) displacement along the first camera's axes, m.
         focal: (C, 2) relative change of fx and fy.
         principal: (C, 2) change of (cx, cy) in shares of the image width.
-        lens: (C, 4) see `LensCorrection`.
+        lens: (C, L) see `LensCorrection`.
         delay_s: (C, 1) time of its images against their stamps: the points move in the camera meanwhile, s.
         readout_s: (C, 1) time between its first and last row, exposed before and after the stamp, s.
     """
@@ -184,9 +184,9 @@ class CameraChange:
     readout_s: FloatArray
 
     @classmethod
-    def none(cls, cameras: int) -> CameraChange:
+    def none(cls, cameras: int, lens_terms: int = 4) -> CameraChange:
         """No change of a number of cameras."""
-        return cls(*(np.zeros((cameras, size)) for size in (3, 3, 1, 3, 2, 2, 4, 1, 1)))
+        return cls(*(np.zeros((cameras, size)) for size in (3, 3, 1, 3, 2, 2, lens_terms, 1, 1)))
 
     def late_s(self, camera: int, rows: FloatArray) -> FloatArray:
         """Time after the stamp at which corners in rows (..., from -1/2 to 1/2) are exposed, s."""
@@ -217,7 +217,7 @@ class Sight:
         stated, rig: the cameras as stated, and with all constants applied.
         change: what was applied.
         pixels: (N, M, 2) predicted pixels before the lens correction.
-        terms: (N, M, 4, 2) displacements by a lens correction of one, term by term.
+        terms: (L, N, M, 2) displacements by a lens correction of one, term by term.
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the first camera's frame, m.
         by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
@@ -292,7 +292,7 @@ _BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
     "shift": lambda sight, along: -sight.by_shift(along),
     "focal": _by_focal,
     "principal": _by_principal,
-    "lens": lambda sight, terms: np.asarray(terms @ sight.terms),
+    "lens": lambda sight, terms: np.asarray(np.tensordot(terms, sight.terms[: len(terms)], 1)),
     "delay_s": lambda sight, along: sight.by_shift(along * sight.velocity_c),
     "readout_s": lambda sight, along: sight.by_shift(along * sight.velocity_c * sight.rows[..., None]),
 }
@@ -306,7 +306,7 @@ class CameraEffect(Effect):
 
     Attributes:
         of: attribute of `CameraChange`.
-        along: the vector that a value of one adds to it.
+        along: the vector that a value of one adds to it, or to the first of its numbers.
         camera: index; None for all.
     """
 
@@ -321,9 +321,8 @@ class CameraEffect(Effect):
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add a value to the change."""
-        getattr(change, self.of)[slice(None) if self.camera is None else self.camera] += value * np.array(
-            self.along
-        )
+        of = slice(None) if self.camera is None else self.camera
+        getattr(change, self.of)[of, ..., : len(self.along)] += value * np.array(self.along)
 
     def pixels(self, sight: Sight) -> FloatArray | None:
         """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""

@@ -78,6 +78,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
     Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
     Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
+    Kind("lens_waves", "1", 0.00015, "% of the image width", 100, "what a lens does beside its distortion, rms"),
     Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
     Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
     Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),
@@ -101,7 +102,9 @@ KINDS: tuple[Kind, ...] = (
 _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
-UNSTATED = frozenset({"board_corners", "floor_shape"})
+UNSTATED = frozenset({"board_corners", "floor_shape", "lens_waves"})
+#: Kinds of which there are patterns, see `patterns`: they mean nothing but in the recording that they are made for.
+PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.
 OF_RECORDINGS = UNSTATED | {"clock"}
 #: Kinds that others are judged with, see `family`.
@@ -384,10 +387,12 @@ def camera_change(
         constants: rows; those that do not change the cameras are ignored.
         values: name of a constant → its value; those that are not there are zero.
     """
-    change = CameraChange.none(len(cameras.each))
-    for row in constants:
-        if isinstance(row.effect, CameraEffect) and values.get(row.name):
-            row.effect.add(change, values[row.name])
+    effects = [(row.name, row.effect) for row in constants if isinstance(row.effect, CameraEffect)]
+    lens_terms = max((len(effect.along) for _, effect in effects if effect.of == "lens"), default=4)
+    change = CameraChange.none(len(cameras.each), lens_terms)
+    for name, effect in effects:
+        if values.get(name):
+            effect.add(change, values[name])
     return change
 
 

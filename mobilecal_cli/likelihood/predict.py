@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect
-from mobilecal_cli.likelihood.nuisance import camera_change, table
+from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
 
@@ -48,7 +48,10 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
     own = {
         row.name: column
         for column, row in rows
-        if isinstance(row.effect, CameraEffect) and row.effect.camera == 0 and row.effect.of in INTRINSICS
+        if isinstance(row.effect, CameraEffect)
+        and row.effect.camera == 0
+        and row.effect.of in INTRINSICS
+        and row.kind not in PATTERNS
     }
     constants = np.eye(len(covariance))[list(own.values())]
     poses = -lin.views.by_shared

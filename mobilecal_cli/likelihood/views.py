@@ -163,11 +163,13 @@ def corner_residuals(
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
         at, terms, through = pixels, None, None
         shares = change.lens[k]
+        if not (direct or np.any(shares[4:])):
+            shares = shares[:4]  # the waves are not needed
         if direct or np.any(shares):
-            terms, J_terms = lens.lens_terms(stated, stated.K[:2, 2], pixels)
+            terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
             if np.any(shares):
-                at = pixels + shares @ terms
-                through = np.eye(2) + np.tensordot(J_terms, shares, (2, 0))
+                at = pixels + np.tensordot(shares, terms, 1)
+                through = np.eye(2) + by_pixels
                 J_p = through @ J_p
         residual[:, k] = at - data.pixels[stations, k]
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)

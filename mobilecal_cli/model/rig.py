@@ -47,12 +47,12 @@ class LensCorrection(ReadOnly):
     """A displacement of pixels on top of a camera's distortion model, the same for every model.
 
     Attributes:
-        shares: (4,) two radial and two tangential terms: their displacement at the image corner in shares of the image
-            width; see `camera.lens_terms`.
-        center_px: (2,) principal point that the terms count from.
+        shares: (L,) two radial and two tangential terms, their displacement at the image corner in shares of the image
+            width, and where there are more, waves over the image; see `camera.lens_terms`.
+        center_px: (2,) principal point that the first terms count from.
     """
 
-    shares: Annotated[FloatArray, 4]
+    shares: Annotated[FloatArray, "L"]
     center_px: Annotated[FloatArray, 2]
 
 

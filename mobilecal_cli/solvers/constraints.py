@@ -24,7 +24,7 @@ _KINDS = tuple(kind.name for kind in nuisance.KINDS)
 #: Group → its kinds of constants, for --estimate.
 _KIND_GROUPS = {
     "stereo": ("stereo_rotation", "baseline_direction", "baseline_length"),
-    "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion"),
+    "lenses": ("focal_length", "focal_aspect", "principal_point", "distortion", "lens_waves"),
     "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
     "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
 }
@@ -48,6 +48,7 @@ _KIND_OF = {
     r"time_(joints|wheels)_\d+": "clock",
     r"time_.+": "stereo_clock",
     r"floor_[xy]+(_\d+)?": "floor_shape",
+    r"lens_waves_.+_\d+": "lens_waves",
 }
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 

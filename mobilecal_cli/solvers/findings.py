@@ -11,8 +11,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
-from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
 from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
     EstimatedConstant,
@@ -133,7 +133,7 @@ def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:
     return {
         row.name: EstimatedConstant(row.name, row.kind, row.part, row.meaning, value(row.name), s, p)
         for row, s, p in zip(fit.data.layout.constants, std, prior, strict=True)
-        if row.kind != CORNERS
+        if row.kind not in PATTERNS
     }
 
 

@@ -12,12 +12,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
-from mobilecal_cli.likelihood.board_corners import KIND as CORNERS
-from mobilecal_cli.likelihood.board_corners import corner_modes
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
@@ -89,7 +88,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     described = nuisance.table(rig.cameras, rig.chain)
     clocks = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
     floors = nuisance.floors_of(np.unique(data.log).tolist())
-    rows = (*described, *corner_modes(data, described), *clocks, *floors)
+    rows = (*described, *patterns(data, described), *clocks, *floors)
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:
@@ -227,7 +226,7 @@ class Inference:
         mean[: len(NINE)] -= apart
         kinds = {row.name: row.kind for row in layout.constants}
         alike = [
-            kinds.get(name, CORNERS) != CORNERS and name not in self.constraints.priors
+            name in kinds and kinds[name] not in nuisance.PATTERNS and name not in self.constraints.priors
             for name in layout.names
         ]
         kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable

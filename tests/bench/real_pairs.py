@@ -145,9 +145,9 @@ def _radial(true: Camera, stated: Camera) -> FloatArray:
     flat, good = lens.undistorted(true, np.stack([u, v], axis=-1).reshape(-1, 2))
     rays = np.column_stack([flat[good], np.ones(good.sum())])
     at = lens.project(stated, rays)
-    terms, _ = lens.lens_terms(stated, stated.K[:2, 2], at)
+    terms, _ = lens.lens_terms(stated, stated.K[:2, 2], at, np.zeros(4))
     off = lens.project(true, rays) - at
-    A = np.swapaxes(terms[:, :2], 1, 2).reshape(-1, 2)
+    A = terms[:2].reshape(2, -1).T
     return np.asarray(np.linalg.lstsq(A, off.ravel(), rcond=None)[0])
 
 

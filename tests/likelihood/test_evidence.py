@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mobilecal_cli.likelihood.board_corners import UNDERSTATED
 from mobilecal_cli.likelihood.evidence import _without_prior, equivalent_sigmas
+from mobilecal_cli.likelihood.patterns import UNDERSTATED
 
 ACROSS = np.array([[0.8, 0.6], [-0.6, 0.8]])  # an orthonormal pair of directions
 

@@ -93,7 +93,7 @@ def test_every_kind_of_the_table_has_rows():
     lacking = ((paper_robot(), of_others), (tick_robot(), of_others), (three_on_pan_tilt(), of_pairs))
     for robot, lacks in lacking:
         rows = (*nuisance.table(robot.rig_cameras, chain_of(robot)), *nuisance.floors_of([0, 1]))
-        assert {row.kind for row in rows} | {"board_corners"} == {kind.name for kind in KINDS} - lacks
+        assert {row.kind for row in rows} | nuisance.PATTERNS == {kind.name for kind in KINDS} - lacks
         names = [row.name for row in rows]
         assert len(set(names)) == len(names)
         assert "tilt_zero" not in names  # the head-eye transform absorbs the last zero

@@ -81,7 +81,7 @@ def test_json_takes_hostile_strings(solution, extraction):
 
 
 def test_the_files_hold_budget_and_constants():
-    solution, extraction = solved(("stereo_r_x", np.radians(0.5)))
+    solution, extraction = solved(("stereo_r_x", np.radians(1.0)))
     data = validated(json_text(made(solution, extraction)))
     for shares in (*data["error_budget"]["nine"].values(), *data["error_budget"]["at_work"].values()):
         assert sum(shares.values()) == pytest.approx(1.0)

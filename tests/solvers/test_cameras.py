@@ -120,8 +120,8 @@ def test_other_cameras_have_priors_of_a_drawing():
 @pytest.mark.parametrize(
     ("name", "wrong", "words"),
     [
-        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +8.0"),
-        ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +59.9"),
+        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +7.99"),
+        ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +60.0"),
     ],
 )
 def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):

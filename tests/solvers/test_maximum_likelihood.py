@@ -406,7 +406,7 @@ def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
         ("focal_left", "focal_length", 0.02),
         ("principal_right_y", "principal_point", 0.03),
         ("baseline_scale", "baseline_length", 0.02),
-        ("stereo_r_y", "stereo_rotation", 0.01),
+        ("stereo_r_y", "stereo_rotation", 0.02),
         ("torso_pitch_joint_position_x", "joint_position", 0.03),
         ("backlash_pan", "backlash", 0.03),
     ],

@@ -242,7 +242,7 @@ def test_gross_corners_that_the_stated_pair_accepts():
 
 
 def test_a_wheel_that_changes_so_much_that_all_later_legs_look_like_slips():
-    """The left wheel is 8 % larger in the last four of 23 legs: they are outliers of one cause, which is named."""
+    """The left wheel is 8 % larger in the last four of 23 legs: these, or the stations there, are outliers of one cause."""
     robot, first = tick_robot(), 20
     noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=4e-4, wheel_rad_per_sqrt_rad=0.003)
     route = plan_route(robot, stations=24, seed=3)
@@ -253,7 +253,7 @@ def test_a_wheel_that_changes_so_much_that_all_later_legs_look_like_slips():
     wheels = (WheelTrack.at_same_times(track.time_ns, track.right_rad, left_rad),)
     extraction = replace(ideal, wheels=wheels)
     found = solve(extraction)
-    assert len([o for o in found.outliers if o.kind == "slip"]) >= 3
+    assert len([o for o in found.outliers if o.kind in ("slip", "station")]) >= 3
     (jump,) = found.jumps
     assert (jump.part, jump.station) == ("left wheel", first)
     assert jump.move_m == pytest.approx(0.08 * robot.wheels.radius_left_m, rel=0.1)

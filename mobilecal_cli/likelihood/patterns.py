@@ -1,0 +1,195 @@
+"""Errors of many numbers, as few constants as a recording is sensitive to: places of the board's corners, and lenses.
+
+Every corner of the board may be off its place, by print and plate, in the plane and across it; every lens does more
+than the terms of its distortion say, in waves over the image. What such errors e do to the images counts as corner
+noise, but for the patterns that would spoil the result: the constants of cameras and board, and the camera's pose,
+together c. With the board's pose eliminated, and with it that at each station, which is tied to what joints, wheels and
+floor say of it, c and e have the informations ``H_cc`` and ``H_ee`` (with priors) and share ``H_ce``. An estimate with
+some patterns, the orthonormal columns of M in units of the prior, states the information ::
+
+    I = H_cc - B M^T H_ec,    B = H_ce M (M^T H_ee M)^-1,
+
+and what is left of e, of unit variance across M, adds ``D D^T`` with ``D = (H_ce - B M^T H_ee) (1 - M M^T)`` to the
+variance I of its right side. With C the inverse of I, the largest generalized eigenvalue of ``(C D D^T C, C)`` is by
+how much the variance of a direction v of c is understated; with the pattern ``H_ee^-1 H_ec C v``, ``v^T C D`` is zero.
+Places of corners matter for all of c, waves for the camera's pose alone: the constants of a lens may take them up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from scipy.linalg import block_diag, eigh
+
+from mobilecal_cli import se3
+from mobilecal_cli.camera import LENS_TERMS, lens_terms
+from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect
+from mobilecal_cli.likelihood.nuisance import Constant, kind
+from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.views import corner_residuals, whitened
+from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry, camera_words
+
+_CORNERS, _LENS = "board_corners", "lens_waves"
+#: Of the variance of the direction that suffers most: a sigma by 2.5 %.
+UNDERSTATED = 0.05
+_ACROSS = 2.0  # sigma across the board, in sigmas in the plane
+_WAVE = 0.43  # amplitude of each wave, in the rms over the image of all together
+_MOST_STATIONS = 100  # that the patterns are made from
+_TIED = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm of a station's board pose
+_ANYWHERE = 1e3 * _TIED  # of camera and board
+_POSE = slice(-6, None)  # of c
+_PIXEL_PX = 0.1  # noise of a usual corner
+_WIDER = 10.0  # priors of contradicted constants become so much wider
+
+
+def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
+    """Rows of the patterns that matter for the poses of camera and board, or for the constants of both.
+
+    Args:
+        data: cameras and board as stated, and each station's board pose.
+        rows: the other constants that are estimated.
+    """
+    if data.posed.all():
+        return
+    images = _Images.of(data, rows)
+    sigmas = np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
+    for number, mode in enumerate(_modes(*images.informations(*images.by_places(sigmas))), 1):
+        effect = BoardEffect(partial(_displaced, pattern=(mode * sigmas).reshape(-1, 3)))
+        meaning = f"places of the corners, pattern {number}"
+        yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind(_CORNERS).sigma)
+    for camera, name in enumerate(data.cameras.names):
+        if not data.seen[:, camera].any():
+            continue
+        for number, mode in enumerate(_modes(*images.informations(*images.by_lens(camera)), _POSE), 1):
+            along = CameraEffect("lens", (0.0,) * 4 + tuple((_WAVE * mode).tolist()), camera)
+            row = (
+                f"{_LENS}_{name}_{number}",
+                _LENS,
+                camera_words(name),
+                f"waves over the image, pattern {number}",
+            )
+            yield Constant(*row, along, kind(_LENS).sigma)
+
+
+def _displaced(points_k: FloatArray, pattern: FloatArray) -> FloatArray:
+    """The pattern (M, 3), m, for a value of 1 m."""
+    return pattern
+
+
+def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray, of: slice = slice(None)) -> FloatArray:
+    """Orthonormal patterns (K, E), in units of the prior; those that matter for some of c."""
+    modes, mending = np.zeros((0, len(H_ee))), np.linalg.solve(H_ee, H_ce.T)
+    while len(modes) < len(H_ee):
+        B = np.linalg.solve(modes @ H_ee @ modes.T, modes @ H_ce.T).T
+        D = H_ce - B @ modes @ H_ee
+        D -= D @ modes.T @ modes
+        C = np.linalg.inv(H_cc - B @ modes @ H_ce.T)
+        excess, directions = eigh(C[of] @ D @ D.T @ C[of].T, C[of, of])
+        if excess[-1] < UNDERSTATED:
+            break
+        pattern = mending @ (C[:, of] @ directions[:, -1])
+        pattern -= modes.T @ (modes @ pattern)
+        modes = np.concatenate([modes, pattern[None] / np.linalg.norm(pattern)])
+    return modes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Images:
+    """What the images of n stations say of the constants c and of their board poses (delta), for known errors e.
+
+    Attributes:
+        data: all stations.
+        every: (n,) these stations.
+        each: stations that one of these stands for.
+        J: (n, 6 + c, C, M, 2) derivatives of the corners by (delta, constants), in units of their noise.
+        known: (c,) information of the priors about the constants.
+    """
+
+    data: Dataset
+    every: IntArray
+    each: float
+    J: FloatArray
+    known: FloatArray
+
+    @classmethod
+    def of(cls, data: Dataset, rows: Sequence[Constant]) -> _Images:
+        """Those of cameras and board as stated; rows: of all constants."""
+        in_images = [row for row in rows if isinstance(row.effect, CameraEffect | BoardEffect)]
+        every = np.arange(0, data.stations, max(1, data.stations // _MOST_STATIONS))
+        plain = data.with_constants(in_images)
+        anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
+        state = State.without_errors(plain, *anywhere, np.zeros((data.stations, 3)))
+        images = cls(data, every, data.stations / len(every), np.zeros(0), np.zeros(0))
+        _, J = corner_residuals(plain, state, data.T_c_k[every], every)
+        known = np.array([(_WIDER * row.sigma) ** -2 for row in in_images])
+        return replace(images, J=images._in_units_of_noise(J), known=known)
+
+    def _in_units_of_noise(self, J: FloatArray, camera: slice = slice(None)) -> FloatArray:
+        """Derivatives of detected corners in some cameras, (n, k, C, M, 2) px, in units of a usual noise."""
+        seen, W = self.data.seen[self.every][:, camera], self.data.whitening[self.every][:, camera]
+        scaled: FloatArray = (
+            np.where(seen[:, None, ..., None], whitened(W, J), 0.0) * np.sqrt(self.each) / _PIXEL_PX
+        )
+        return scaled
+
+    def by_places(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Information (n, 6 + c, 3 M) shared with the places of the board's corners, and (3 M, 3 M) about these.
+
+        Args:
+            sigmas: (3 M,) of the places, in sigmas of the kind.
+        """
+        scale = kind(_CORNERS).sigma * sigmas
+        by_corner = np.einsum("npcmx,npq->nqcmx", self.J[:, 3:6], self.data.T_c_k[self.every][:, :3, :3])
+        shared = np.einsum("nacmx,nqcmx->namq", self.J, by_corner).reshape(*self.J.shape[:2], -1) * scale
+        of_corners = np.einsum("nqcmx,nrcmx->mqr", by_corner, by_corner)
+        return shared, block_diag(*of_corners) * np.outer(scale, scale)
+
+    def by_lens(self, camera: int) -> tuple[FloatArray, FloatArray]:
+        """The same of the E waves over the images of a camera: (n, 6 + c, E) and (E, E)."""
+        stated, at = self.data.cameras.each[camera], slice(camera, camera + 1)
+        pixels = self.data.pixels[self.every, camera]
+        terms, _ = lens_terms(stated, stated.K[:2, 2], pixels, np.zeros(LENS_TERMS))
+        waves = kind(_LENS).sigma * _WAVE * np.moveaxis(terms[4:], 0, 1)
+        F = self._in_units_of_noise(waves[:, :, None], at)[:, :, 0]
+        return np.einsum("namx,nkmx->nak", self.J[:, :, camera], F), np.einsum("nkmx,nlmx->kl", F, F)
+
+    def informations(
+        self, shared: FloatArray, among: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """``H_cc``, ``H_ce`` and ``H_ee``; c are the constants and the camera's pose.
+
+        Args:
+            shared, among: from `by_places` or `by_lens`.
+        """
+        T = self.data.T_c_k[self.every]
+        G = np.einsum("nacmx,nbcmx->nab", self.J, self.J, optimize=True)
+        # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
+        _, recording = np.unique(self.data.log[self.every], return_inverse=True)
+        of_board = np.einsum("nl,nab->nalb", np.eye(recording.max() + 1)[recording], se3.adjoint(T))
+        moved = np.concatenate(
+            [np.broadcast_to(np.eye(6), (len(T), 6, 6)), of_board.reshape(len(T), 6, -1)], axis=2
+        )
+        tie = self.each * np.diag(_TIED**-2)
+        with_pose = np.concatenate([G[:, :6, 6:], -tie @ moved, shared[:, :6]], axis=2)
+
+        sizes = (len(self.known), 6, moved.shape[2] - 6, len(among))
+        constants, camera, board, errors = (
+            slice(end - size, end) for size, end in zip(sizes, np.cumsum(sizes), strict=True)
+        )
+        poses = slice(camera.start, board.stop)
+        H = np.zeros((sum(sizes), sum(sizes)))
+        H[constants, constants] = G[:, 6:, 6:].sum(axis=0) + np.diag(self.known)
+        H[constants, errors] = shared[:, 6:].sum(axis=0)
+        H[errors, constants] = H[constants, errors].T
+        H[poses, poses] = np.sum(np.swapaxes(moved, 1, 2) @ tie @ moved, axis=0)
+        H[poses, poses] += np.diag(np.tile(_ANYWHERE**-2, moved.shape[2] // 6))
+        H[errors, errors] = np.eye(len(among)) + among
+        of_pose = np.linalg.inv(G[:, :6, :6] + tie)
+        H -= np.einsum("nax,nab,nby->xy", with_pose, of_pose, with_pose, optimize=True)
+        H -= H[:, board] @ np.linalg.solve(H[board, board], H[board])
+        c = np.r_[constants, camera]
+        return H[np.ix_(c, c)], H[c, errors], H[errors, errors]
