@@ -294,7 +294,6 @@ def read_signals(
     sources: Sources,
     joints: Sequence[str],
     extent: Extent = EVERYTHING,
-    clocks: Sequence[Clock] = (),
 ) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
@@ -307,7 +306,6 @@ def read_signals(
     Args:
         sources: the topics to read; without image topics, no images are read.
         extent: how much of the recording is read.
-        clocks: clocks of topics that are read elsewhere, to be compared with the others.
 
     Returns:
         The pieces of the recording between the steps of its clocks (see `steps`), usually one; notes on all of it are
@@ -344,7 +342,7 @@ def read_signals(
     samples = [series.samples(notes) for series in every]
     pieces, steps = cut(samples)
     notes = [
-        *clock_notes([*read.clocks.values(), *clocks]),
+        *clock_notes(list(read.clocks.values())),
         *read.undecodable(),
         *steps,
         *pause_notes(samples),
