@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,11 @@ from mobilecal_cli.model import (
     StereoLayout,
 )
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
 
-#: Bytes of a video that are read to find a few key frames.
+#: Bytes of a topic that are read to find a few images by their order alone.
 _GLANCE_BYTES = 2**25
 
 
@@ -94,54 +95,62 @@ def _read(
 
 def pictures_near(
     recording: Recording, sources: Sources, times_ns: Sequence[int]
-) -> Iterator[GrayImage | Rejection]:
-    """First images of all cameras after given times, without reading the whole recording.
+) -> Iterator[tuple[str, GrayImage | Rejection]]:
+    """First image of each camera after given times (of video, first key frame), without reading the whole recording.
+
+    Without an index, and of video, only stretches spread over the recording are read.
 
     Args:
-        times_ns: log times.
+        times_ns: log times, increasing.
 
     Yields:
-        (height, width) uint8, or the reason why an image cannot be decoded.
+        Camera, and the image as (height, width) uint8, or the reason why it cannot be decoded.
     """
     names: dict[str, list[str]] = {}
     for name, topic in sources.image.items():
         names.setdefault(topic, []).append(name)
-    videos = []
-    for message in recording.near(names, times_ns):
-        try:
-            decoded = message.decode()
-            if codec_of(decoded) is not None:
-                videos.append(message.topic)
-                continue
-            picture = decode_image(decoded)
-        except RecordingError as error:
-            yield Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
-            continue
-        for name in names[message.topic]:
-            yield _part(picture, name, sources.layout)
-    for topic in dict.fromkeys(videos):
-        for frame in _key_frames(recording, topic, times_ns):
-            for name in names[topic]:
-                yield _part(frame, name, sources.layout)
+    logged = recording.log_times()
+    for topic, cameras in names.items():
+        extent = Extent(_GLANCE_BYTES)
+        if topic in logged and not _is_video(recording, topic):
+            own = np.sort(logged[topic])
+            first = np.unique(np.searchsorted(own, times_ns))
+            extent = Extent(at_ns=own[first[first < len(own)]])
+        for picture in _first_after(recording.messages([topic], extent), times_ns):
+            for name in cameras:
+                shown = picture if isinstance(picture, Rejection) else _part(picture, name, sources.layout)
+                yield name, shown
 
 
-def _key_frames(recording: Recording, topic: str, times_ns: Sequence[int]) -> Iterator[GrayImage]:
-    """First key frame of a video after each time, if it is within the stretches that are read."""
-    waiting = sorted(times_ns)
-    for message in recording.messages([topic], Extent(_GLANCE_BYTES)):
+def _is_video(recording: Recording, topic: str) -> bool:
+    with suppress(RecordingError):
+        return any(
+            codec_of(message.decode()) is not None for message in islice(recording.messages([topic]), 1)
+        )
+    return False
+
+
+def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterator[GrayImage | Rejection]:
+    """First image among a topic's messages after each time; of video, first key frame."""
+    waiting = list(times_ns)
+    for message in messages:
         if not waiting:
             return
         if message.log_time_ns < waiting[0]:
             continue
-        with suppress(RecordingError):
+        video = None
+        picture: GrayImage | Rejection
+        try:
             decoded = message.decode()
-            video = _video({}, topic, decoded)
-            if video is None:
+            video = _video({}, message.topic, decoded)
+            picture = decode_image(decoded) if video is None else video.picture(decoded.data)
+        except RecordingError as error:
+            if video is not None:
                 continue
-            frame = video.picture(decoded.data)
-            while waiting and waiting[0] <= message.log_time_ns:
-                waiting.pop(0)
-            yield frame
+            picture = Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
+        while waiting and waiting[0] <= message.log_time_ns:
+            waiting.pop(0)
+        yield picture
 
 
 def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None:  # noqa: ANN401

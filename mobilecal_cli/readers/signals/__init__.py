@@ -322,9 +322,10 @@ def read_signals(
     elsewhere = read.joints_elsewhere(sources.elsewhere)
     wheels = {side: [read.wheel(side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
-    together = extent is EVERYTHING and infos.cheap_with(read.topics)
-    read.run(extent, infos if together else None)
-    if not together:
+    if extent is EVERYTHING:
+        read.run(extent, infos)
+    else:
+        read.run(extent)
         infos.sample()
 
     notes: list[str] = []
