@@ -22,7 +22,8 @@ from mobilecal_cli.model import NINE, BoolArray, CameraRig, FloatArray, Suggesti
 NEEDED = np.full(9, 0.003)
 _TURNS_DEG = (0, -50, -25, 25, 50)
 _DRIVES_M = (0.0, -0.3, 0.6)
-_LOOKS = ((0.5, 0.5), (0.25, 0.3), (0.75, 0.3), (0.25, 0.7), (0.75, 0.7))
+#: Where the board is in the first camera's image, from its middle, in shares of what the board leaves free there.
+_LOOKS = ((0.0, 0.0), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7))
 _MARGIN = 0.02  # of the picture's size
 _ROOM = 1.2  # range of distances: the log's own, so much wider
 _REACH_RAD = 0.35  # beyond the joints' range in the log
@@ -108,7 +109,11 @@ def _reachable(data: Dataset, state: State) -> tuple[FloatArray, FloatArray]:
         (np.radians(turn), drive, 0.0, *look) for turn in _TURNS_DEG for drive in _DRIVES_M for look in _LOOKS
     ]
     ways, looks = np.split(np.array(every), [3], axis=1)
-    flat, _ = undistorted(rig.first, looks * [rig.first.width, rig.first.height])
+    away_m = _boards(data, state, ways)[:, :3, 3] - (head_pose(data.chain, data.joints[-1]) @ X)[:3, 3]
+    board_px = rig.first.K[0, 0] * np.ptp(data.points_k, axis=0)[:2] / np.linalg.norm(away_m, axis=1)[:, None]
+    size_px = np.array([rig.first.width, rig.first.height])
+    free_px = np.maximum(size_px - board_px, 0.0) / 2
+    flat, _ = undistorted(rig.first, size_px / 2 + looks * free_px)
     rays = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
     ways, joints = _aimed(data, state, ways, rays / np.linalg.norm(rays, axis=1, keepdims=True))
     low, high = data.joints.min(axis=0) - _REACH_RAD, data.joints.max(axis=0) + _REACH_RAD
