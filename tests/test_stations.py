@@ -3,7 +3,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
-from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track, with_stamps
+from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track
 from tests.pairs import pair_images
 
 START = 1_700_000_000_000_000_000
@@ -158,86 +158,6 @@ def test_everything_is_every_pair_at_rest_and_in_motion():
     assert max(len(station.shots) for station in resting) > SHOTS_PER_REST
     assert all(len(station.shots) == 1 for station in plan.stations if not station.at_rest)
     assert [s.times_ns[0] for s in pairs] == sorted(s.times_ns[0] for s in pairs)
-
-
-def restamped(approximate, left=lambda ns: ns, right=lambda ns: ns, lost=()):
-    """A plan of eight rests, and the same with other stamps in place of those it was made with."""
-    plan = planned(approximate, ("pan",))
-    stamps = {"left": {}, "right": {}}
-    for station in plan.stations:
-        for pair in station.shots:
-            if pair.times_ns[0] not in lost:
-                stamps["left"][pair.times_ns[0]] = left(pair.times_ns[0])
-            stamps["right"][pair.times_ns[1]] = right(pair.times_ns[1])
-    return plan, with_stamps(plan, approximate, ("pan",), frozenset(), stamps)
-
-
-AT_REST = signals(staircase, lambda t: 3 * staircase(t))
-
-
-def test_stamps_in_place_of_those_of_the_plan():
-    plan, found = restamped(AT_REST)
-    assert [s.shots for s in found.stations] == [s.shots for s in plan.stations]
-    assert [s.time_ns for s in found.stations] == [s.time_ns for s in plan.stations]
-    assert [s.joints.tolist() for s in found.stations] == [s.joints.tolist() for s in plan.stations]
-    assert found.wheels is plan.wheels
-    plan, found = restamped(AT_REST, lambda ns: ns + S // 100, lambda ns: ns + S // 50)
-    assert len(found.stations) == 8
-    for station, planned in zip(found.stations, plan.stations, strict=True):
-        kept = [Shot((pair.times_ns[0] + S // 100, pair.times_ns[1] + S // 50)) for pair in planned.shots]
-        assert list(station.shots) == kept
-        assert station.time_ns == pytest.approx(planned.time_ns + 15 * S // 1000, abs=1000)
-
-
-def test_shots_that_lie_outside_their_rest_are_dropped():
-    def late(ns):  # up to a second, over the third rest only
-        return ns + S if 6 <= (ns - START) / S < 8 else ns
-
-    plan, found = restamped(AT_REST, late, late)
-    assert len(found.stations) == 8
-    before, after = plan.stations[2].shots, found.stations[2].shots
-    assert 0 < len(after) < len(before)
-    for pair in after:
-        assert 6 <= (pair.time_ns - START) / S < 8
-    assert found.stations[2].joints == pytest.approx([1.0], abs=1e-12)
-
-
-def test_pairs_that_are_too_far_apart_are_dropped():
-    def apart(ns):
-        return ns + S // 5 if 3 <= (ns - START) / S < 5 else ns
-
-    _, found = restamped(AT_REST, right=apart)
-    assert len(found.stations) == 7
-    assert [station.index for station in found.stations] == list(range(7))
-    assert not any(3 <= (station.time_ns - START) / S < 5 for station in found.stations)
-
-
-def test_pictures_without_a_stamp_are_dropped():
-    plan = planned(AT_REST, ("pan",))
-    lost = {plan.stations[4].shots[0].times_ns[0], plan.stations[4].shots[3].times_ns[0]}
-    _, found = restamped(AT_REST, lost=lost)
-    assert len(found.stations[4].shots) == len(plan.stations[4].shots) - 2
-
-
-def test_of_equal_stamps_one_is_kept():
-    def halves(ns):
-        return ns - (ns - START) % (S // 2)
-
-    plan, found = restamped(AT_REST, halves, halves)
-    for station, planned in zip(found.stations, plan.stations, strict=True):
-        left = [pair.times_ns[0] for pair in station.shots]
-        assert len(left) == len(set(left)) < len(planned.shots)
-
-
-def test_moving_pictures_have_to_be_together():
-    def moving(t):
-        return np.abs((t / 3) % 2 - 1)
-
-    plan, found = restamped(signals(moving, lambda t: 0.1 * t), right=lambda ns: ns + 4 * S // 1000)
-    assert len(found.stations) == len(plan.stations)
-    assert np.all(found.stations[5].joints != plan.stations[5].joints)
-    _, found = restamped(signals(moving, lambda t: 0.1 * t), right=lambda ns: ns + 6 * S // 1000)
-    assert found.stations == ()
 
 
 def repeating(times, first):

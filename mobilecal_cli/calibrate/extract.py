@@ -21,7 +21,7 @@ from mobilecal_cli.calibrate.detect import (
     undecodable,
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
-from mobilecal_cli.calibrate.plan import WORTH_BYTES, plan_recording
+from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
@@ -69,6 +69,8 @@ from mobilecal_cli.vision import (
     resolve_square,
 )
 
+#: With so many bytes of images, all of them used, worker processes start before the images are read.
+WORTH_BYTES = 2**26
 #: Types that are read by their meaning, not by field paths.
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from mobilecal_cli.model import (
     Board,
     BoardView,
     CameraRig,
+    GrayImage,
     Rejection,
     Sources,
     Station,
@@ -53,10 +53,9 @@ def sample_board(
         return None, [], []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
     sources = Sources(images, {}, (), {}, layout=layout)
-    samples = {
-        name: list(pictures_near(recording, replace(sources, image={name: topic}), moments))
-        for name, topic in images.items()
-    }
+    samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
+    for name, picture in pictures_near(recording, sources, moments):
+        samples[name].append(picture)
     readable = [image for some in samples.values() for image in some if not isinstance(image, Rejection)]
     if not readable:
         broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]

@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import improved_cameras, improved_chain
+from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.likelihood.nuisance import clock_s

@@ -12,7 +12,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Paper
 
 if TYPE_CHECKING:
-    from mobilecal_cli.export import BoardPrint
+    from mobilecal_cli.export.board_print import BoardPrint
 
 #: Markers in the dictionaries of 5 x 5 cells; small ones have fewer false detections.
 _FAMILIES = (50, 100, 250, 1000)
@@ -86,7 +86,7 @@ def print_board(
         ConfigError: a value is out of range, or the board does not fit on the page.
     """
     from mobilecal_cli.calibrate.extract import board_of
-    from mobilecal_cli.export import board_pdf
+    from mobilecal_cli.export.board_print import board_pdf
     from mobilecal_cli.rig.config import load_rig
 
     flags: dict[str, object] = {

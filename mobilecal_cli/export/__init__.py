@@ -1,13 +1,11 @@
 """Writers and readers of params.yaml, extraction.npz and other formats, and of output directories."""
 
-from mobilecal_cli.export.board_print import BoardPrint, board_pdf
 from mobilecal_cli.export.extraction import (
     THUMBNAILS,
     extraction_from_npz,
     extraction_to_npz,
     snapshots_from_npz,
 )
-from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.outputs import (
     append_text,
     check_apart,

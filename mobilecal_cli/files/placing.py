@@ -92,22 +92,6 @@ def place(partial: Path, target: Path, recognize: Recognize, force: bool) -> Non
         note_placed(target)
 
 
-def take_back(partial: Path, target: Path) -> None:
-    """Undo `place`, because another output that belongs to it could not be placed.
-
-    Raises:
-        OSError: a move failed.
-    """
-    folder = partial.parent.with_suffix(".old")
-    if not folder.exists():
-        target.rename(partial)
-    elif (folder / _ASIDE).exists():
-        target.rename(folder / partial.name)
-        (folder / _ASIDE).rename(target)
-    else:
-        _rename(folder / partial.name, target, _EXCHANGE)
-
-
 def already_exists(target: Path) -> OutputError:
     """The error for an output that exists, without --force."""
     return OutputError(

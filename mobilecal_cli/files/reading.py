@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import re
 import reprlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,8 +19,6 @@ if TYPE_CHECKING:
 LARGEST_BYTES = 2**17
 _MOST_VALUES = 100_000
 _DEEPEST = 100
-_BRACKET = re.compile(r"[\[\]{}]")
-_NESTED_ITEMS = re.compile(r"(?:[-?:][ \t]+){101}")
 
 
 def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known when it is read
@@ -32,9 +29,6 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     """
     if len(text) > LARGEST_BYTES:
         raise ValueError(f"{len(text)} characters (limit {LARGEST_BYTES})")
-    # The parser would take minutes to refuse it.
-    if _open_brackets(text) > _DEEPEST or _NESTED_ITEMS.search(text):
-        raise ValueError(f"nested deeper than {_DEEPEST} levels")
     try:
         value = YAML(typ="safe", pure=True).load(text)
     except MarkedYAMLError as error:
@@ -42,7 +36,9 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
         said = error.problem or error.context or "not understood"
         raise ValueError(f"{where}{' '.join(said.split())}") from error
-    except (YAMLError, RecursionError, OverflowError, TypeError) as error:
+    except RecursionError as error:
+        raise ValueError(f"nested deeper than {_DEEPEST} levels") from error
+    except (YAMLError, OverflowError, TypeError) as error:
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     _count(value, 0, {})
     return value
@@ -93,15 +89,6 @@ def problem_of(item: ErrorDetails) -> str:
 def problems_of(error: ValidationError) -> str:
     """All errors of a schema."""
     return "; ".join(problem_of(item) for item in error.errors())
-
-
-def _open_brackets(text: str) -> int:
-    """Maximum nesting depth of brackets, including those in strings."""
-    depth = most = 0
-    for bracket in _BRACKET.findall(text):
-        depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
-        most = max(most, depth)
-    return most
 
 
 def _count(value: object, depth: int, known: dict[int, int]) -> int:

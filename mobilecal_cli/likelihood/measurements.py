@@ -257,7 +257,7 @@ class Measurements:
         number = np.cumsum(mine) - 1
         return replace(
             self,
-            **{name: getattr(self, name)[mine] for name in _BY_STATION},
+            **{name: getattr(self, name)[mine] for name in BY_STATION},
             joint_tracks=self.joint_tracks[log : log + 1],
             joint_widths_ns=self.joint_widths_ns[log : log + 1],
             log=np.zeros(int(mine.sum()), dtype=np.int64),
@@ -268,7 +268,7 @@ class Measurements:
         )
 
 
-_BY_STATION = (
+BY_STATION = (
     "pixels",
     "seen",
     "whitening",

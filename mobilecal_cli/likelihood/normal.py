@@ -287,15 +287,19 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
     )
 
 
-def station_information(lin: Linearization) -> FloatArray:
-    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated."""
-    own, G = _eliminated_own(lin, 0.0), lin.views.information.copy()
-    G[:, :6] = own.information
-    G[:, 6:, :6] = np.swapaxes(own.information[:, :, 6:], 1, 2)
-    J, sigma = lin.views.by_own, lin.own_sigmas
-    A = (J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2)
-    across = lin.views.information[:, :6, 6:]
-    G[:, 6:, 6:] -= np.swapaxes(across, 1, 2) @ A @ own.information[:, :, 6:]
+def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
+    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
+
+    Args:
+        lin: where.
+        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+    """
+    J, G = lin.views.by_own, lin.views.information.copy()
+    A = (J * lin.own_sigmas[:, None, :] ** 2) @ np.swapaxes(J, 1, 2) + beside
+    of_delta = np.linalg.solve(np.eye(6) + G[:, :6, :6] @ A, G[:, :6])  # see `_eliminated_own`
+    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ of_delta[:, :, 6:]
+    G[:, :6] = of_delta
+    G[:, 6:, :6] = np.swapaxes(of_delta[:, :, 6:], 1, 2)
     return G
 
 

@@ -320,7 +320,7 @@ class WheelSource:
         baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
         assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
         separation_share: relative standard deviation of the separation in `baked_in`, where it is assumed.
-        others: further wheels of this side; the side's rotation is the mean of all that agree.
+        others: further wheels of this side; the side's rotation is the mean of all.
     """
 
     topic: str

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from typing import Any, ClassVar, Literal
 
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, camera_words, listed
+from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, listed
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.rig.draft import Draft
@@ -224,12 +224,10 @@ def inspection_text(inspection: Inspection) -> str:
         start = datetime.fromtimestamp(inspection.start_ns // 10**9, UTC)
         facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
     lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
-    lines += _section("Used for a calibration", () if inspection.rig is None else _roles(inspection.rig))
-    lines += _section("Motion", () if inspection.motion is None else _motion_lines(inspection.motion))
-    lines += _section("Board", () if inspection.board is None else _board(inspection.board))
-    lines += _section("Missing for a calibration", _lacks(inspection.missing))
-    lines += _section("Limits of a calibration", _lacks(inspection.weak))
-    lines += _section("Notes", _paragraphs(inspection.notes))
+    sources = {} if inspection.rig is None else inspection.rig.setting_sources
+    roles = (f"{role}: {_WHY.get(origin, origin)}" for role, origin in sources.items())
+    lines += _section("Used for a calibration", _paragraphs(roles))
+    lines += ["", *_criteria(inspection)]
     conclusion = f"can be calibrated{', with limits' if inspection.weak else ''}"
     if inspection.missing:
         conclusion = f"cannot be calibrated as it is (exit code {inspection.exit_code})"
@@ -262,57 +260,8 @@ def _topics(inspection: Inspection) -> list[str]:
     return Table.of(("topic", "type", "number:messages", "number:rate", "longest gap", ""), rows).lines()
 
 
-def _roles(rig: Rig) -> Iterable[str]:
-    cameras = rig.cameras
-    for role, origin in rig.setting_sources.items():
-        yield from wrapped(f"{role}: {_WHY.get(origin, origin)}")
-    for name, camera in zip(cameras.names, cameras.each, strict=True):
-        size, focal = f"{camera.width} x {camera.height}", f"focal length {camera.K[0, 0]:.1f} px"
-        yield f"  {camera_words(name)}: {size}, {focal}, {camera.distortion}"
-    if cameras.baseline_m is not None:
-        yield f"  stereo baseline: {cameras.baseline_m * 1e3:.1f} mm"
-
-
-def _motion_lines(motion: MotionView) -> Iterable[str]:
-    for name, span in motion.joints.items():
-        yield f"  {visible(name)}: {span.low:.1f} to {span.high:.1f} {span.unit}"
-    turned = ", ".join(f"{side} {value:.0f} deg" for side, value in sorted(motion.wheels_deg.items()))
-    if turned:
-        yield f"  wheel rotation: {turned}"
-    if motion.driven_m is not None and motion.turned_deg is not None:
-        yield (
-            f"  driven {motion.driven_m:.2f} m, heading range {motion.turned_deg:.0f} deg "
-            f"({'nominal wheels' if turned else 'odometry'})"
-        )
-    if motion.rests is not None:
-        yield f"  rests with images: {motion.rests}"
-    if motion.share_read < 1:
-        yield f"  (from {motion.share_read:.0%} of the recording, evenly spaced; the rest was not read)"
-
-
-def _board(board: BoardView) -> Iterable[str]:
-    if board.size is None:
-        yield f"  found in none of {board.pictures} images spread over the recording"
-        return
-    columns, rows = board.size
-    yield (
-        f"  {columns} x {rows} inner corners, whole in {board.seen} of {board.pictures} images "
-        "spread over the recording"
-    )
-    if board.square_m is not None:
-        stated = "" if board.stated_m is None else f", {board.stated_m * 1e3:.2f} mm stated"
-        yield f"  square: {board.square_m * 1e3:.2f} mm measured with the stereo pair{stated}"
-
-
-def _lacks(lacks: Iterable[Lack]) -> Iterator[str]:
-    for lack in lacks:
-        yield from wrapped(lack.what)
-        if lack.cure:
-            yield from wrapped(f"hint: {lack.cure}", "    ")
-
-
 #: Criteria without which no other can be checked, and those that are listed for their problems only.
-_FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("recording", "priors", "gates")
+_FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("rig.yaml", "recording", "priors", "gates")
 State = Literal["ok", "limit", "problem", "unknown"]
 
 
@@ -343,7 +292,7 @@ def checklist(inspection: Inspection) -> tuple[Line, ...]:
     if opened:
         return opened
     lines: list[Line] = []
-    known = {"rig.yaml": "valid", **_known(inspection.survey), **_measured(inspection)}
+    known = {**_known(inspection.survey), **_measured(inspection)}
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
     for about in inspection.CRITERIA:
         problems = [line for line in bad if line.about == about]
@@ -421,8 +370,8 @@ def _ranges(motion: MotionView) -> Iterator[str]:
         yield f"driven {motion.driven_m:.1f} m {'with the nominal wheels' if motion.wheels_deg else 'by the odometry'}"
 
 
-def checklist_text(inspection: Inspection) -> str:
-    """The criteria for the terminal; control characters from the recording are escaped."""
+def _criteria(inspection: Inspection) -> list[str]:
+    """The criteria and the notes for the terminal; control characters from the recording are escaped."""
     lines = checklist(inspection)
     width = max(len(line.about) for line in lines)
     text = []
@@ -431,12 +380,16 @@ def checklist_text(inspection: Inspection) -> str:
         indent = " " * len(start)
         text += wrapped(line.what, start, indent)
         text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
-    text += [f"note     {visible(note)}" for note in inspection.notes]
-    number = Counter(line.state for line in lines)
+    return text + [f"note     {visible(note)}" for note in inspection.notes]
+
+
+def checklist_text(inspection: Inspection) -> str:
+    """The criteria for the terminal, with the number of problems."""
+    number = Counter(line.state for line in checklist(inspection))
     states: tuple[State, ...] = ("problem", "limit")
     counts = [f"{number[state]} {state}{'s' * (number[state] != 1)}" for state in states if number[state]]
     end = f" (exit code {inspection.exit_code})" if number["problem"] else ""
-    return "\n".join([*text, f"{', '.join(counts) or 'No problems'}{end}."]) + "\n"
+    return "\n".join([*_criteria(inspection), f"{', '.join(counts) or 'No problems'}{end}."]) + "\n"
 
 
 def checklist_json(inspection: Inspection) -> str:

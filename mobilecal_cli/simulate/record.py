@@ -1,4 +1,4 @@
-"""Writes the recording of a scenario and its ground truth, both or neither."""
+"""Writes the recording of a scenario and its ground truth, once both are complete."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import check_file, check_parent, recognized_file, write_synced
 from mobilecal_cli.files.interruption import uninterrupted
-from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place, take_back
+from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
 from mobilecal_cli.simulate.messages import World, published, write
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
@@ -66,11 +66,7 @@ def simulate(
             write_synced(text, world.truth().encode())
             with uninterrupted():
                 place(recording, out, recognized, force)
-                try:
-                    place(text, truth, recognized_file, force)
-                except (OSError, OutputError):
-                    take_back(recording, out)
-                    raise
+                place(text, truth, recognized_file, force)
     except (OSError, sqlite3.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error

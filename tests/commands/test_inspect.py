@@ -108,7 +108,7 @@ def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch, few):
     found = inspect.inspect([sample_logs / "paper_robot.mcap"])
     assert 0 < found.motion.share_read < 1
     assert found.motion.rests is None
-    assert "the rest was not read" in inspection_text(found)
+    assert "only a part of the recording was read" in " ".join(inspection_text(found).split())
     assert found.missing == ()
 
 

@@ -10,7 +10,7 @@ import pytest
 from mobilecal_cli.calibrate.extract import board_of
 from mobilecal_cli.commands.board import print_board
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import board_pdf
+from mobilecal_cli.export.board_print import board_pdf
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.model import Board, Markers
 from mobilecal_cli.rig.config import load_rig

@@ -244,7 +244,7 @@ def _foreign(path: Path) -> None:
     with open_recording([path]) as recording:
         recording.log_times()
         read_description(recording)
-        for picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
+        for _, picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
             assert picture is not None
         read_signals(recording, _ELSEWHERE, r.JOINTS)
 
@@ -256,7 +256,7 @@ def _pictures_only(path: Path) -> None:
         read_description(recording)
         images = dict.fromkeys(("left", "right"), "/left/image_raw")
         sources = Sources(image=images, info={}, joints=(), wheels={})
-        for picture in pictures_near(recording, sources, [recording.start_ns or 0]):
+        for _, picture in pictures_near(recording, sources, [recording.start_ns or 0]):
             assert picture is not None
         for message in recording.messages([info.name for info in recording.topics]):
             with suppress(RecordingError):

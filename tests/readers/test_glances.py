@@ -21,19 +21,12 @@ def recording(request, tmp_path):
         yield opened
 
 
-def test_messages_near_moments_and_the_share_that_an_extent_leaves(recording):
-    moments = [r.START_NS + k * r.STEP_NS for k in (0, 17, 41)]
-    found = [(m.topic, m.log_time_ns) for m in recording.near(["/joint_states", "/left/image_raw"], moments)]
-    log = {"/joint_states": 3_000_000, "/left/image_raw": 3_000_002}
-    expected = [
-        (topic, r.START_NS + k * r.STEP_NS + log[topic])
-        for joint, image in ((0, 0), (17, 20), (41, 50))
-        for topic, k in (("/joint_states", joint), ("/left/image_raw", image))
-    ]
-    assert sorted(found) == sorted(expected)
+def test_pictures_near_moments_and_the_share_that_an_extent_leaves(recording):
+    moments = [r.START_NS + k * r.STEP_NS for k in (0, 17, 25, 41, 999)]
     sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
-    found = list(pictures_near(recording, sources, [r.START_NS + 25 * r.STEP_NS]))
-    assert {picture.tobytes() for picture in found} == {r.picture(30).tobytes(), r.picture(31).tobytes()}
+    found = [(name, picture.tobytes()) for name, picture in pictures_near(recording, sources, moments)]
+    places = [("left", 0), ("right", 1)]
+    assert found == [(name, r.picture(k + own).tobytes()) for name, own in places for k in (0, 20, 30, 50)]
     times = recording.log_times()
     assert set(times) == TOPICS
     for topic, found in times.items():

@@ -95,7 +95,9 @@ def test_a_glance_sees_key_frames(pictures, tmp_path):
     path = written(tmp_path / "log.mcap", [*first, *second], "h264")
     sources = Sources({"left": "/left/video"}, {}, (), {})
     with open_recording([path]) as recording:
-        seen = list(pictures_near(recording, sources, [START_NS, START_NS + 2 * STEP_NS]))
+        seen = [
+            picture for _, picture in pictures_near(recording, sources, [START_NS, START_NS + 2 * STEP_NS])
+        ]
     assert len(seen) == 2
     for picture, original in zip(seen, (pictures[0], pictures[4]), strict=True):
         assert np.abs(picture.astype(int) - original).mean() < 3

@@ -12,8 +12,17 @@ from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
 from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.extractions import Noise, Outside, OutsideRobot, extraction_of, ideal_extraction, in_view
+from tests.extractions import (
+    Noise,
+    Outside,
+    OutsideRobot,
+    extraction_of,
+    ideal_extraction,
+    in_view,
+    simulated,
+)
 from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees, parameters_of
 
@@ -86,6 +95,14 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
         T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
         points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
         assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
+
+
+def test_a_stop_that_the_base_turns_far_for_is_among_the_suggested():
+    """The aim was given up half-way: the best of these stops promised half as much."""
+    noise = Noise(0.1, 0.003, 0.001, 5e-4)
+    best, *_ = solve(simulated(noise=noise, robot="rgbd")).suggestions
+    assert abs(best.face_rad) > 1.2
+    assert best.gain > 0.5
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import heapq
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, islice, pairwise
 from pathlib import Path
@@ -189,18 +189,6 @@ class BlockStorage(Storage):
                 yield Message(channel, time_ns, payload)
         if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, read)
-
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        of_topic = {topic: self._blocks_with([topic]) for topic in sorted(topics)}
-        for time_ns in times_ns:
-            for topic, blocks in of_topic.items():
-                # The block that covers that time may contain messages of the topic only before it.
-                later = (item for b in blocks if b.end_ns >= time_ns for item in self._messages_of(b))
-                for number, at_ns, payload in later:
-                    channel = self.channels.get(number)
-                    if channel is not None and channel.topic == topic and time_ns <= at_ns < LATEST_NS:
-                        yield Message(channel, at_ns, payload)
-                        break
 
     def log_times(self) -> dict[int, IntArray]:
         try:

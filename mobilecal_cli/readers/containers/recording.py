@@ -132,15 +132,6 @@ class Recording(ExitStack):
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        """First message of each topic at or after each time, in the file that covers that time."""
-        for part in self.parts:
-            if part.start_ns is None or part.end_ns is None:
-                continue
-            inside = [time_ns for time_ns in times_ns if part.start_ns <= time_ns <= part.end_ns]
-            with boundary(part.path):
-                yield from part.near(topics, inside)
-
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         """Number of bytes that `messages` reads for the topics."""
         own = self._of_part(extent)

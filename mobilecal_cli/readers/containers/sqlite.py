@@ -8,7 +8,7 @@ import struct
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -205,16 +205,6 @@ class SqliteStorage(Storage):
         if self._log is None:
             return self.path.stat().st_size
         return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
-
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        if self._log is None:
-            return
-        own = [self._places(self._log, self._wanted([topic]), EVERYTHING) for topic in topics]
-        for time_ns in times_ns:
-            for places in own:
-                first = int(np.searchsorted(self._log.log_ns[places], time_ns))
-                batch = self._log.row[places[first : first + 1]].tolist()
-                yield from (self._message(*row) for row in self._rows([batch] if batch else []) if row)
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order; empty if the table is damaged."""

@@ -129,10 +129,6 @@ class Storage(ABC):
         """Number of bytes that `messages` reads."""
 
     @abstractmethod
-    def near(self, topics: Collection[str], times_ns: Sequence[int]) -> Iterator[Message]:
-        """First message of each topic at or after each time; only the few blocks that contain them are read."""
-
-    @abstractmethod
     def log_times(self) -> dict[int, IntArray]:
         """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
 

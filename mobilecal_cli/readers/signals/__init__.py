@@ -31,7 +31,7 @@ from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload, content_of, header_stamp_ns
 from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
-from mobilecal_cli.readers.signals.joints import FieldSeries, JointStateDecoder, JointStates, Transforms
+from mobilecal_cli.readers.signals.joints import FieldSeries, JointStates, Transforms
 from mobilecal_cli.readers.signals.series import (
     Clock,
     Samples,
@@ -84,7 +84,6 @@ class Subscriptions:
         self.video: set[str] = set()
         self._takers: dict[str, list[Taker]] = {}
         self._joints: dict[str, JointStates] = {}
-        self._decoders: dict[Channel, JointStateDecoder] = {}
         self._odometry: dict[str, Odometry] = {}
 
     def _subscribe(self, topic: str, taker: Taker) -> None:
@@ -121,10 +120,11 @@ class Subscriptions:
     def joints(self, topic: str, names: Sequence[str], *, velocity: bool = False) -> None:
         """Collect joints of a topic."""
         self._of_type(topic, (JOINT_STATE,), "set a JointState topic in rig.yaml (a wheel may use a field)")
-        group = self._joints.setdefault(topic, JointStates(topic))
+        if topic not in self._joints:
+            self._joints[topic] = JointStates(topic)
+            self._subscribe(topic, self._joints[topic].take)
         for name in names:
-            group.want(name, velocity=velocity)
-        self.clocks.setdefault(topic, Clock(topic))
+            self._joints[topic].want(name, velocity=velocity)
 
     def joints_elsewhere(self, sources: Mapping[str, JointField | JointTransform]) -> dict[str, Quantity]:
         """Collect joints from messages other than JointState."""
@@ -195,19 +195,11 @@ class Subscriptions:
     def _take(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Pass on one message."""
         topic = channel.topic
-        stamp_ns: int | None = None
         try:
-            if topic in self._joints:
-                if channel not in self._decoders:
-                    self._decoders[channel] = JointStateDecoder(channel)
-                reading = self._decoders[channel](payload)
-                stamp_ns = reading.stamp_ns
-                self._joints[topic].take(reading, stamp_ns or log_ns, log_ns)
-            if topic in self._takers:
-                message = channel.decode(payload)
-                stamp_ns = header_stamp_ns(message)
-                for take in self._takers[topic]:
-                    take(message, stamp_ns or log_ns, log_ns)
+            message = channel.decode(payload)
+            stamp_ns = header_stamp_ns(message)
+            for take in self._takers[topic]:
+                take(message, stamp_ns or log_ns, log_ns)
             self.clocks[topic].count(stamp_ns, log_ns)
         except (RecordingError, *NOT_ITS_TYPE):
             self.clocks[topic].broken += 1
@@ -302,7 +294,6 @@ def read_signals(
     sources: Sources,
     joints: Sequence[str],
     extent: Extent = EVERYTHING,
-    clocks: Sequence[Clock] = (),
 ) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
@@ -315,7 +306,6 @@ def read_signals(
     Args:
         sources: the topics to read; without image topics, no images are read.
         extent: how much of the recording is read.
-        clocks: clocks of topics that are read elsewhere, to be compared with the others.
 
     Returns:
         The pieces of the recording between the steps of its clocks (see `steps`), usually one; notes on all of it are
@@ -332,9 +322,10 @@ def read_signals(
     elsewhere = read.joints_elsewhere(sources.elsewhere)
     wheels = {side: [read.wheel(side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
-    together = extent is EVERYTHING and infos.cheap_with(read.topics)
-    read.run(extent, infos if together else None)
-    if not together:
+    if extent is EVERYTHING:
+        read.run(extent, infos)
+    else:
+        read.run(extent)
         infos.sample()
 
     notes: list[str] = []
@@ -352,7 +343,7 @@ def read_signals(
     samples = [series.samples(notes) for series in every]
     pieces, steps = cut(samples)
     notes = [
-        *clock_notes([*read.clocks.values(), *clocks]),
+        *clock_notes(list(read.clocks.values())),
         *read.undecodable(),
         *steps,
         *pause_notes(samples),

@@ -228,14 +228,6 @@ class InfoChanges:
         self._recording = recording
         self._stated = {topic: _Stated() for topic in sorted(self.topics)}
 
-    def cheap_with(self, topics: Iterable[str]) -> bool:
-        """Whether reading them together with other topics reads little more of the file."""
-        others = frozenset(topics)
-        return (
-            self._recording.bytes_of(self.topics | others) - self._recording.bytes_of(others)
-            <= _SAMPLED_BYTES
-        )
-
     def sample(self) -> None:
         """Read the topics alone; of a long recording, stretches spread over it."""
         if not self.topics:

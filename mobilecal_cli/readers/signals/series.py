@@ -185,16 +185,14 @@ class Clock:
     has_header: bool = True
     lag_s: list[float] = field(default_factory=list)
 
-    def count(self, stamp_ns: int | None, log_ns: int) -> int:
-        """Count a message with a header stamp (None: without a header); returns its stamp, or the log time."""
+    def count(self, stamp_ns: int | None, log_ns: int) -> None:
+        """Count a message with a header stamp; None: without a header."""
         self.messages += 1
         self.has_header = stamp_ns is not None
         if not stamp_ns:
             self.unstamped += 1
-            return log_ns
-        if len(self.lag_s) < _LAGS:
+        elif len(self.lag_s) < _LAGS:
             self.lag_s.append((log_ns - stamp_ns) * 1e-9)
-        return stamp_ns
 
     def notes(self) -> list[str]:
         """Sentences on missing and zero stamps."""
