@@ -20,7 +20,7 @@ from mobilecal_cli.likelihood.effects import (
     JointEffect,
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.nuisance import camera_change
+from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
 
 
@@ -163,8 +163,9 @@ def head_at(data: Dataset, state: State) -> FloatArray:
 
 
 def cameras_at(data: Dataset, state: State) -> CameraRig:
-    """The cameras with the constants that change it."""
-    return camera_change(data.cameras, data.layout.constants, state.constants).apply(data.cameras)
+    """The cameras with the constants that change them, but for patterns, which mean nothing elsewhere."""
+    rows = [row for row in data.layout.constants if row.kind not in PATTERNS]
+    return camera_change(data.cameras, rows, state.constants).apply(data.cameras)
 
 
 def points_at(data: Dataset, state: State) -> FloatArray:

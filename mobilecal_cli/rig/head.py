@@ -290,9 +290,10 @@ def pan_and_tilt(config: RigConfig, names: Collection[str]) -> tuple[str, str]:
 
 
 def _check_configured(config: RigConfig, chain: HeadChain) -> None:
+    """Refuse names that are not in the chain; those of a camera that no joint moves mean nothing."""
     for role in ("pan", "tilt"):
         name = getattr(config.joints, role)
-        if name and name not in chain.joints:
+        if name and chain.joints and name not in chain.joints:
             raise ConfigError(
                 f"joints.{role}: no joint {name!r} in the head chain", f"its joints: {listed(chain.joints)}"
             )

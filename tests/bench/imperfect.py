@@ -84,8 +84,8 @@ _STRETCHES_PER_LENGTH = 2.0
 PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICES)
 #: A floor and wheel errors that stay the same for a while; the floor is smooth.
 CORRELATED = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
-#: Every corner's place on the board, as its prior expects it.
-AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003)
+#: Every corner's place on the board, and each lens, as the priors expect them.
+AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003, lens_px=0.1)
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
 _APART_NS = 100_000_000
@@ -103,7 +103,7 @@ class Case:
         kinds: constants that are drawn: kind or name → times its prior's standard deviation.
         fixed: constants with a given value.
         noise: of the recording.
-        outside: what no constant describes; every run has a board of its own.
+        outside: what no constant describes; every run has a board and lenses of its own.
         twice: every image is there twice, with the same corners and joint readings.
         levels_drawn: the noise levels are drawn around the estimator's guesses, and so are the correlation lengths of
             floor and wheel scales.
@@ -144,7 +144,8 @@ class Case:
     def extraction(self, seed: int) -> Extraction:
         """One run."""
         robot = ROBOTS[self.robot]()
-        outside = replace(self.outside, print_seed=seed) if self.outside.print_m else self.outside
+        drawn = self.outside.print_m or self.outside.lens_px
+        outside = replace(self.outside, print_seed=seed, lens_seed=seed) if drawn else self.outside
         what = Imperfection(self.constants(seed), self.noise_of(seed), outside)
         extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
         extraction = as_recorded(robot, extraction, seed)

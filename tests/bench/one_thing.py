@@ -70,6 +70,7 @@ _MILD = Case(
     outside=Outside(sheet_m=0.0003),
 )
 _SHEETS, _PRINT = "twist and bend 1 mm, two sheets 0.3 mm apart", Outside(print_m=0.00015)
+_LENS = Outside(lens_px=0.1)
 _moving = partial(Case, motion="moving")
 CASES |= {
     f"stays: {name}": case
@@ -91,6 +92,13 @@ CASES |= {
         *(
             (f"print errors of 0.15 mm, {n} stations", (Case(stations=n, outside=_PRINT), ("board_corners",)))
             for n in (20, 200)
+        ),
+        *(
+            (
+                f"lens waves of 0.1 px, {robot}",
+                (Case(robot=robot, stations=40, outside=_LENS), ("lens_waves",)),
+            )
+            for robot in ("pan-tilt", "pair on the base", "camera on the base")
         ),
         (f"mild everything, {_SHEETS}", (_MILD, ("board_bend", "board_corners"))),
         ("every image twice", (Case(twice=True), ())),

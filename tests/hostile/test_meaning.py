@@ -1,8 +1,8 @@
 """Recordings that can be read and are wrong: none passes with a wrong result, unless it cannot be seen."""
 
-import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from mobilecal_cli.report.verdict import judge
@@ -11,6 +11,7 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
+from tests.truth import parameters_of
 
 
 @pytest.mark.slow
@@ -33,16 +34,13 @@ def test_outcomes(name, kind):
     assert outcome(name).kind == kind
 
 
-def test_a_board_that_sinks_is_named():
-    made = WRONG["board 3 cm lower from the middle"].change(recorded())
-    solution = solve(made)
-    (jump,) = solution.jumps
-    assert (jump.part, jump.station) == ("board", 10)
-    assert jump.move_m == pytest.approx(0.03, abs=3e-3)
-    verdict = judge(solution, made)
-    (said,) = (check for check in verdict.checks if check.id == "jump")
-    assert re.match(r"At station 10 \(\d+\.\d s\), the board moved by 3\d mm", said.why)
-    assert verdict.level == "FAIL"
+def test_a_board_that_sinks_does_no_harm():
+    """The floor's height takes it up: the result is right, and so are its standard deviations."""
+    solution = solve(WRONG["board 3 cm lower from the middle"].change(recorded()))
+    off = solution.parameters.minus(parameters_of(tick_robot())) / solution.uncertainty.std
+    assert np.abs(off).max() < 3
+    assert solution.uncertainty.noise.floor_m == pytest.approx(0.015, rel=0.3)
+    assert all(jump.part == "board" for jump in solution.jumps)
 
 
 @pytest.mark.parametrize(
