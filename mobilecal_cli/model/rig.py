@@ -457,6 +457,11 @@ class WheelGeometry:
         """(3,) right radius, left radius, separation, m."""
         return np.array([self.radius_right_m, self.radius_left_m, self.separation_m])
 
+    @property
+    def positive(self) -> bool:
+        """Whether all three are: other wheels are impossible."""
+        return bool(np.all(self.vector > 0))
+
 
 @dataclass(frozen=True, slots=True)
 class AssumedOdometry:

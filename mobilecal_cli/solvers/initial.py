@@ -30,9 +30,8 @@ MAX_ROUNDS = 200  # of a start that does not reach a fixed point
 _SMALLEST = 1e-12  # m: wheels of nothing do not change
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
 _SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only lead to a guess
-_CLEARLY_BETTER = (
-    0.5  # share of the point error with positive wheels that impossible ones must reach to be kept
-)
+#: Share of the point error with positive wheels that impossible ones must reach to be kept.
+CLEARLY_BETTER = 0.5
 _UNAMBIGUOUS_RAD = math.radians(150)  # a guess that is wrong by less than a fifth unwraps it correctly
 _NEAR_NOMINAL = 0.15  # relative error of the nominal wheels: below the fifth that unwraps correctly
 ROUNDS = 12  # where a comparison or an optimization follows, which needs no fixed point
@@ -82,10 +81,6 @@ class _Answer:
     @property
     def parameters(self) -> Parameters:
         return self.history[-1]
-
-    @property
-    def positive(self) -> bool:
-        return bool(np.all(self.parameters.wheels.vector > 0))
 
 
 def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
@@ -160,8 +155,12 @@ def linear_estimate(
         )
     # min() keeps the first of equals: a given or nominal start before the grid's.
     best = min(answers, key=lambda a: round(a.point_rms_m, 9))
-    positive = min((a for a in answers if a.positive), key=lambda a: round(a.point_rms_m, 9), default=best)
-    kept = best if best.point_rms_m < _CLEARLY_BETTER * positive.point_rms_m else positive
+    positive = min(
+        (a for a in answers if a.parameters.wheels.positive),
+        key=lambda a: round(a.point_rms_m, 9),
+        default=best,
+    )
+    kept = best if best.point_rms_m < CLEARLY_BETTER * positive.point_rms_m else positive
     rivals = [a.point_rms_m for a in answers if change(kept.parameters, a.parameters) > PAPER_TOLERANCE]
     steps = [math.inf, *(change(a, b) for a, b in zip(kept.history, kept.history[1:], strict=False))]
     converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))

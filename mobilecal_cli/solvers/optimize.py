@@ -63,7 +63,12 @@ def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
     return normal.step(priors.basis @ along), normal.gain - float(s @ along)
 
 
-def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] = lambda: None) -> Optimum:
+def optimize(
+    start: Posterior,
+    near: float = NEAR,
+    on_step: Callable[[], None] = lambda: None,
+    most_steps: int = _MAX_STEPS,
+) -> Optimum:
     """Minimize the sum of squares of all inliers and priors.
 
     The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
@@ -74,9 +79,10 @@ def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] =
         near: a step that promises a smaller decrease of the cost is not taken. The result is about the root of this
             from the minimum, in standard deviations.
         on_step: called before each step.
+        most_steps: within which a minimum must be reached.
 
     Raises:
-        SolveError: no minimum within 120 steps, or a singular matrix even under the largest damping.
+        SolveError: no minimum within these steps, or a singular matrix even under the largest damping.
     """
     lin = start
     shift = lin.priors.step_to_mean(lin.state)
@@ -84,7 +90,7 @@ def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] =
         state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
         lin = Posterior.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
     damping, history, converged = 0.0, [lin.cost], False
-    while len(history) <= _MAX_STEPS + 1:
+    while len(history) <= most_steps + 1:
         on_step()
         try:
             step, gain = proposed(lin, damping)
@@ -103,7 +109,7 @@ def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] =
             converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
             lin = trial
             history.append(lin.cost)
-            converged |= len(history) > _MAX_STEPS and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= len(history) > most_steps and history[-2] - lin.cost < _SLOW * lin.cost
             converged |= _stalls(history)
             damping = damping / 10 if damping > 1e-9 and not converged else 0.0
         else:
@@ -112,7 +118,7 @@ def optimize(start: Posterior, near: float = NEAR, on_step: Callable[[], None] =
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
     raise SolveError(
-        f"the maximum-likelihood estimate did not converge in {_MAX_STEPS} steps",
+        f"the maximum-likelihood estimate did not converge in {most_steps} steps",
         "check the head chain and the topics, signs and units of joints and wheels in rig.yaml, and that neither the "
         "board nor a cable moved",
     )

@@ -212,7 +212,7 @@ class Search:
                     point_rms_m(pairs, parameters) / distance_m,
                     float(np.linalg.norm(se3.log_so3(turn))),
                     parameters.wheels,
-                    not shown or bool(np.all(parameters.wheels.vector > 0)),
+                    not shown or parameters.wheels.positive,
                 )
             )
         return sorted(scores, key=lambda score: score.misfit)

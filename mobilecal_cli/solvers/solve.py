@@ -14,6 +14,8 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
@@ -41,13 +43,14 @@ from mobilecal_cli.solvers.findings import (
 )
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.inference import Inference
-from mobilecal_cli.solvers.initial import linear_estimate
+from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
+from mobilecal_cli.solvers.optimize import optimize
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
-from mobilecal_cli.solvers.transfer import point_rms_m
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
@@ -57,6 +60,8 @@ _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
+# A first fit of recordings that fit, from nominal values, takes 6 steps, with outliers 33.
+_FIRST_STEPS = 40
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
 
@@ -117,7 +122,7 @@ def solve(
 def _by_likelihood(
     extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
 ) -> Solution:
-    linear = _linear_start(extraction, inference, start_ratios, search)
+    linear, refusal = _linear_start(extraction, inference, start_ratios, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
     jumps, still = jumps_of(extraction, fit, inference.jump)
@@ -143,10 +148,12 @@ def _by_likelihood(
         inliers=inliers,
         rejected=data.seen & ~fit.inliers.corners,
     )
+    solution = replace(solution, outliers=outliers_of(extraction, fit))
+    if refusal is not None and _fits_badly(solution, extraction):
+        raise refusal
     return replace(
         solution,
         uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
-        outliers=outliers_of(extraction, fit),
         noisy=fit.noisy,
         error_parts=error_parts(
             data,
@@ -169,32 +176,67 @@ def _by_likelihood(
 
 def _linear_start(
     extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
-) -> LinearEstimate:
-    """The linear estimate, or nominal values where the motion does not show all parameters.
+) -> tuple[LinearEstimate, SolveError | None]:
+    """The linear estimate, or one near the nominal values where the linear method cannot tell.
+
+    That is where the motion does not show all parameters, or shows a separation or radius so little that its sign is
+    noise; and where the stated cameras show the board so wrongly that nothing fits: the likelihood estimates them, too.
+
+    Returns:
+        The start, and the refusal of a recording that the likelihood does not fit from there, either.
 
     Raises:
-        SolveError: a gross misfit that no estimate helps, or a negative radius or separation.
+        SolveError: a mistake in all readings, or a negative radius or separation.
     """
     pairs = inference.data.pairs
     if not inference.full_motion:  # no sign check: an unobservable scale may have any sign
-        start = inference.initial()
-        rms = point_rms_m(pairs, start)
-        return LinearEstimate(start, (start,), 1, rms, ratios_of(start.wheels), "nominal", math.inf)
+        return _near_nominal(inference), None
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
+    if not linear.parameters.wheels.positive and inference.nominal.wheels is not None:
+        near = _near_nominal(inference)
+        if near.parameters.wheels.positive and linear.point_rms_m >= CLEARLY_BETTER * near.point_rms_m:
+            linear = near
     distance_m = _board_distance_m(extraction)
     if linear.point_rms_m < _BAD_SHARE * distance_m:
         # Another unit of the wheels. Wider priors of squares and baseline would explain it, too.
         other = other_wheels(linear.parameters.wheels, extraction.rig.nominal.wheels)
         if other is not None:
             raise _refused(other)
+    refusal = None
     if linear.point_rms_m > _GROSS_SHARE * distance_m:
         unexplained = search.misfit is not None and search.misfit > _HOPELESS_SHARE
-        hopeless = search.of_whole is not None or (unexplained and search.diagnosis is None)
-        refusal = _refusal(extraction, search) if hopeless else None
-        if refusal is not None:
+        if search.of_whole is not None or (unexplained and search.diagnosis is None):
+            refusal = _refusal(extraction, search)
+    if refusal is not None:
+        near = _near_nominal(inference)
+        known = search.diagnosis is not None or search.interrupted is not None
+        if known or not _converges(extraction, inference, near.parameters):
             raise refusal
+        linear = near
     _require_positive(linear.parameters.wheels)
-    return linear
+    return linear, refusal
+
+
+def _near_nominal(inference: Inference) -> LinearEstimate:
+    pairs = inference.data.pairs
+    start = initial_with_prior(pairs, inference.nominal, inference.motion)
+    return LinearEstimate(
+        start, (start,), 1, point_rms_m(pairs, start), ratios_of(start.wheels), "nominal", math.inf
+    )
+
+
+def _converges(extraction: Extraction, inference: Inference, start: Parameters) -> bool:
+    """Whether one fit of all measurements, with the cameras' errors, brings most legs below the gross misfit."""
+    data, everything = inference.data, Inliers.all_of(inference.data)
+    state = initial_state(data, start, everything)
+    noise = inference.first_noise(np.array([data.claimed_px]))
+    first = Posterior.at(data, state, everything, noise, inference.priors(state))
+    try:
+        state = optimize(first, on_step=inference.on_step, most_steps=_FIRST_STEPS).lin.state
+    except SolveError:
+        return False
+    each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)
+    return float(np.median(each_m)) < _HOPELESS_SHARE * _board_distance_m(extraction)
 
 
 def _by_points(
@@ -259,7 +301,7 @@ def _require_positive(wheels: WheelGeometry) -> None:
     Raises:
         SolveError: a negative radius or separation.
     """
-    if np.all(wheels.vector > 0):
+    if wheels.positive:
         return
     right, left, separation = 1e3 * wheels.vector
     raise SolveError(
@@ -300,6 +342,20 @@ def _refused(diagnosis: Diagnosis) -> SolveError:
     )
 
 
+def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
+    """Whether the point error is more than corners and encoders explain, or many stations have an outlier."""
+    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
+    distance_m = _board_distance_m(extraction)
+    of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
+    right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
+    step_rad = (
+        float(right_m + left_m) / solution.parameters.wheels.separation_m
+    )  # heading by one step of each wheel
+    error_m = max(_BAD_SHARE, step_rad) * distance_m
+    misfits = solution.point_rms_m**2 - of_corners_m**2 > error_m**2
+    return misfits or gross > _MANY_OUTLIERS * len(extraction.observations)
+
+
 def _diagnosis(
     solution: Solution, extraction: Extraction, constraints: Constraints, search: Search
 ) -> Diagnosis | None:
@@ -308,19 +364,10 @@ def _diagnosis(
     A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
     that changed is not known, a reading may have stopped.
     """
-    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    distance_m = _board_distance_m(extraction)
-    of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
-    right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
-    step_rad = (
-        float(right_m + left_m) / solution.parameters.wheels.separation_m
-    )  # heading by one step of each wheel
-    fits_badly = solution.point_rms_m**2 - of_corners_m**2 > (max(_BAD_SHARE, step_rad) * distance_m) ** 2
-    fits_badly |= gross > _MANY_OUTLIERS * len(extraction.observations)
     parts = [jump.part for jump in solution.jumps]
     if "" in parts and not extraction.motions and search.interrupted is not None:
         return search.interrupted
-    if fits_badly and not extraction.motions:
+    if not extraction.motions and _fits_badly(solution, extraction):
         diagnosis = search.of_whole or search.frozen if any(parts) else search.diagnosis
     else:
         diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)

@@ -6,18 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTrack
+from mobilecal_cli.model import NINE, Board, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import Case, judge
-from mobilecal_cli.simulate.robot import tick_robot
+from mobilecal_cli.simulate.robot import ROBOTS, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import gross_corners
+from tests import truth
 from tests.actual import ActualRobot
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
@@ -83,6 +85,41 @@ def test_far_starts_lead_to_the_same_estimate(number):
     assert fit.inliers.legs.all()
     e = errors(fit.lin.state.parameters, ROBOT)
     assert e @ np.linalg.solve(fit.covariance[:9, :9], e) / 9 < 3
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+def test_a_small_board_in_a_pair_that_is_not_quite_as_stated(seed):
+    """Refused before: the stated cameras triangulate the board 30 % of its distance off, the estimated ones do not."""
+    robot = tick_robot()
+    off = {"principal_left_x": 0.005, "principal_left_y": 0.004, "principal_right_x": -0.005}
+    route = plan_route(robot, "standard", 16, Board(4, 3, 0.06), seed)
+    extraction = imperfect_extraction(robot, route, Imperfection(off, imperfect.PERFECT), seed)
+    found = solve(extraction)
+    assert truth.nees(found.parameters, found.uncertainty.covariance, robot) < 3
+    assert judge(found, extraction).level == "PASS"
+
+
+def test_joint_readings_of_other_stations_are_refused():
+    """No estimate of the cameras explains them."""
+    extraction = recorded("standard", 1)
+    order = np.random.default_rng(0).permutation(len(extraction.observations))
+    mixed = [
+        replace(o, joints=extraction.observations[k].joints)
+        for o, k in zip(extraction.observations, order, strict=True)
+    ]
+    with pytest.raises(SolveError, match="no known mistake explains it: the point error is"):
+        solve(replace(extraction, observations=tuple(mixed)))
+
+
+@pytest.mark.parametrize(("robot", "seed"), [("tick", 1), ("tick", 2), ("paper", 2)])
+def test_a_separation_whose_sign_is_noise_is_not_determined(robot, seed):
+    """Refused before: "the wheel separation is -3607.4 mm", or "one of the wheels counts in the other direction"."""
+    described = ROBOTS[robot]()
+    rough = replace(imperfect.USUAL, wheel_rad_per_sqrt_rad=0.01)
+    extraction = ideal_extraction(described, plan_route(described, "straight", seed=seed), rough, seed)
+    verdict = judge(solve(extraction), extraction)
+    assert verdict.level == "NOT ENOUGH"
+    assert "The wheel separation is not determined: the base turned by" in verdict.reason
 
 
 @pytest.mark.parametrize("by_px", [1.0, 8.0])
