@@ -10,9 +10,8 @@ some patterns, the orthonormal columns of M in units of the prior, states the in
     I = H_cc - B M^T H_ec,    B = H_ce M (M^T H_ee M)^-1,
 
 and what is left of e, of unit variance across M, adds ``D D^T`` with ``D = (H_ce - B M^T H_ee) (1 - M M^T)`` to the
-variance I of its right side. With C the inverse of I, the largest generalized eigenvalue of ``(C D D^T C, C)`` is by
-how much the variance of a direction v of c is understated; with the pattern ``H_ee^-1 H_ec C v``, ``v^T C D`` is zero.
-Places of corners matter for all of c, waves for the camera's pose alone: the constants of a lens may take them up.
+variance I of its right side. The largest generalized eigenvalue of ``(D D^T, I)`` is by how much the variance of a
+direction w of c is understated; with the pattern ``H_ee^-1 H_ec w``, ``w^T D`` is zero.
 """
 
 from __future__ import annotations
@@ -41,7 +40,6 @@ _WAVE = 0.43  # amplitude of each wave, in the rms over the image of all togethe
 _MOST_STATIONS = 100  # that the patterns are made from
 _TIED = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm of a station's board pose
 _ANYWHERE = 1e3 * _TIED  # of camera and board
-_POSE = slice(-6, None)  # of c
 _PIXEL_PX = 0.1  # noise of a usual corner
 _WIDER = 10.0  # priors of contradicted constants become so much wider
 
@@ -64,7 +62,7 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     for camera, name in enumerate(data.cameras.names):
         if not data.seen[:, camera].any():
             continue
-        for number, mode in enumerate(_modes(*images.informations(*images.by_lens(camera)), _POSE), 1):
+        for number, mode in enumerate(_modes(*images.informations(*images.by_lens(camera))), 1):
             along = CameraEffect("lens", (0.0,) * 4 + tuple((_WAVE * mode).tolist()), camera)
             row = (
                 f"{_LENS}_{name}_{number}",
@@ -80,18 +78,17 @@ def _displaced(points_k: FloatArray, pattern: FloatArray) -> FloatArray:
     return pattern
 
 
-def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray, of: slice = slice(None)) -> FloatArray:
-    """Orthonormal patterns (K, E), in units of the prior; those that matter for some of c."""
+def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray) -> FloatArray:
+    """Orthonormal patterns (K, E), in units of the prior."""
     modes, mending = np.zeros((0, len(H_ee))), np.linalg.solve(H_ee, H_ce.T)
-    while len(modes) < len(H_ee):
+    while len(modes) < min(H_ce.shape):
         B = np.linalg.solve(modes @ H_ee @ modes.T, modes @ H_ce.T).T
         D = H_ce - B @ modes @ H_ee
         D -= D @ modes.T @ modes
-        C = np.linalg.inv(H_cc - B @ modes @ H_ce.T)
-        excess, directions = eigh(C[of] @ D @ D.T @ C[of].T, C[of, of])
+        excess, directions = eigh(D @ D.T, H_cc - B @ modes @ H_ce.T)
         if excess[-1] < UNDERSTATED:
             break
-        pattern = mending @ (C[:, of] @ directions[:, -1])
+        pattern = mending @ directions[:, -1]
         pattern -= modes.T @ (modes @ pattern)
         modes = np.concatenate([modes, pattern[None] / np.linalg.norm(pattern)])
     return modes

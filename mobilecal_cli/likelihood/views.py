@@ -7,7 +7,6 @@ their own ("direct").
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -314,10 +313,24 @@ def _measured(
     residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])
     root_weight = np.where(inliers.used_corners[stations], 1 / noise.pixel_px, 0.0)
     W = data.whitening[stations] * root_weight[..., None, None]
-    each = math.prod(residual.shape[1:])
-    At = whitened(W, J, out=J).reshape(*J.shape[:2], each)
-    r = whitened(W, residual).reshape(len(J), each)
-    return residual, At @ np.swapaxes(At, 1, 2), (At @ r[..., None])[..., 0], np.sum(r**2, axis=1)
+    J, r = whitened(W, J, out=J), whitened(W, residual)
+    count, Q, cameras, corners, _ = J.shape
+    information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
+    for camera in range(cameras):
+        columns = _columns_of(data, camera)
+        At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
+        information[:, columns[:, None], columns] += At @ np.swapaxes(At, 1, 2)
+        gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
+    return residual, information, gradient, np.sum(r**2, axis=(1, 2, 3))
+
+
+def _columns_of(data: Dataset, camera: int) -> IntArray:
+    """Those of (delta, direct constants) that move the corners in a camera: not the constants of others."""
+    of_others = [
+        isinstance(row.effect, CameraEffect) and row.effect.camera not in (None, camera)
+        for _, row in data.layout.direct
+    ]
+    return np.flatnonzero(np.append(np.ones(6, dtype=np.bool_), np.logical_not(of_others)))
 
 
 def _measured_poses(
