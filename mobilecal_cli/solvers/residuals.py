@@ -39,9 +39,10 @@ def at_state(
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
     """
-    cameras, extraction = cameras_at(data, state), _at_stamps(extraction, data, state)
+    stated, cameras = extraction, cameras_at(data, state)
+    extraction = replace(_at_stamps(stated, data, state), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
-    extraction = triangulated_again(replace(extraction, rig=replace(extraction.rig, cameras=cameras)), factor)
+    extraction = triangulated_again(_posed_again(extraction, stated), factor)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
     return extraction, replace(
         data.pairs,
@@ -76,6 +77,43 @@ def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extractio
         for i, o in enumerate(extraction.observations)
     )
     return replace(extraction, observations=observations)
+
+
+def _posed_again(extraction: Extraction, stated: Extraction) -> Extraction:
+    """The same with the board moved to where the one camera that shows it has it, at stations without a second one.
+
+    Gauss-Newton steps for the twist of the board that keeps its images: as the stated camera has them.
+
+    Args:
+        extraction: with other cameras, and pixels at the stamps.
+        stated: with the cameras that the points are of.
+    """
+    observations, rig = list(extraction.observations), extraction.rig.cameras
+    detected = np.array([[view.seen.any() for view in o.views] for o in observations])
+    for k, (camera, T_c_camera) in enumerate(zip(rig.each, rig.T_c_each, strict=True)):
+        alone = np.flatnonzero(detected[:, k] & (detected.sum(axis=1) == 1))
+        if not len(alone):
+            continue
+        T_camera_c, before = se3.inverse(T_c_camera), stated.rig.cameras
+        points = np.stack([observations[i].points_c for i in alone])
+        moved = [observations[i].views[k].pixels - stated.observations[i].views[k].pixels for i in alone]
+        target = project(before.each[k], se3.act(se3.inverse(before.T_c_each[k]), points)) + np.stack(moved)
+        for _ in range(_TRIANGULATION_STEPS):
+            at, J = project_with_jacobian(camera, se3.act(T_camera_c, points))
+            by_twist = np.concatenate(
+                [-se3.skew(points), np.broadcast_to(np.eye(3), (*J.shape[:2], 3, 3))], -1
+            )
+            A = (J @ T_camera_c[:3, :3] @ by_twist).reshape(len(alone), -1, 6)
+            transposed = np.swapaxes(A, -1, -2)
+            step = np.linalg.solve(transposed @ A, transposed @ (target - at).reshape(len(alone), -1, 1))[
+                ..., 0
+            ]
+            points = se3.act(se3.exp(step), points)
+            if np.abs(step).max() < _STILL_M:
+                break
+        for i, moved_c in zip(alone.tolist(), points, strict=True):
+            observations[i] = replace(observations[i], points_c=moved_c)
+    return replace(extraction, observations=tuple(observations))
 
 
 def at_constants(

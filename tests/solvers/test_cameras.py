@@ -12,6 +12,7 @@ from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from tests.bench.simulated import as_described
 from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
 from tests.robots import (
@@ -79,6 +80,23 @@ def test_a_station_counts_with_the_cameras_that_show_the_board():
     a, b = fitted(extraction), fitted(replace(extraction, observations=tuple(moved)))
     # Unseen pixels mean nothing.
     np.testing.assert_allclose(a.parameters.vector, b.parameters.vector, atol=1e-12)
+
+
+@pytest.mark.parametrize(("cameras", "chain"), [(1, "none"), (1, "pan-tilt"), (2, "pan-tilt")])
+def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(cameras, chain):
+    """Its pose is that of the stated camera: projected by the estimated one, it was 17 px off, and the result FAIL."""
+    robot = CONFIGURATIONS[cameras, chain]()
+    names = ("principal_camera_x", "principal_camera_y", "focal_camera")
+    names = names if cameras == 1 else tuple(name.replace("camera", "right") for name in names)
+    off = dict(zip(names, (0.02, -0.015, 0.02), strict=True))
+    extraction = imperfect_extraction(robot, plan_route(robot, seed=1), Imperfection(off, EXACT), 1)
+    if cameras == 2:
+        extraction = with_one_view(extraction, {2: 1, 3: 1, 8: 0})
+    true = parameters_of(robot)
+    corrected, pairs = at_constants(extraction, true, off)
+    residuals = residuals_of(corrected, pairs, true)
+    assert residuals.leg_reprojection_px.max() < 0.1
+    assert residuals.leg_point_rms_m.max() < 1e-3
 
 
 @pytest.mark.parametrize("square_m", [0.08, None])
