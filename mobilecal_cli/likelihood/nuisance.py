@@ -78,7 +78,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
     Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
     Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
-    Kind("lens_waves", "1", 0.00015, "% of the image width", 100, "what a lens does beside its distortion, rms"),
+    Kind("lens_waves", "1", 0.0002, "% of the image width", 100, "what a lens does beside its distortion, rms"),
     Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
     Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
     Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),

@@ -66,7 +66,7 @@ def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz
         data = dataset_for(extraction, Constraints(), dataset_of(extraction))
         return {row.kind: row.sigma for row in data.layout.constants if row.kind in OF_RECORDINGS}
 
-    assert sigmas() == pytest.approx({"board_corners": 0.00015, "floor_shape": 0.001, "lens_waves": 0.00015})
+    assert sigmas() == pytest.approx({"board_corners": 0.00015, "floor_shape": 0.001, "lens_waves": 0.0002})
     fixed = {"priors__floor_shape": "fixed", "priors__lens_waves": "fixed"}
     assert sigmas(priors__board_corners=0.3, **fixed) == {"board_corners": 0.0003}
     assert sigmas(priors__all="fixed") == {}

@@ -22,7 +22,7 @@ NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)
 
 
 def extraction(seed):
-    ideal = ideal_extraction(ROBOT, plan_route(ROBOT, seed=seed), NOISE, seed=seed)
+    ideal = ideal_extraction(ROBOT, plan_route(ROBOT, stations=16, seed=seed), NOISE, seed=seed)
     return replace(ideal, logs=(LogSource(f"{seed}.mcap", f"{seed:064}"),))
 
 

@@ -138,7 +138,7 @@ def test_other_cameras_have_priors_of_a_drawing():
 @pytest.mark.parametrize(
     ("name", "wrong", "words"),
     [
-        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +7.99"),
+        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +7.9"),
         ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +60.0"),
     ],
 )
