@@ -274,7 +274,7 @@ def _moved_around(tracks: tuple[Track, ...], at_ns: IntArray) -> FloatArray:
 def _noise_at_rest(tracks: tuple[Track, ...]) -> FloatArray:
     """(K,) Largest change that noise explains, if tracks rest for a good part of the time."""
     first, last = (int(end) for end in tracks[0].time_ns[[0, -1]])
-    moved = _moved_around(tracks, np.arange(first, last, _AROUND_NS))
+    moved = _moved_around(tracks, np.arange(first, last + 1, _AROUND_NS))
     return np.maximum(STILL, _NOISE * np.quantile(moved, _AT_REST, axis=0))
 
 

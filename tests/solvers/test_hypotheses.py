@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.model import Track
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import fixed_camera_robot, paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, WHOLE
+from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search
 from tests.extractions import Noise, ideal_extraction, joined
@@ -341,3 +342,9 @@ def test_a_sign_that_nothing_confirms_is_no_cure(recorded):
     assert "no known mistake explains it: the point error is" in caught.value.message
     assert "Tried: signs" in caught.value.message
     assert "wrong sign" not in caught.value.message
+
+
+def test_a_joint_with_a_single_reading_rests():
+    """Published once, or all others without a value: the search for late readings ended in an IndexError."""
+    once = Track(np.array([5_000_000_000]), np.array([0.1]))
+    assert _noise_at_rest((once,)).tolist() == [STILL]
