@@ -77,7 +77,12 @@ def test_no_board_anywhere(make, tmp_path):
     log = make(lambda topic, m: replace(m, data=jpeg) if topic in IMAGES else m)
     refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "whole board")
     sized = run("calibrate", log, "--board", "9x6", cwd=tmp_path)
-    refused(sized, 4, "images do not change while the robot moves", "Check the driver of the left and right camera")
+    refused(
+        sized,
+        4,
+        "images do not change while the robot moves",
+        "Check the driver of the left and right camera",
+    )
 
 
 @pytest.mark.long
