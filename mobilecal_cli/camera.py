@@ -112,7 +112,7 @@ def lens_terms(
 
     With p the offset from the center in shares of half the image's diagonal, the first terms are p |p|^2, p |p|^4,
     (3x^2 + y^2, 2xy) and (2xy, x^2 + 3y^2), each with the length of the image's width at the image corner. The others
-    are waves over the image, see `lens_waves`, of an amplitude of the image's width, along x and along y.
+    are waves over the image, see `_waves`, of an amplitude of the image's width, along x and along y.
 
     Args:
         camera: gives the image size.
@@ -144,14 +144,14 @@ def lens_terms(
     J[3, ..., 0, 0], J[3, ..., 0, 1], J[3, ..., 1, 0], J[3, ..., 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
     by_pixels: FloatArray = np.tensordot(slope * shares[:4], J, 1)
     if len(shares) > 4:
-        waves, by_pixel = lens_waves(camera, pixels)
+        waves, by_pixel = _waves(camera, pixels)
         terms[4:] = 0.0
         terms[4::2, ..., 0] = terms[5::2, ..., 1] = camera.width * waves
         by_pixels += camera.width * np.einsum("wa,wb...->...ab", shares[4:].reshape(-1, 2), by_pixel)
     return terms, by_pixels
 
 
-def lens_waves(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _waves(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """cos(pi k u) cos(pi l v), 1 <= k + l <= 4, u and v from 0 to 1 over the image.
 
     Args:

@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cho_solve_banded
 from scipy.special import betainc, chdtrc
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.chain import banded
 from mobilecal_cli.likelihood.effects import POSE, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.normal import station_information
@@ -104,7 +103,6 @@ class _Test:
         self._lin = lin
         self._G = station_information(lin)
         self._normal = lin.normal
-        self._factor = cholesky_banded(banded(*lin.normal.chain), lower=True, check_finite=False)
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared
 
@@ -123,7 +121,7 @@ class _Test:
         of_leg[:, i] = after[:, j]
         coupled = after[:, :, None, None] * base + of_leg[:, :, None, None] * start
         flat = np.moveaxis(coupled, 0, 2).reshape(count * B, -1)
-        solved = cho_solve_banded((self._factor, True), flat, check_finite=False)
+        solved = cho_solve_banded((self._normal.factor, True), flat, check_finite=False)
         normal, logs = self._normal, lin.data.log[moments]
         for k, log in enumerate(logs.tolist()):
             at, mine = flat[:, k * m : (k + 1) * m], lin.data.log == log

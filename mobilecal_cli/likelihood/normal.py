@@ -35,6 +35,7 @@ class NormalEquations:
         board_by_shared: (logs, 6, P) derivative of the boards by the shared parameters.
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
         chain: (N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one.
+        factor: its Cholesky factor, as `scipy.linalg.cho_solve_banded` takes the lower one.
     """
 
     S: FloatArray
@@ -46,6 +47,7 @@ class NormalEquations:
     board_by_shared: FloatArray
     board_covariance: FloatArray
     chain: tuple[FloatArray, FloatArray]
+    factor: FloatArray
     _E_inverse: FloatArray
     _E_base: FloatArray
     _E_board: FloatArray
@@ -188,6 +190,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         board_by_shared=-Z,
         board_covariance=V,
         chain=(D, off),
+        factor=factor,
         _E_inverse=own.inverse,
         _E_base=E_base,
         _E_board=E_board,

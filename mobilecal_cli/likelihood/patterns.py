@@ -103,6 +103,7 @@ class _Images:
         every: (n,) these stations.
         each: stations that one of these stands for.
         J: (n, 6 + c, C, M, 2) derivatives of the corners by (delta, constants), in units of their noise.
+        G: (n, 6 + c, 6 + c) information about (delta, constants).
         known: (c,) information of the priors about the constants.
     """
 
@@ -110,6 +111,7 @@ class _Images:
     every: IntArray
     each: float
     J: FloatArray
+    G: FloatArray
     known: FloatArray
 
     @classmethod
@@ -120,10 +122,10 @@ class _Images:
         plain = data.with_constants(in_images)
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
         state = State.without_errors(plain, *anywhere, np.zeros((data.stations, 3)))
-        images = cls(data, every, data.stations / len(every), np.zeros(0), np.zeros(0))
-        _, J = corner_residuals(plain, state, data.T_c_k[every], every)
         known = np.array([(_WIDER * row.sigma) ** -2 for row in in_images])
-        return replace(images, J=images._in_units_of_noise(J), known=known)
+        images = cls(data, every, data.stations / len(every), np.zeros(0), np.zeros(0), known)
+        J = images._in_units_of_noise(corner_residuals(plain, state, data.T_c_k[every], every)[1])
+        return replace(images, J=J, G=np.einsum("nacmx,nbcmx->nab", J, J, optimize=True))
 
     def _in_units_of_noise(self, J: FloatArray, camera: slice = slice(None)) -> FloatArray:
         """Derivatives of detected corners in some cameras, (n, k, C, M, 2) px, in units of a usual noise."""
@@ -162,8 +164,7 @@ class _Images:
         Args:
             shared, among: from `by_places` or `by_lens`.
         """
-        T = self.data.T_c_k[self.every]
-        G = np.einsum("nacmx,nbcmx->nab", self.J, self.J, optimize=True)
+        T, G = self.data.T_c_k[self.every], self.G
         # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
         _, recording = np.unique(self.data.log[self.every], return_inverse=True)
         of_board = np.einsum("nl,nab->nalb", np.eye(recording.max() + 1)[recording], se3.adjoint(T))
