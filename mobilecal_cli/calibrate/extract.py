@@ -224,8 +224,8 @@ def extract(
         first, new = (extracted or pieces)[0], pieces[0]
         if new.rig.chain.joints != first.rig.chain.joints:
             raise ConfigError(
-                f"{parts[0]}: the head's joints are {', '.join(new.rig.chain.joints)}, but those of {logs[0]} are "
-                f"{', '.join(first.rig.chain.joints)}",
+                f"head joints of {parts[0]}: {', '.join(new.rig.chain.joints) or 'none'}; of {logs[0]}: "
+                f"{', '.join(first.rig.chain.joints) or 'none'}",
                 "give recordings of one robot only",
             )
         other = _other_cameras(first, new)

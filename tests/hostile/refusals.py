@@ -270,6 +270,7 @@ CASES = (
     Case("camera_info: a focal length of 1e-9 px", READ, 3, "K: fx is 1e-09 (range 1 to 1e+06 px)", infos(k=at(0, 1e-9))),
     Case("camera_info: fy 10 times fx", READ, 3, "K: fx / fy is 0.1", infos(k=lambda k: at(4, 10 * k[0])(k))),
     Case("camera_info: principal point at -5000 px", READ, 3, "K: principal point cx over the image size 640 is -7.8125", infos(k=at(2, -5000.0))),
+    Case("camera_info: K of an image of half the size", READ, 3, "in K is the middle of an image of about", infos(k=lambda k: k * np.repeat([0.5, 1.0], [6, 3]))),
     Case("camera_info: skew of 500 px", READ, 3, "K is not of the form", infos(k=at(1, 500.0))),
     Case("camera_info: k1 = 50", READ, 3, "D moves a point half way to the edge", infos(d=lambda _: np.array([50.0, 0, 0, 0, 0]))),
     Case("camera_info: R is no rotation", READ, 3, "R is not a rotation matrix", infos(r=lambda r: 2 * r)),

@@ -57,7 +57,7 @@ def test_a_change_is_told_with_its_time_and_size(tmp_path, writer, extent):
         ({"D": [-0.2, 0.12, 0, 0, 0]}, "D by up to 0.02;"),
         ({"P": P + 1e-2}, "P by up to 0.01 px;"),
         ({"R": se3.exp_so3(np.radians([0, 0.3, 0]))}, "R by 0.3 deg;"),
-        ({"size": (320, 240)}, "image size 640 x 480 to 320 x 240;"),
+        ({"size": (480, 360)}, "image size 640 x 480 to 480 x 360;"),
         ({"D": [0.1] * 8, "model": "rational_polynomial"}, "model plumb_bob (5) to rational_polynomial (8);"),
     ],
 )

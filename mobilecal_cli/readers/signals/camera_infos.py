@@ -51,6 +51,8 @@ _NAMES: dict[str, Distortion] = {
 _ASPECT, _RECTIFIED = Range(0.2, 5.0), Range(0.2, 5.0)
 #: Of the principal point, in image sizes from the first pixel.
 _PRINCIPAL = Range(-2.0, 3.0)
+#: Of the principal point, in halves of the image; beyond it, alike along x and y, it is that of another image size.
+_SIZE, _ALIKE = Range(0.6, 1.7), 1.1
 #: Of the distance of a point half way to the edge from the principal point, with distortion / without.
 _DISTORTION = Range(0.4, 2.5)
 #: Largest difference of R from a rotation matrix.
@@ -138,6 +140,14 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     for name, value, possible in values:
         if value not in possible:
             return f"{name} is {value:.6g} (range {possible})"
+    if camera.width and camera.height:
+        factors = 2 * K[:2, 2] / [camera.width, camera.height]
+        if factors.max() < _ALIKE * factors.min() and factors.mean() not in _SIZE:
+            (x, y), (w, h) = K[:2, 2].tolist(), (2 * K[:2, 2]).tolist()
+            return (
+                f"the principal point ({x:.0f}, {y:.0f}) in K is the middle of an image of about {w:.0f} x {h:.0f} "
+                f"pixels, but the image size is {camera.width} x {camera.height}"
+            )
     if abs(K[0, 1]) > _ROTATION * K[0, 0] or K[1, 0] or K[2, :2].any():
         return "K is not of the form [fx 0 cx; 0 fy cy; 0 0 1]"
     if np.abs(R @ R.T - np.eye(3)).max() > _ROTATION or np.linalg.det(R) < 0:
