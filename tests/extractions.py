@@ -95,7 +95,8 @@ class Outside:
         print_across_m: the same across the plane, m.
         print_seed: see there.
         sheet_m: the columns beyond the board's middle are on another sheet, displaced by this along x and y, m.
-        lens_px: rms of what each lens does beside its model: waves of 320 px over the image; `lens_seed` draws them.
+        lens_px: rms of what each lens does beside its model: waves over the image; `lens_seed` draws them.
+        lens_waves_px: shortest and longest of these waves.
         lens_seed: see there.
     """
 
@@ -107,6 +108,7 @@ class Outside:
     print_seed: int = 0
     sheet_m: float = 0.0
     lens_px: float = 0.0
+    lens_waves_px: tuple[float, float] = (320.0, 320.0)
     lens_seed: int = 0
 
 
@@ -292,8 +294,10 @@ def _waves(at: FloatArray, outside: Outside, camera: int) -> FloatArray:
     """Displacements (N, M, 2) of pixels by eight plane waves in random directions, along x and y each, px."""
     random = np.random.default_rng([outside.lens_seed, 12, camera])
     direction = random.uniform(0, 2 * np.pi, (8, 2))
-    ways = np.stack([np.cos(direction), np.sin(direction)]) * 2 * np.pi / 320  # (2, 8, 2)
-    phase = np.tensordot(np.nan_to_num(at), ways, 1) + random.uniform(0, 2 * np.pi, (8, 2))
+    phase = random.uniform(0, 2 * np.pi, (8, 2))
+    length_px = np.exp(random.uniform(*np.log(outside.lens_waves_px), (8, 2)))
+    ways = np.stack([np.cos(direction), np.sin(direction)]) * 2 * np.pi / length_px  # (2, 8, 2)
+    phase = phase + np.tensordot(np.nan_to_num(at), ways, 1)
     return np.asarray(outside.lens_px * np.sqrt(2 / 8) * np.sin(phase).sum(axis=2))
 
 

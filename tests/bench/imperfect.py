@@ -85,7 +85,7 @@ PERFECT, USUAL = extractions.Noise(**_DEVICES), replace(STATION_NOISE, **_DEVICE
 #: A floor and wheel errors that stay the same for a while; the floor is smooth.
 CORRELATED = replace(USUAL, floor_length_m=0.3, floor_smooth=True, wheel_length_m=1.0)
 #: Every corner's place on the board, and each lens, as the priors expect them.
-AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003, lens_px=0.1)
+AS_PRINTED = Outside(print_m=0.00015, print_across_m=0.0003, lens_px=0.1, lens_waves_px=(320.0, 1280.0))
 FIVE_SIGMA = 5.0
 _NOTHING = Outside()
 _APART_NS = 100_000_000
