@@ -18,7 +18,8 @@ def main() -> None:
     _open_standard_streams()
     interruption.unwind_on_signals()
     try:
-        from mobilecal_cli.commands import main as run
+        with interruption.naming_interruptions():
+            from mobilecal_cli.commands import main as run
 
         run()
         sys.stdout.flush()

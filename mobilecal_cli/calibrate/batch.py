@@ -21,10 +21,11 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.steps import Report, calibrate
-from mobilecal_cli.calibrate.workers import work, workers
+from mobilecal_cli.calibrate.workers import submitted, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
 from mobilecal_cli.export import check_output, write_file
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
+from mobilecal_cli.files.interruption import naming_interruptions
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
@@ -234,14 +235,15 @@ def run_job(job: FleetJob) -> FleetRow:
             return done
         force = job.force or owns_result(job)
         _write_record(job, {})  # from now on, a result of this robot is one of the batch
-        report, _ = calibrate(
-            job.logs,
-            job.output / job.name,
-            config_path=job.config,
-            flags=job.flags,
-            gates=job.gates,
-            force=force,
-        )
+        with naming_interruptions():
+            report, _ = calibrate(
+                job.logs,
+                job.output / job.name,
+                config_path=job.config,
+                flags=job.flags,
+                gates=job.gates,
+                force=force,
+            )
         row = _row(job, report)
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message, hint=error.hint)
@@ -342,7 +344,7 @@ def run_locally(count: int) -> Run:
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
     """Rows in the order of completion; a pool that breaks yields only part of them."""
     with workers(count) as pool:
-        futures = [pool.submit(work, run_job, job) for job in jobs]
+        futures = [submitted(pool, run_job, job) for job in jobs]
         for future in as_completed(futures):
             with suppress(BrokenProcessPool):
                 yield future.result()

@@ -11,7 +11,7 @@ import shutil
 import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing import resource_tracker
@@ -20,7 +20,7 @@ from threading import Thread
 from typing import Any, TypeVar
 
 from mobilecal_cli.errors import ResourceError
-from mobilecal_cli.files.interruption import Interrupted, unwind_on_signals
+from mobilecal_cli.files.interruption import Interrupted, naming_interruptions, unwind_on_signals
 from mobilecal_cli.files.scratch import enter_scratch, remove_all
 
 #: Errors when processes cannot be started or one died; the caller then does the work itself.
@@ -91,11 +91,22 @@ def _blocked(number: signal.Signals) -> Iterator[None]:
 def work(task: Callable[..., Result], *given: Any) -> Result:  # noqa: ANN401
     """Run a task in a worker process; a signal ends the process after the task has unwound."""
     try:
-        return task(*given)
+        with naming_interruptions():
+            return task(*given)
     except Interrupted as leaving:  # the pool would send it to the caller as the task's result
         resources.close()
         remove_all()
         os._exit(int(leaving.code or 1))
+
+
+def submitted(pool: ProcessPoolExecutor, task: Callable[..., Result], *given: Any) -> Future[Result]:  # noqa: ANN401
+    """A task that a process of a pool imports, too, so that a signal at that moment does not end in an error."""
+    return pool.submit(work, _unpacked, pickle.dumps((task, given)))
+
+
+def _unpacked(packed: bytes) -> Any:  # noqa: ANN401
+    task, given = pickle.loads(packed)
+    return task(*given)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ from mobilecal_cli.commands import (
     suggest,
 )
 from mobilecal_cli.errors import MobilecalError, RecordingError, ResourceError
+from mobilecal_cli.files.interruption import naming_interruptions
 
 #: Error code of OpenCV where memory cannot be allocated.
 _OPENCV_NO_MEMORY = -4
@@ -75,8 +76,9 @@ for command in (  # the order of `mobilecal --help`: the everyday commands first
 def main() -> None:
     """Run the command line; on an error, print it and exit with its code."""
     try:
-        source_date()  # before libraries are imported that read it too
-        app()
+        with naming_interruptions():
+            source_date()  # before libraries are imported that read it too
+            app()
     except MobilecalError as error:
         _fail(error)
     except PermissionError as error:  # of a directory on the way to a file

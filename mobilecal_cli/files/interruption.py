@@ -60,6 +60,20 @@ def _on_unraisable(error: sys.UnraisableHookArgs) -> None:
     Timer(_AGAIN_S, os.kill, (os.getpid(), number)).start()
 
 
+@contextmanager
+def naming_interruptions() -> Iterator[None]:
+    """Raise `Interrupted` for an error that a signal has become on its way.
+
+    An extension module whose import is cut short, for example, raises ImportError in its place.
+    """
+    try:
+        yield
+    except Exception as error:
+        if _State.received is None:
+            raise
+        raise Interrupted(128 + _State.received) from error
+
+
 def note_placed(target: Path) -> None:
     """Remember an output that is complete and in place."""
     _State.placed.append(str(target))

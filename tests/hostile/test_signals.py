@@ -301,6 +301,47 @@ def task():
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(
+    ("end", "said"),
+    [
+        ("submitted(pool, Importing()).result()", ""),
+        ("batch.run_job(job)", ""),
+        ("__main__.main()", "interrupted: nothing was written\n"),
+    ],
+)
+def test_a_signal_that_an_import_turns_into_another_error(tmp_path, end, said):
+    """An extension module that is being initialized ends with ImportError."""
+    code = f"""
+import os, signal
+from pathlib import Path
+from mobilecal_cli import __main__, commands
+from mobilecal_cli.calibrate import batch
+from mobilecal_cli.calibrate.workers import submitted
+from mobilecal_cli.files.interruption import unwind_on_signals
+
+def importing(*given, **named):
+    try:
+        os.kill(os.getpid(), signal.SIGTERM)
+    except SystemExit as error:
+        raise ImportError("initialization failed") from error
+
+class Importing:
+    def __reduce__(self):
+        return importing, ()
+
+class pool:
+    submit = staticmethod(lambda work, *given: work(*given))
+
+unwind_on_signals()
+commands.app = batch.calibrate = importing
+job = batch.FleetJob("robot", (Path("log.mcap"),), None, Path("."))
+{end}
+"""
+    (tmp_path / "log.mcap").touch()
+    result = python("-c", code, cwd=tmp_path)
+    assert (result.returncode, result.stderr) == (128 + TERM, said)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "count", "of"),
