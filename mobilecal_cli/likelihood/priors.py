@@ -30,6 +30,8 @@ class Priors:
             `scales`. The displacement keeps its mean along them, and its prior variance.
         alike: (P,) constants whose priors are made wider with those of their kind, see `wider`.
         wider: kind of constants → how many times as wide as stated their priors are.
+        bias: (P,) gradient that half the sum of squares is expected to have at the truth, see
+            `shrinking.expected_gradient`.
     """
 
     layout: Layout
@@ -41,6 +43,7 @@ class Priors:
     unobservable: FloatArray
     alike: BoolArray
     wider: Mapping[str, float]
+    bias: FloatArray | float = 0.0
 
     @classmethod
     def none(cls, layout: Layout, anchor: Parameters) -> Priors:
@@ -109,14 +112,14 @@ class Priors:
         return step
 
     def gradient(self, state: State) -> FloatArray:
-        """(P,) gradient of half the priors' sum of squares."""
-        out: FloatArray = self.weight * (self.displacement(state) - self.mean)
+        """(P,) gradient of half the priors' sum of squares, less the bias of the measurements'."""
+        out: FloatArray = self.weight * (self.displacement(state) - self.mean) - self.bias
         return out
 
     def cost(self, state: State) -> float:
-        """Sum of squares of the whitened deviations from the priors."""
+        """Sum of squares of the whitened deviations from the priors, less what the measurements' bias makes it."""
         off = self.displacement(state) - self.mean
-        return float(np.sum(self.weight * off**2))
+        return float(np.sum(self.weight * off**2 - 2 * self.bias * off))
 
     def considered(self, information: FloatArray, covariance: FloatArray) -> FloatArray:
         """(P, K) how the estimate is wrong if the unobservable directions are wrong by their prior sigmas.

@@ -20,6 +20,7 @@ from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
+from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import NINE, WHEEL_WORDS, Extraction, FloatArray, Noise, Parameters
 from mobilecal_cli.solvers import outliers
@@ -280,11 +281,11 @@ class Inference:
             user = self._user_weight(start.priors)
             unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
-            priors = self.priors(start.state, unobservable)
-            optimum = optimize(start.under(priors), near, self.on_step)
+            start = _unbiased(start.under(self.priors(start.state, unobservable)))
+            optimum = optimize(start, near, self.on_step)
             shown = directions(optimum.lin, user)
             again = self.priors(optimum.lin.state, unobservable)
-            still = bool(np.all(np.abs(again.mean - priors.mean)[priors.fixed] < _STILL))
+            still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
             if _same_space(shown.unobservable, unobservable) and still:
                 break
             start = optimum.lin.under(self.priors(optimum.lin.state))
@@ -430,6 +431,15 @@ class Inference:
             lin = lin.predicted(proposed(lin)[0])
             shown = components(lin)
         return lin, shown, noise
+
+
+def _unbiased(lin: Posterior) -> Posterior:
+    """The same point with the bias of the sum of squares, see `Priors`, at the optimum that the first order shows."""
+    try:
+        at_optimum = lin.predicted(proposed(lin)[0])
+        return lin.under(replace(lin.priors, bias=expected_gradient(at_optimum)))
+    except SolveError:
+        return lin
 
 
 def _past(lin: Posterior, jump: jumps.Jump) -> Posterior:
