@@ -27,7 +27,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import LENS_TERMS, lens_terms
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect
-from mobilecal_cli.likelihood.nuisance import Constant, kind
+from mobilecal_cli.likelihood.nuisance import PATTERNS, Constant, kind
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.likelihood.views import corner_residuals, whitened
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry, camera_words
@@ -53,12 +53,18 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     """
     if data.posed.all():
         return
-    images = _Images.of(data, rows)
+    lenses = list(_of_lenses(_Images.of(data, rows)))
+    yield from lenses
+    images = _Images.of(data, [*rows, *lenses])  # waves and displaced corners may look alike
     sigmas = np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
     for number, mode in enumerate(_modes(*images.informations(*images.by_places(sigmas))), 1):
         effect = BoardEffect(partial(_displaced, pattern=(mode * sigmas).reshape(-1, 3)))
         meaning = f"places of the corners, pattern {number}"
         yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind(_CORNERS).sigma)
+
+
+def _of_lenses(images: _Images) -> Iterator[Constant]:
+    data = images.data
     for camera, name in enumerate(data.cameras.names):
         if not data.seen[:, camera].any():
             continue
@@ -122,7 +128,8 @@ class _Images:
         plain = data.with_constants(in_images)
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
         state = State.without_errors(plain, *anywhere, np.zeros((data.stations, 3)))
-        known = np.array([(_WIDER * row.sigma) ** -2 for row in in_images])
+        wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
+        known = (np.array(wider) * [row.sigma for row in in_images]) ** -2
         images = cls(data, every, data.stations / len(every), np.zeros(0), np.zeros(0), known)
         J = images._in_units_of_noise(corner_residuals(plain, state, data.T_c_k[every], every)[1])
         return replace(images, J=J, G=np.einsum("nacmx,nbcmx->nab", J, J, optimize=True))
