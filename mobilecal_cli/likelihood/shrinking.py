@@ -1,4 +1,4 @@
-"""What the sum of squares says of the size of the world by itself: residuals in metres shrink with it."""
+"""What the sum of squares says of the size of the world by itself: residuals that are lengths shrink with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HEIGHT = LEVELS.index("floor_m")
 def expected_gradient(lin: Posterior) -> FloatArray:
     """(P,) gradient that half the sum of squares is expected to have at the true parameters.
 
-    If the whole world shrinks, the images stay; what the wheels miss by, in metres, and the heights of floor and sway
+    If the whole world shrinks, the images stay; what the wheels miss by and the heights of floor and sway
     shrink, and half their sum of squares falls, whatever the size of the world. The best values of the stations'
     unknowns make it least. In the likelihood of the other parameters alone, these integrated out, half the logarithm of
     the determinant of their information makes up for it (Laplace's approximation): its derivative is minus the number
