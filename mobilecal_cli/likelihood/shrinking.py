@@ -46,7 +46,8 @@ def _redundancy(lin: Posterior) -> float:
     height = marginal.innovations(processes.rho)[:, _HEIGHT, _HEIGHT] / processes.variance[:, _HEIGHT]
     sway = marginal.own[:, -1, -1] / lin.own_sigmas[:, -1] ** 2
     of_legs = np.einsum("lab,lba->", lin.leg_weight[:, :2], left[:, :, :2])
-    return float(of_legs + np.sum(1 - height) + np.sum(1 - sway[_swaying(lin)]))
+    left_over = float(of_legs + np.sum(1 - height) + np.sum(1 - sway[_swaying(lin)]))
+    return min(max(left_over, 0.0), 2.0 * (len(left) + len(height)))  # far from the optimum, rounding is all
 
 
 def _swaying(lin: Posterior) -> BoolArray:

@@ -218,10 +218,12 @@ def _jumps(part: str) -> tuple[str, str]:
 def jump(made: Calibration) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
 
-    One that moves the result by more than the limit makes it neither the old nor the new one. A recording that differs
-    makes the standard deviations wider, and only warns if all expected errors are within their limits all the same.
+    One that moves the result by more than the limit makes it neither the old nor the new one. One that moves it less
+    only warns, unless a noise level is beyond its limit: it is the likeliest cause. A recording that differs makes the
+    standard deviations wider, and only warns if all expected errors are within their limits all the same.
     """
     names, limit = station_names(made.extraction), 2.0
+    usual = all(check.outcome != "fail" for check in (*height_noise(made), *noise(made)))
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
@@ -240,7 +242,11 @@ def jump(made: Calibration) -> Iterator[Check]:
         lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
         if unused or change.station != first[change.log]:
-            when, then, harmless = f"at {station}", "Then record again.", False
+            when, then, harmless = (
+                f"at {station}",
+                "Then record again.",
+                usual and change.shift_sigmas < limit,
+            )
         else:
             when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."

@@ -88,14 +88,14 @@ def jumps_of(
 ) -> tuple[tuple[Jump, ...], Fit]:
     """Where something moved: the most significant jump, or else a stretch of outliers.
 
-    And the fit without what that jump explains: no evidence against the robot description.
+    And the fit without what a jump explains that moves the result: no evidence against the robot description.
     """
     significant, stretch = search(fit), longest_stretch(fit)
-    if significant is None and stretch is not None:
-        return (_unexplained(extraction, fit, stretch),), fit
-    if significant is None or significant[0].shift_sigmas < MATERIAL_SIGMAS:
-        return (), fit
+    if significant is None:
+        return (() if stretch is None else (_unexplained(extraction, fit, stretch),)), fit
     jump, without = significant
+    if jump.shift_sigmas < MATERIAL_SIGMAS:
+        without = fit
     value = jump.value
     turns = jump.part != "" and not jump.part.endswith("wheel")
     slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic

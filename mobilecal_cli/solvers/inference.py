@@ -334,14 +334,14 @@ class Inference:
         behind = self._behind_outliers(fit)
         if behind is not None or outliers.longest_stretch(fit) is not None:
             return behind
-        found = None
+        found, without = None, fit
         for _ in range(_MOST_JUMPS):
-            further = self._likeliest_jump(fit if found is None else found[1], fit)
+            further = self._likeliest_jump(without, fit)
             if further is None:
                 break
-            found = further
-            if found[0].shift_sigmas > MATERIAL_SIGMAS:
-                break
+            if further[0].shift_sigmas >= MATERIAL_SIGMAS:
+                return further
+            found, without = found or further, further[1]
         return found
 
     def _likeliest_jump(self, fit: Fit, written: Fit) -> tuple[jumps.Jump, Fit] | None:

@@ -18,7 +18,7 @@ _MAX_STEPS = 120
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
-_WHOLE_NS = 1e-5  # 0.003 standard deviations: stamps in motion are rounded to whole nanoseconds
+_HARDLY = 1e-3  # 0.03 standard deviations: a step that promises less and does not help ends it (stamps are whole ns)
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
 
 
@@ -102,7 +102,7 @@ def optimize(
             damping = damping / 10 if damping > 1e-9 and not converged else 0.0
         else:
             damping = max(damping * 10, 1e-6)
-            if damping > _LARGEST_DAMPING or gain < max(near, _WHOLE_NS):
+            if damping > _LARGEST_DAMPING or gain < max(near, _HARDLY):
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
     raise SolveError(

@@ -42,7 +42,7 @@ from mobilecal_cli.solvers.findings import (
     scale_of,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.inference import MATERIAL_SIGMAS, Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
@@ -364,7 +364,7 @@ def _diagnosis(
     A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
     that changed is not known, a reading may have stopped.
     """
-    parts = [jump.part for jump in solution.jumps]
+    parts = [jump.part for jump in solution.jumps if jump.shift_sigmas >= MATERIAL_SIGMAS]
     if "" in parts and not extraction.motions and search.interrupted is not None:
         return search.interrupted
     if not extraction.motions and _fits_badly(solution, extraction):
