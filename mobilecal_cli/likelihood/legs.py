@@ -54,12 +54,10 @@ class Legs:
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
-    errors, late_s = state.encoder_errors, clock_s(data, state, "wheels")
-    if np.any(late_s):
-        errors = errors + data.wheel_shift(late_s)
+    errors = state.encoder_errors
     if np.any(state.stamp_errors):
-        errors = errors + data.wheel_rates(late_s) * state.stamp_errors[:, None]
-    steps = data.steps().with_ends(-errors[i], errors[j])
+        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.stamp_errors[:, None]
+    steps = data.steps(clock_s(data, state, "wheels")).with_ends(-errors[i], errors[j])
     right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
     return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
 

@@ -19,7 +19,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 
-_WIDTH_NS = 40_000_000  # of the interval over which the motion of wheels is taken
+_RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 
@@ -207,43 +207,34 @@ class Measurements:
                 rates[mine, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
         return rates
 
-    def wheel_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
-        """(N, 2) rotation of the right and left wheel from each station's stamp to its stamp by another clock, rad."""
-        shift = np.zeros((self.stations, 2))
-        for number, track in enumerate(self.tracks):
-            mine = self.log == number
-            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
-            for k, wheel in enumerate((track.right, track.left)):
-                shift[mine, k] = wheel.mean(after, _WIDTH_NS) - wheel.mean(before, _WIDTH_NS)
-        return shift
-
     def wheel_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
         rates = np.zeros((self.stations, 2))
         for number, track in enumerate(self.tracks):
-            mine = (self.log == number) & self.moving
-            at = self.stamps_ns(time_offset_s)[mine]
+            mine = self.log == number
+            late, early = (
+                self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
+            )
             for k, wheel in enumerate((track.right, track.left)):
-                rates[mine, k] = (wheel.at(at + _WIDTH_NS // 2) - wheel.at(at - _WIDTH_NS // 2)) / (
-                    1e-9 * _WIDTH_NS
-                )
+                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
         return rates
 
     # -- legs -------------------------------------------------------------------------------------
 
     def steps(self, time_offset_s: FloatArray | float = 0.0) -> Increments:
-        """Wheel rotations of the legs, between the stations' stamps by another clock."""
-        steps = self._steps_as_stamped
+        """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
         if not (np.any(time_offset_s) and self.moving.any()):
-            return steps
-        shift, (i, j) = self.wheel_shift(time_offset_s), self.legs.T
-        return steps.with_ends(-shift[i], shift[j])
+            return self._steps_as_stamped
+        return self._cut(self.stamps_ns(time_offset_s))
 
     @cached_property
     def _steps_as_stamped(self) -> Increments:
+        return self._cut(self.times_ns)
+
+    def _cut(self, stamps_ns: IntArray) -> Increments:
         parts = []
         for number, track in enumerate(self.tracks):
-            times = self.times_ns[self.log == number]
+            times = stamps_ns[self.log == number]
             if len(times) > 1:
                 at = np.clip(times, track.time_ns[0], track.time_ns[-1])
                 parts.append(cut_at(track, at, rates=self.several_wheels))

@@ -18,8 +18,11 @@ _MAX_STEPS = 120
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
-_HARDLY = 1e-3  # 0.03 standard deviations: a step that promises less and does not help ends it (stamps are whole ns)
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
+# Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
+# for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
+# leaps, or where a step that promises less does not help.
+_KINKED, _LEAP = 1e-3, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +36,14 @@ class Optimum:
 
     lin: Posterior
     history: FloatArray
+
+
+def _stalls(history: list[float]) -> bool:
+    """Whether the last two steps gained little, and the last not much less than the one before."""
+    if len(history) < 3:
+        return False
+    before, last = history[-3] - history[-2], history[-2] - history[-1]
+    return last < _KINKED and last > _LEAP * before
 
 
 def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
@@ -99,10 +110,11 @@ def optimize(
             lin = trial
             history.append(lin.cost)
             converged |= len(history) > most_steps and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= _stalls(history)
             damping = damping / 10 if damping > 1e-9 and not converged else 0.0
         else:
             damping = max(damping * 10, 1e-6)
-            if damping > _LARGEST_DAMPING or gain < max(near, _HARDLY):
+            if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
     raise SolveError(
