@@ -136,9 +136,9 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
 
 
 def _do(question: Path, answer: Path) -> None:
-    task, given = pickle.loads(question.read_bytes())
+    packed = question.read_bytes()
     question.unlink()
-    answer.write_bytes(pickle.dumps(task(*given), pickle.HIGHEST_PROTOCOL))
+    answer.write_bytes(pickle.dumps(_unpacked(packed), pickle.HIGHEST_PROTOCOL))
 
 
 class Processes(ExitStack):

@@ -324,9 +324,13 @@ class CameraEffect(Effect):
         of = slice(None) if self.camera is None else self.camera
         getattr(change, self.of)[of, ..., : len(self.along)] += value * np.array(self.along)
 
+    def concerns(self, camera: int) -> bool:
+        """Whether the pixels of a camera depend on this."""
+        return self.camera in (None, camera)
+
     def pixels(self, sight: Sight) -> FloatArray | None:
         """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
-        if self.camera not in (None, sight.camera):
+        if not self.concerns(sight.camera):
             return None
         return _BY[self.of](sight, np.array(self.along))
 

@@ -326,11 +326,11 @@ def _measured(
 
 def _columns_of(data: Dataset, camera: int) -> IntArray:
     """Those of (delta, direct constants) that move the corners in a camera: not the constants of others."""
-    of_others = [
-        isinstance(row.effect, CameraEffect) and row.effect.camera not in (None, camera)
+    concerned = [
+        not isinstance(row.effect, CameraEffect) or row.effect.concerns(camera)
         for _, row in data.layout.direct
     ]
-    return np.flatnonzero(np.append(np.ones(6, dtype=np.bool_), np.logical_not(of_others)))
+    return np.flatnonzero(np.append(np.ones(6, dtype=np.bool_), concerned))
 
 
 def _measured_poses(

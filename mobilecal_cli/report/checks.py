@@ -241,16 +241,16 @@ def jump(made: Calibration) -> Iterator[Check]:
         rest = f" Around this time, {' and '.join(unused)} do not fit the others, and are not used."
         lost = rest if unused else ""
         station = f"station {names[change.station]} ({at_s:.1f} s)"
+        small = usual and change.shift_sigmas < limit
         if unused or change.station != first[change.log]:
-            when, then, harmless = (
-                f"at {station}",
-                "Then record again.",
-                usual and change.shift_sigmas < limit,
-            )
+            when, then, harmless = f"at {station}", "Then record again.", small
         else:
             when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
-            harmless = all(use.within for use in uses(made.solution, made.gates))
+            harmless = small or all(use.within for use in uses(made.solution, made.gates))
+        if small:
+            lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
+            then = "Do so before the next recording."
         yield Check(
             "jump", change.shift_sigmas if math.isfinite(change.shift_sigmas) else None, limit,
             "warning" if harmless else "fail",

@@ -245,7 +245,8 @@ class Search:
             alone = self.extraction.of_log(log)
             diagnosis = Search(alone).diagnosis if len(alone.observations) > FEWEST_LEGS else None
             if diagnosis is not None:
-                return replace(diagnosis, cause=f"recording {log + 1} of {logs}: {diagnosis.cause}")
+                cause = f"recording {log + 1} of {logs}: {diagnosis.cause}"
+                return replace(diagnosis, cause=cause, cure=f"{diagnosis.cure}, for this recording only")
         return None
 
     @cached_property

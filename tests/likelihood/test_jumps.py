@@ -1,5 +1,6 @@
 """Jumps inside a recording: found with part and station, and not mistaken for one bad station."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -77,7 +78,11 @@ def moved_board(request):
 def test_a_moved_board_is_no_mistake_of_a_result_that_is_right(moved_board):
     """The leg across it is rejected: what the board moved beside the base, along the floor, does not show."""
     extraction, robot = moved_board
-    run = judged(solve(extraction), extraction, robot)
+    solution = solve(extraction)
+    run = judged(solution, extraction, robot)
+    (check,) = (check for check in judge(solution, extraction).checks if check.id == "jump")
+    assert check.outcome == "warning"
+    assert re.search(r"the board moved by .* That moves the result by [01]\.\d+ sigma only\.", check.why)
     assert np.all(np.abs(run.error) < 3 * run.std)
     assert (run.level, {jump.part for jump in run.jumps}) == ("PASS", {"board"})
 

@@ -233,6 +233,7 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     spoilt = wheels(meaning.times(-1), same)(second)
     found = Search(joined(recorded, spoilt)).diagnosis
     assert "recording 2 of 2: the right wheel's encoder has the wrong sign" in found.cause
+    assert found.cure == "negate wheels.right.sign in rig.yaml, for this recording only"
 
 
 def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
