@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -18,7 +19,7 @@ _NO_REDUNDANCY = 1e-6
 _JACKKNIFE_SCATTER = 3.6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Influence:
     """One kind of measurement in units whose noise is independent: stations, or legs.
 
@@ -26,17 +27,22 @@ class Influence:
         by_unit: (n, P, m) derivative of the shared parameters by each unit's m whitened residuals.
         residual: (n, m) those residuals.
         leverage: (n, m, m) each unit's block of the hat matrix.
-        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
+        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity;
+            None where it is all of it.
     """
 
     by_unit: FloatArray
     residual: FloatArray
     leverage: FloatArray
-    parts: Mapping[str, FloatArray]
+    parts: Mapping[str, FloatArray | None]
 
-    def covariance(self, level: str) -> FloatArray:
-        """(P, P) covariance of the shared parameters due to one noise level, if it is correct."""
-        return _summed(self.by_unit @ self.parts[level], self.by_unit)
+    @cached_property
+    def covariances(self) -> Mapping[str, FloatArray]:
+        """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
+        shares = {
+            level: self.by_unit if part is None else self.by_unit @ part for level, part in self.parts.items()
+        }
+        return {level: _summed(share, self.by_unit) for level, share in shares.items()}
 
     @property
     def spread(self) -> FloatArray:
@@ -68,7 +74,7 @@ def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def influences(lin: Posterior) -> Iterator[Influence]:
     """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
-    yield _of_images(lin)
+    yield from _of_images(lin)
     data, marginal = lin.data, lin.marginals
     errors, sigma = lin.own_errors, lin.own_sigmas
     joints = data.joints.shape[1]
@@ -76,7 +82,7 @@ def influences(lin: Posterior) -> Iterator[Influence]:
     per_sigma[:, :joints] *= lin.inliers.readings
     per_sigma[:, joints:] *= data.drives[:, None]
     for columns, parts in (
-        (slice(0, joints), {"joint_rad": np.eye(joints)}),
+        (slice(0, joints), {"joint_rad": None}),
         (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
     ):
         at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
@@ -90,13 +96,13 @@ def influences(lin: Posterior) -> Iterator[Influence]:
     base[:, ENCODERS] = np.eye(2) / lin.encoder_sigmas[:, None]
     leverage = np.eye(2) * (marginal.encoders / lin.encoder_sigmas**2)[:, None]
     off = lin.state.encoder_errors / lin.encoder_sigmas
-    yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": np.eye(2)})
+    yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": None})
     if data.base_width > STAMP:
         base = np.zeros((data.stations, data.base_width, 1))
         base[:, STAMP] = 1 / lin.noise.stamp_s
         leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
         off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
-        yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": np.eye(1)})
+        yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": None})
 
 
 def _onto(lin: Posterior, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
@@ -106,22 +112,28 @@ def _onto(lin: Posterior, base: FloatArray | None = None, own: FloatArray | None
     return influence
 
 
-def _of_images(lin: Posterior) -> Influence:
-    views = lin.views
-    root, inverse = _roots(views.information)
-    of_poses = views.by_base, views.by_own, views.by_board
-    base, own, board = (np.swapaxes(part, 1, 2) @ root[:, :6] for part in of_poses)
-    shared = np.swapaxes(views.onto_shared(np.swapaxes(root, 1, 2)), 1, 2)
-    onto = lin.normal.onto_shared(np.arange(lin.data.stations), base, own, board, shared)
-    return Influence(
-        lin.conditional_covariance @ onto,
-        (inverse @ views.gradient[..., None])[..., 0],
-        np.swapaxes(root, 1, 2) @ lin.marginals.images() @ root,
-        {
-            "pixel_px": ~lin.data.posed[:, None, None] * np.eye(root.shape[2]),
-            "pose_scale": lin.data.posed[:, None, None] * np.eye(root.shape[2]),
-        },
-    )
+def _of_images(lin: Posterior) -> Iterator[Influence]:
+    """Of corners, and of measured poses."""
+    views, C = lin.views, lin.conditional_covariance
+    leverage = lin.marginals.images()
+    for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
+        stations = np.flatnonzero(of_kind)
+        if not len(stations):
+            continue
+        root, inverse = _roots(views.information[stations])
+        transposed = np.swapaxes(root, 1, 2)
+        base, own, board = (
+            np.swapaxes(part[stations], 1, 2) @ root[:, :6]
+            for part in (views.by_base, views.by_own, views.by_board)
+        )
+        shared = np.swapaxes(views.by_shared[stations], 1, 2) @ root[:, :6]
+        shared[:, views.direct] += root[:, 6:]
+        yield Influence(
+            C @ lin.normal.onto_shared(stations, base, own, board, shared),
+            (inverse @ views.gradient[stations, :, None])[..., 0],
+            transposed @ leverage[stations] @ root,
+            {level: None},
+        )
 
 
 def _of_processes(lin: Posterior) -> Influence:
@@ -172,8 +184,8 @@ def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatA
     C, layout = lin.conditional_covariance, lin.data.layout
     result: dict[str, FloatArray] = {}
     for influence in moved_by:
-        for level in influence.parts:
-            result[level] = result.get(level, 0.0) + influence.covariance(level)
+        for level, covariance in influence.covariances.items():
+            result[level] = result.get(level, 0.0) + covariance
     for k, name in enumerate(layout.names):
         if lin.priors.weight[k]:
             result[f"prior {name}"] = lin.priors.weight[k] * np.outer(C[:, k], C[:, k])

@@ -27,7 +27,6 @@ from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 _FEWEST_EACH_SIDE = 3  # stations before and after a change
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
-_LASTING = 0.25  # of chi-squared
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
 
@@ -106,13 +105,23 @@ class _Test:
         self._C = lin.conditional_covariance
         self._leg_shared = lin.legs.by_shared
 
-    def terms(self, part: _Part, moments: IntArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """For a jump before each of some stations: gradient (m,) by the jump, and its information (m, m)."""
+    def terms(
+        self, part: _Part, stations: IntArray, lasting: bool = True
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """For a step before each of some stations: gradient (m,) by the step, and its information (m, m).
+
+        Args:
+            part: what changes.
+            stations: indices of the first stations after it.
+            lasting: to the end of the recording; else at this station alone, or in the leg that ends there.
+        """
         lin, count = self._lin, self._lin.data.stations
         P, B = lin.data.layout.size, lin.data.base_width
         gradient, own, base, start, board, shared = self._by_station(part)
         m = gradient.shape[1]
-        after = np.stack([_after(lin, first) for first in moments.tolist()]).astype(np.float64)
+        after = np.zeros((len(stations), count))
+        for row, first in zip(after, stations.tolist(), strict=True):
+            row[_after(lin, first) if lasting else first] = 1.0
         gradients, owns, boards, shares = (
             np.tensordot(after, each, 1) for each in (gradient, own, board, shared)
         )
@@ -122,7 +131,7 @@ class _Test:
         coupled = after[:, :, None, None] * base + of_leg[:, :, None, None] * start
         flat = np.moveaxis(coupled, 0, 2).reshape(count * B, -1)
         solved = cho_solve_banded((self._normal.factor, True), flat, check_finite=False)
-        normal, logs = self._normal, lin.data.log[moments]
+        normal, logs = self._normal, lin.data.log[stations]
         for k, log in enumerate(logs.tolist()):
             at, mine = flat[:, k * m : (k + 1) * m], lin.data.log == log
             rows = np.repeat(mine, B)
@@ -196,6 +205,22 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
 
 
+def scatter(lin: Posterior, jump: Jump) -> float:
+    """How many times as far a part is off at single stations, or in single legs, as the noise levels say; in variance.
+
+    The mean of the score tests of the part at some stations alone, over its expectation. At least 1.
+
+    Args:
+        lin: the point without the residuals of the jump.
+        jump: of the part.
+    """
+    stations = np.unique(lin.data.legs[lin.inliers.legs, 1])
+    stations = stations[lin.inliers.views[stations]][:: max(1, len(stations) // _MOST_MOMENTS)]
+    single = _Test(lin).terms(dict(_parts(lin))[jump.part], stations, lasting=False)
+    chi2, dof = np.sum([_score(*each)[:2] for each in single], axis=0)
+    return max(1.0, float(chi2 / dof)) if dof else 1.0
+
+
 def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump) -> float:
     """How far a jump moves the nine parameters that are written, or is itself in their units: see `Jump`.
 
@@ -255,24 +280,30 @@ def _significance(chi2: float, dof: int, tried: int) -> float:
     return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
 
 
-def significance(lin: Posterior, jump: Jump) -> float:
+def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
     """`Jump.sigmas` by an F test, as a jump may itself have made the noise levels without it small.
 
     With n residuals that the levels rest on, the score of a jump of m numbers is S at levels with its residuals, and
     chi2 = S / (1 - S / n) at those without. Both show n; S / n has Beta's distribution with m / 2 and (n - m) / 2.
 
+    A part that is off at single stations by more than the levels say, has to jump further by as much.
+
     Args:
-        lin: the optimum whose noise levels rest on the residuals of the jump, too.
+        optimum: the one whose noise levels rest on the residuals of the jump, too.
+        lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
-    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
+    ((gradient, information),) = _Test(optimum).terms(
+        dict(_parts(optimum))[jump.part], np.array([jump.station])
+    )
     score, dof, _ = _score(gradient, information)
+    chi2 = jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
-        return jump.sigmas
+        return _significance(chi2, jump.dof, jump.tried)
     residuals = 1 / (1 / score - 1 / jump.chi2)
     if residuals <= dof:
         return 0.0
-    chance = float(betainc((residuals - dof) / 2, dof / 2, score / jump.chi2))
+    chance = float(betainc((residuals - dof) / 2, dof / 2, 1 / (1 + chi2 / residuals)))
     return from_chance(min(1.0, chance * jump.tried))
 
 
@@ -325,18 +356,16 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:
-    """Whether a jump is more than a misfit of the one station behind it: a step a station later explains much of it.
+    """Whether a jump explains more than a deviation of one station, or leg, next to it does.
 
     Args:
-        lin: the point at which the jump was tested, without its residuals.
-        jump: from `again`.
+        lin: the optimum with its residuals.
+        jump: from `likeliest` there.
     """
-    later = jump.station + 1
-    if later >= lin.data.stations:
-        return False
-    lin = without(lin, replace(jump, value=-jump.value))
-    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([later]))
-    return _score(gradient, information)[0] > _LASTING * jump.chi2
+    beside = np.arange(jump.station - _FEWEST_EACH_SIDE, jump.station + _FEWEST_EACH_SIDE)
+    beside = np.intersect1d(beside, lin.data.legs[:, 1])
+    single = _Test(lin).terms(dict(_parts(lin))[jump.part], beside, lasting=False)
+    return max(_score(*each)[0] for each in single) < jump.chi2
 
 
 def _best(test: _Test, name: str, part: _Part, moments: Sequence[int]) -> tuple[float, Jump] | None:

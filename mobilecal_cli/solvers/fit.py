@@ -104,11 +104,11 @@ class Fit:
         considered, pooled = self.lin.considered, self.pooled_covariance
         covariance = self.lin.covariance.copy() if pooled is None else pooled + considered @ considered.T
         for influence in self.influences:
-            for level in influence.parts:
+            for level, share in influence.covariances.items():
                 component = self.components.get(level)
                 if component is not None and level not in self.given:
                     alike = self.components.get(_ALIKE.get(level, ""))
                     redundancy = component.redundancy + (alike.redundancy if alike else 0.0)
                     rests_on = redundancy + guess_worth(redundancy)
-                    covariance += influence.covariance(level) * 2 / max(rests_on - 2, _GUESS_FREEDOM)
+                    covariance += share * 2 / max(rests_on - 2, _GUESS_FREEDOM)
         return covariance

@@ -44,7 +44,7 @@ NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the ba
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
-JUMP_SIGMAS, _CANDIDATE_SIGMAS = 2.7, 0.5
+JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 MATERIAL_SIGMAS = 2.0  # a jump that moves the result by less is none that matters: a pair that warms up
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
@@ -363,8 +363,8 @@ class Inference:
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
             noise = lin.noise
-        jump = replace(jump, sigmas=jumps.significance(fit.lin, jump))
-        if jump.sigmas < JUMP_SIGMAS or not jumps.lasts(lin, jump):
+        jump = replace(jump, sigmas=jumps.significance(fit.lin, lin, jump))
+        if jump.sigmas < JUMP_SIGMAS or not jumps.lasts(optimum, ranked[0]):
             return None
         points = [(jump, lin)]
         for other in jumps.alike(ranked):
@@ -393,14 +393,14 @@ class Inference:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
-            if not ranked or not ranked[0].part.endswith("wheel"):
+            if not ranked or not ranked[0].part.endswith("wheel") or not jumps.lasts(lin, ranked[0]):
                 return None
-            lin, jump = _past(lin, ranked[0]), ranked[0]
-            jump, without = _sized(fit, jumps.again(lin, jump), lin), replace(fit, lin=lin)
+            lin = _past(lin, ranked[0])
+            jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
         explained = outliers.restored(was, without, agreeing=True)[self.data.log[jump.station]]
-        return (jump, without) if explained >= _SEVERAL and jumps.lasts(lin, jump) else None
+        return (jump, without) if explained >= _SEVERAL else None
 
     def _levels_near(
         self,

@@ -128,6 +128,28 @@ def test_nothing_jumps_nor_one_station_that_does_not_fit(whole):
     assert solve(whole).jumps == ()
 
 
+@pytest.mark.parametrize("late_s", [0.005, 0.014])
+def test_a_late_camera_is_no_camera_that_moved(late_s):
+    """Images at sudden changes of speed are off by themselves, as the rates around their stamps are means."""
+    case = Case(motion="moving", images=80, fixed={"time_right": late_s}, noise=USUAL)
+    solution = solve(case.extraction(0))
+    assert solution.jumps == ()
+    assert solution.constants["time_right"].value == pytest.approx(late_s, abs=5e-4)
+
+
+def test_a_camera_that_shakes_has_to_move_further(whole):
+    """Each right image is displaced by itself: by 0.2 px, where 54 corners of 0.1 px show 0.014 px."""
+    random, shaken = np.random.default_rng(3), []
+    for o in whole.observations:
+        off = o.views[1].pixels + 0.2 * random.normal(size=2)
+        shaken.append(with_views(o, right=replace(o.views[1], pixels=off)))
+    inference = Inference.of(replace(whole, observations=tuple(shaken)), Constraints())
+    fit = robust_fit(inference)
+    jump = next(jump for jump in jumps.likeliest(fit.lin) if jump.part == "right camera")
+    assert jumps.scatter(fit.lin, jump) > 2
+    assert inference.jump(fit) is None
+
+
 def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole):
     """A wheel that is not read for a while: the board of rejected images is nowhere near the camera's view."""
 
