@@ -384,22 +384,25 @@ def prior(made: Calibration) -> Iterator[Check]:
 
 @criterion(Metric("contradiction", "sigma"), gated=False, section="description")
 def contradiction(made: Calibration) -> Iterator[Check]:
-    """The stated values that the data contradict; those that the result depends on fail."""
+    """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
     solution, shift_limit = made.solution, 2.0
+    some_fail = any(evidence.shift_sigmas > shift_limit for evidence in solution.contradictions)
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for evidence in solution.contradictions:
         what, cure = contradiction_sentences(evidence, solution, made.extraction)
         wider = widths.get(nuisance.family(evidence.kind), 1.0)
+        is_cause = some_fail and nuisance.kind(evidence.kind).unit == "s"
         yield Check(
             f"contradiction.{evidence.kind}.{evidence.part}",
             evidence.sigmas,
             _CONTRADICTION_SIGMAS,
-            "fail" if evidence.shift_sigmas > shift_limit else "warning",
+            "fail" if evidence.shift_sigmas > shift_limit or is_cause else "warning",
             f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}",
             f"{evidence.sigmas:.1f} sigma from the stated values",
             f"at most {_CONTRADICTION_SIGMAS:g} sigma",
             f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
-            + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else ""),
+            + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else "")
+            + (" Other stated values that differ may follow from it." if is_cause else ""),
             cure,
         )
 

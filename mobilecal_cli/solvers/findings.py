@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.nuisance import PATTERNS
+from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
     EstimatedConstant,
@@ -34,9 +34,10 @@ _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsisten
 
 
 def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
-    """Stated constants that the data contradict: those with a prior of the user, then the strongest first.
+    """Stated constants that the data contradict: those with a prior of the user, then times, then the strongest first.
 
-    Where the data contradict a kind as a whole, but leave open which part is wrong, it is the likeliest part.
+    Images that are taken at other times make all else look wrong, too. Where the data contradict a kind as a whole, but
+    leave open which part is wrong, it is the likeliest part.
     """
     strongest = {(e.kind, e.part): e for e in evidence(fit.lin)}
     for whole in evidence(fit.lin, parts=False):
@@ -46,7 +47,10 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
             strongest[worst.kind, worst.part] = replace(worst, chi2=whole.chi2, sigmas=whole.sigmas)
     priors = fit.lin.priors
     by_user = {name for name, alike in zip(fit.data.layout.names, priors.alike, strict=True) if not alike}
-    ranked = sorted(strongest.values(), key=lambda e: (by_user.isdisjoint(e.values), -e.sigmas))
+    ranked = sorted(
+        strongest.values(),
+        key=lambda e: (by_user.isdisjoint(e.values), kind(e.kind).unit != "s", -e.sigmas),
+    )
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 

@@ -137,6 +137,15 @@ def test_a_late_camera_is_no_camera_that_moved(late_s):
     assert solution.constants["time_right"].value == pytest.approx(late_s, abs=5e-4)
 
 
+def test_a_camera_that_is_a_frame_late_is_the_cause_of_all_else():
+    case = Case(motion="moving", images=80, fixed={"time_right": 0.033}, noise=USUAL)
+    extraction = case.extraction(0)
+    verdict = judge(solve(extraction), extraction)
+    assert verdict.level == "FAIL"
+    assert re.match(r"Right camera: delay against the left camera differs by \+3[23]\.\d+ ± ", verdict.reason)
+    assert verdict.next_step.startswith("Trigger both cameras together, or stop for images, and record again.")
+
+
 def test_a_camera_that_shakes_has_to_move_further(whole):
     """Each right image is displaced by itself: by 0.2 px, where 54 corners of 0.1 px show 0.014 px."""
     random, shaken = np.random.default_rng(3), []
