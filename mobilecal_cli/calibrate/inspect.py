@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
+from mobilecal_cli.calibrate.extract import describe, refuse_equal_files
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
@@ -38,7 +38,7 @@ from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, Motion
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
-from mobilecal_cli.rig.resolve import complete_rig, stereo_layout
+from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
 #: At most so much of a recording is decompressed for the motion.
@@ -107,25 +107,22 @@ def inspect(
             findings.miss("gates", error)
         rig, survey, board, motion, covered = None, None, None, None, None
         try:
-            description, survey = describe(recording, config, read_urdf(config))
+            survey = describe(recording, config)
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:
             findings.missing += [lack_of(part, error) for part, error in survey.lacks]
         elif survey is not None:
-            rig, rig_notes = complete_rig(survey, config)
-            findings.notes += rig_notes
+            rig = complete_rig(survey)
+            findings.notes += survey.notes
             progress("motion", 0, None)
-            findings.weak += _wrong_chain(config, rig, description)
+            findings.weak += _wrong_chain(config, rig, survey.description)
             findings.add_gaps("priors", rig, _without_priors(rig, config))
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings)
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            layout, square_m = stereo_layout(config), config.board.square_m
-            board, lacks, limits = sample_board(
-                recording, survey.images, layout, survey.cameras, board_of(config), square_m
-            )
+            board, lacks, limits = sample_board(recording, survey)
             findings.missing += lacks
             findings.weak += limits
         return Inspection(

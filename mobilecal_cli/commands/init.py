@@ -74,23 +74,20 @@ def draft(
     from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
-    from mobilecal_cli.rig.config import RigConfig, read_urdf
+    from mobilecal_cli.rig.config import RigConfig
     from mobilecal_cli.rig.draft import draft_rig
 
     config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
-    text = read_urdf(config)
     with open_recording(logs) as recording:
         progress("topics", 0, None)
-        description, survey = describe(recording, config, text, joints_too=True)
+        survey = describe(recording, config, joints_too=True)
         board = None
         if survey.images is not None:
             progress("images", 0, None)
-            board, *_ = sample_board(recording, survey.images, "separate", survey.cameras, None)
+            board, *_ = sample_board(recording, survey)
         made = draft_rig(
-            description,
+            survey,
             logs[0].name,
-            survey=survey,
-            urdf_text=text,
             urdf_path=None if urdf is None else os.path.relpath(urdf, beside or Path()),
             board=board,
         )

@@ -27,7 +27,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
-from mobilecal_cli.model import FloatArray, WheelGeometry
+from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -181,6 +181,11 @@ class CamerasConfig(_Section):
     def named(self) -> dict[str, CameraTopics]:
         """The cameras with other names than left and right."""
         return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def layout(self) -> StereoLayout:
+        """Arrangement of the two images of a pair."""
+        return "separate" if self.both is None else self.both.layout
 
     def of(self, name: str) -> CameraTopics:
         """What is configured of a camera."""

@@ -42,10 +42,11 @@ from mobilecal_cli.rig.config import (
     RigConfig,
     WheelsConfig,
     WheelsNominal,
+    read_urdf,
 )
 from mobilecal_cli.rig.head import pan_and_tilt
 from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
-from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
+from mobilecal_cli.rig.resolve import Part, Survey
 from mobilecal_cli.rig.settings import pose_settings
 from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
 
@@ -176,27 +177,19 @@ def _listing(title: str, names: Iterable[str]) -> str:
 
 
 def draft_rig(
-    description: RobotDescription,
-    log_name: str,
-    *,
-    survey: Survey | None = None,
-    urdf_text: str | None = None,
-    urdf_path: str | None = None,
-    board: BoardView | None = None,
+    survey: Survey, log_name: str, urdf_path: str | None = None, board: BoardView | None = None
 ) -> Draft:
     """Draft of a rig.yaml.
 
     Where names, images or readings allow two answers, the user is asked.
 
     Args:
-        `description`: topics and first messages of the recording.
+        survey: of the recording, with no more configured than the URDF to use in place of the one in the recording.
         log_name: shown in the first line.
-        survey: of the recording without a configuration, if there is one already.
-        urdf_text: text of the URDF to use in place of the one in the recording.
-        urdf_path: its path, as it is written to the file.
+        urdf_path: path of that URDF, as it is written to the file.
         board: the board in some images.
     """
-    survey = survey or survey_rig(RigConfig(), description, urdf_text)
+    description = survey.description
     draft = Draft(survey, () if survey.head is None else survey.head.notes)
     draft.lines += [
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
@@ -205,7 +198,7 @@ def draft_rig(
         "schema_version: 1",
         "",
     ]
-    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
+    text = read_urdf(survey.config) or next((text for _, text in sorted(description.urdfs.items())), None)
     urdf = None if text is None else _tried(lambda: parse_urdf(text))
     for write in (
         partial(_board, draft, board),
