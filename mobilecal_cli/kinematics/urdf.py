@@ -92,6 +92,13 @@ class Urdf:
             link = above[link].parent
         return tuple(reversed(path))
 
+    def position_m(self, base: str, tip: str) -> FloatArray:
+        """Origin of a link in the coordinates of one above it, with all joints at zero, (3,) m; raises as `path`."""
+        T = np.eye(4)
+        for joint in self.path(base, tip):
+            T = T @ joint.T_parent_child
+        return T[:3, 3]
+
 
 def _checked(joint: UrdfJoint) -> UrdfJoint:
     """The joint itself, if a real robot can have it.
@@ -185,16 +192,24 @@ def parse_urdf(text: str) -> Urdf:
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 
-def chain_links(
-    path: tuple[UrdfJoint, ...], joints: Mapping[str, UrdfJoint]
-) -> tuple[FixedLink | JointLink, ...]:
-    """Links of a `HeadChain` for a path of URDF joints.
+def head_chain(
+    urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
+) -> HeadChain:
+    """Kinematic chain from v to a head link.
+
+    Args:
+        urdf: the robot.
+        base, head: link names.
+        pan, tilt: joint names.
+        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None if they are equal.
 
     Raises:
         ConfigError: an unsupported kind of joint (floating, planar), or an invalid mimic.
     """
     links: list[FixedLink | JointLink] = []
-    for joint in path:
+    if T_base_v is not None:
+        links.append(FixedLink(se3.inverse(T_base_v)))
+    for joint in urdf.path(base, head):
         if not np.array_equal(joint.T_parent_child, np.eye(4)):
             links.append(FixedLink(joint.T_parent_child))
         if joint.kind == "fixed":
@@ -206,45 +221,13 @@ def chain_links(
                 "set head.base_frame to a link below it",
             )
         read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
-        if read not in joints:
+        if read not in urdf.joints:
             raise ConfigError(
                 f"URDF: joint {joint.name!r} mimics {read!r}, which does not exist", "correct the URDF"
             )
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         links.append(JointLink(read, joint.axis, kind, multiplier, offset))  # type: ignore[arg-type]
-    return tuple(links)
-
-
-def head_chain(
-    urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
-) -> HeadChain:
-    """Kinematic chain from v to a head link.
-
-    Args:
-        urdf: the robot.
-        base, head: link names.
-        pan, tilt: joint names.
-        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None if they are equal.
-    """
-    links = chain_links(urdf.path(base, head), urdf.joints)
-    if T_base_v is not None:
-        links = (FixedLink(se3.inverse(T_base_v)), *links)
-    return HeadChain(base, head, links, pan, tilt)
-
-
-def wheel_centres(urdf: Urdf, base: str, left: str, right: str) -> tuple[FloatArray, FloatArray]:
-    """Centers of the left and right wheel in base coordinates, (3,) each, m, for the names of their joints.
-
-    Raises:
-        ConfigError: the link of a wheel is not connected to the base.
-    """
-    centres = []
-    for name in (left, right):
-        T = np.eye(4)
-        for joint in urdf.path(base, urdf.joints[name].child):
-            T = T @ joint.T_parent_child
-        centres.append(T[:3, 3])
-    return centres[0], centres[1]
+    return HeadChain(base, head, tuple(links), pan, tilt)
 
 
 def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:

@@ -43,7 +43,8 @@ from mobilecal_cli.rig.names import (
 )
 from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
 
-_MIDWAY_M = 1e-6
+#: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
+_MIDWAY_M, _AHEAD_DEG = 1e-6, 1e-4
 #: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
 _STILL_RAD, _STILL_M = 2e-3, 5e-4
 #: A transform that deviates by more from the motion of a joint is not a joint.
@@ -194,28 +195,24 @@ def _chain_from_urdf(
     differs, the offset is computed from the origins of the wheel joints.
     """
     wheels = urdf_wheels(urdf, sources)
-    if len(wheels) < 2:
-        return head_chain(urdf, base, head, pan, tilt), []
-    T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
-    notes = []
-    moving = [
-        joint.name
-        for joint in urdf.path(base, urdf.joints[wheels["left"][0]].parent)
-        if joint.kind != "fixed"
-    ]
-    if moving:  # as on a robot that steers its axle
-        notes.append(
-            f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
-            "calibrated, with these joints at zero."
-        )
-    shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
-    if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
-        return head_chain(urdf, base, head, pan, tilt), notes
-    note = (
-        f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
-        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
-    )
-    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
+    T_offset, notes = None, []
+    if len(wheels) == 2:
+        T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
+        shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
+        if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:
+            T_offset = T_base_v
+            notes.append(
+                f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
+                f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
+            )
+        axle = urdf.path(base, urdf.joints[wheels["left"][0]].parent)
+        moving = [joint.name for joint in axle if joint.kind != "fixed"]
+        if moving:  # as on a robot that steers its axle
+            notes.append(
+                f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive "
+                "is calibrated, with these joints at zero."
+            )
+    return head_chain(urdf, base, head, pan, tilt, T_offset), notes
 
 
 def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
+from mobilecal_cli.kinematics.urdf import Urdf
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import (
     ODOMETRY,
@@ -345,12 +345,15 @@ def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, t
 def side_centres(
     urdf: Urdf, base: str, wheels: Mapping[Side, Sequence[str]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean center of the left and of the right wheels in base coordinates, (3,) each, m."""
-    pairs = [
-        wheel_centres(urdf, base, left, right)
-        for left, right in zip(wheels["left"], wheels["right"], strict=True)
-    ]
-    left, right = (np.mean(centres, axis=0) for centres in zip(*pairs, strict=True))
+    """Mean center of the left and of the right wheels in base coordinates, (3,) each, m.
+
+    Raises:
+        ConfigError: the link of a wheel is not connected to the base.
+    """
+    centres = {
+        side: [urdf.position_m(base, urdf.joints[name].child) for name in wheels[side]] for side in SIDES
+    }
+    left, right = (np.mean(centres[side], axis=0) for side in SIDES)
     return left, right
 
 
