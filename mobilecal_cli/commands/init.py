@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
+from mobilecal_cli.commands.options import Force, Logs, Quiet, path_option, written_line
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 def init(
     logs: Logs,
     output: Annotated[
-        Path, typer.Option("--output", "-o", readable=False, help="File to write; - for standard output.")
+        Path, path_option("--output", "-o", help="File to write; - for standard output.")
     ] = Path("rig.yaml"),
     urdf: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="URDF of the robot. [default: robot_description in the recording]"),
+        Path | None, path_option(help="URDF of the robot. [default: robot_description in the recording]")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
