@@ -287,29 +287,44 @@ class DetectionWorkers(Processes):
         if not self.started and processes > 1:
             self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
-    def detect_segments(
-        self, rig: Rig, board: Board, segments: Sequence[Segment], count: Callable[[int], None]
-    ) -> list[StationDetections]:
-        """`detect_segment` for all segments; `count` receives the number of images processed since its last call."""
+    def detect_all(
+        self, rig: Rig, board: Board, plans: Sequence[Plan], thorough: bool, progress: Progress
+    ) -> list[list[StationDetections]]:
+        """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
+
+        A few segments are processed without the workers. For `thorough`, see `vision.detect`.
+        """
+        segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
+        shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
+        total = sum(len(shot.taken_ns) for shot in shots)
+        searched = 0
+
+        def count(images: int) -> None:
+            nonlocal searched
+            searched += images
+            progress("detecting the board", searched, total)
+
         detections: list[StationDetections] = []
         waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
         done, ahead = 0, iter(segments)
-        self.call(len(segments) // 2)
-        while self.started and 1 < len(segments) > done:
-            try:
-                for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
-                    waiting.append(self.submit(_detect, rig, board, segment))
-                detected, damage = waiting.popleft()()
-            except FAILED:
-                break
-            for note in damage:
-                self._recording.note(note)
-            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
-            detections += detected
-            done += 1
-        for segment in segments[done:]:
-            detections += detect_segment(self._recording, rig, board, segment, count)
-        return detections
+        with _one_thread():
+            self.call(len(segments) // 2)
+            while self.started and 1 < len(segments) > done:
+                try:
+                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
+                        waiting.append(self.submit(_detect, rig, board, segment))
+                    detected, damage = waiting.popleft()()
+                except FAILED:
+                    break
+                for note in damage:
+                    self._recording.note(note)
+                count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+                detections += detected
+                done += 1
+            for segment in segments[done:]:
+                detections += detect_segment(self._recording, rig, board, segment, count)
+        in_order = iter(detections)
+        return [list(islice(in_order, len(plan.stations))) for plan in plans]
 
     def measure_stations(
         self,
@@ -330,31 +345,3 @@ class DetectionWorkers(Processes):
                 ]
                 return [measured for result in results for measured in result()]
         return measure_stations(log, cameras, board, stations, detections)
-
-
-def detect_all(
-    workers: DetectionWorkers,
-    rig: Rig,
-    board: Board,
-    plans: Sequence[Plan],
-    thorough: bool,
-    progress: Progress,
-) -> list[list[StationDetections]]:
-    """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
-
-    A few segments are processed without the workers. For `thorough`, see `vision.detect`.
-    """
-    segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
-    shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
-    total = sum(len(shot.taken_ns) for shot in shots)
-    done = 0
-
-    def count(images: int) -> None:
-        nonlocal done
-        done += images
-        progress("detecting the board", done, total)
-
-    with _one_thread():
-        detections = workers.detect_segments(rig, board, segments, count)
-    in_order = iter(detections)
-    return [list(islice(in_order, len(plan.stations))) for plan in plans]

@@ -16,7 +16,6 @@ from mobilecal_cli.calibrate.detect import (
     DetectionWorkers,
     StationDetections,
     board_size,
-    detect_all,
     first_pairs,
     undecodable,
 )
@@ -147,7 +146,7 @@ def _extracted(
                 "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    detected = detect_all(workers, rig, board, plans, not everything, progress)
+    detected = workers.detect_all(rig, board, plans, not everything, progress)
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
