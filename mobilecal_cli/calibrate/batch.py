@@ -239,8 +239,7 @@ def run_job(job: FleetJob) -> FleetRow:
             report, _ = calibrate(
                 job.logs,
                 job.output / job.name,
-                config_path=job.config,
-                flags=job.flags,
+                config=load_rig(job.config, job.flags),
                 gates=job.gates,
                 force=force,
             )

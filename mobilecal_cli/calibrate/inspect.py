@@ -36,7 +36,7 @@ from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
-from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
@@ -76,10 +76,7 @@ class _Findings:
 
 
 def inspect(
-    logs: Sequence[Path],
-    config_path: Path | None = None,
-    flags: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
+    logs: Sequence[Path], config: RigConfig = UNCONFIGURED, progress: Progress = silent
 ) -> Inspection:
     """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
 
@@ -88,15 +85,13 @@ def inspect(
 
     Args:
         logs: parts of one recording.
-        config_path: rig.yaml.
-        flags: dotted key → value, over the file.
+        config: rig.yaml with the flags that override it.
         progress: receives the progress.
 
     Raises:
         RecordingError: the recording cannot be opened.
-        ConfigError: the configuration cannot be read.
+        ConfigError: the URDF that the configuration names cannot be read.
     """
-    config = load_rig(config_path, flags)
     findings = _Findings()
     with open_recording(logs) as recording:
         progress("topics", 0, None)
@@ -169,9 +164,10 @@ def check(
     """`inspect`, with an invalid configuration and an unreadable recording among the problems found."""
     about = "rig.yaml"
     try:
-        read_urdf(load_rig(config_path, flags))
+        config = load_rig(config_path, flags)
+        read_urdf(config)
         about = "recording"
-        return inspect(logs, config_path, flags, progress)
+        return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
         return Inspection(str(logs[0]), missing=(lack_of(about, error),))
 

@@ -48,7 +48,7 @@ from mobilecal_cli.report.plots import draw_all, path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
 from mobilecal_cli.report.verdict import Case, gates_of, judge, reasons_of
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
@@ -419,15 +419,12 @@ def default_output(log: Path) -> Path:
     return Path(f"{name}_calibration")
 
 
-def suggest(
-    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
-) -> Advice:
+def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent) -> Advice:
     """What limits the result, its cures from the cheapest on, and additional stops that improve it by 5 % or more.
 
     Raises:
         MobilecalError: see `errors`.
     """
-    config = load_rig(config_path, flags)
     extraction, _ = load(logs, config, progress)
     solution = fitted(extraction, progress=progress).solution
     return advice_on(solution, extraction, config.gates)
@@ -437,8 +434,7 @@ def calibrate(
     logs: Sequence[Path],
     output: Path | None = None,
     *,
-    config_path: Path | None = None,
-    flags: Mapping[str, Any] | None = None,
+    config: RigConfig = UNCONFIGURED,
     method: Method = "ml",
     constraints: Constraints | None = None,
     gates: Sequence[str] = (),
@@ -456,8 +452,7 @@ def calibrate(
     Args:
         logs: recordings of one robot, or one extraction.npz.
         output: directory to write; `<log name>_calibration` by default.
-        config_path: rig.yaml.
-        flags: dotted key → value, overriding the file.
+        config: rig.yaml with the flags that override it.
         method: see `solvers.solve`.
         constraints: fixed parameters, priors and additional parameters; for the method "ml".
         gates: `NAME=LIMIT`, overriding those of the file.
@@ -471,11 +466,9 @@ def calibrate(
     Raises:
         MobilecalError: see `errors`; nothing is written then.
     """
-    settings = [key for key, value in (flags or {}).items() if value is not None]
-    check_options(method, constraints or Constraints(), hold_out, settings)
+    check_options(method, constraints or Constraints(), hold_out, config.flags)
     directory = output if output is not None else default_output(logs[0])
     check_output(directory, force)
-    config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)

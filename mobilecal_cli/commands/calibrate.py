@@ -99,6 +99,7 @@ def calibrate(
     from mobilecal_cli.export import append_text, check_appendable, write_file
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
+    from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.solvers import constraints_of
 
     began_s = time.perf_counter()
@@ -111,13 +112,13 @@ def calibrate(
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
         given = {"board.square_m": square_m, "stations": stations}
         flags |= {key: value for key, value in given.items() if value is not None}
+        rig = load_rig(config, flags)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
             report, directory = steps.calibrate(
                 logs,
                 output,
-                config_path=config,
-                flags=flags,
+                config=rig,
                 method=method,
                 constraints=constraints,
                 gates=gate or [],

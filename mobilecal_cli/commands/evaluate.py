@@ -48,6 +48,7 @@ def evaluate(
     from mobilecal_cli.export import write_file
     from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.rig.config import load_rig
 
     *logs, params = files
     if not logs:
@@ -61,8 +62,7 @@ def evaluate(
                 logs,
                 params,
                 before=before,
-                config_path=config,
-                flags=options.flags_of(setting),
+                config=load_rig(config, options.flags_of(setting)),
                 gates=gate or [],
                 progress=progress,
             )

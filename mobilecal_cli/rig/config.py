@@ -429,7 +429,7 @@ class RigConfig(_Section):
         description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",
     )
     _path: Path | None = PrivateAttr(None)
-    _flags: frozenset[str] = PrivateAttr(frozenset())
+    _flags: tuple[str, ...] = PrivateAttr(())
 
     @property
     def path(self) -> Path | None:
@@ -437,8 +437,8 @@ class RigConfig(_Section):
         return self._path
 
     @property
-    def flags(self) -> frozenset[str]:
-        """Dotted keys that flags gave."""
+    def flags(self) -> tuple[str, ...]:
+        """Dotted keys that flags gave, in their order."""
         return self._flags
 
     def source_of(self, key: str) -> Literal["flag", "file"] | None:
@@ -451,6 +451,10 @@ class RigConfig(_Section):
                 return None
             value = getattr(value, part)
         return "file"
+
+
+#: Everything is left to the recording and the defaults.
+UNCONFIGURED = RigConfig()
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
@@ -478,7 +482,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
-    rig._path, rig._flags = path, frozenset(given)
+    rig._path, rig._flags = path, tuple(given)
     return rig
 
 

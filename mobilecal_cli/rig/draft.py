@@ -33,13 +33,13 @@ from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
     TODO,
+    UNCONFIGURED,
     BoardConfig,
     CamerasConfig,
     HeadConfig,
     HeadEyeNominal,
     JointFieldConfig,
     NoiseConfig,
-    RigConfig,
     WheelsConfig,
     WheelsNominal,
     read_urdf,
@@ -297,7 +297,7 @@ def _cameras(draft: Draft, description: RobotDescription) -> None:
     present = (topic.name for topic in description.topics if topic.type in IMAGES)
     draft.lines.append(_listing("image topics in the recording", present))
     if images is None:
-        named = named_cameras(RigConfig(), description)
+        named = named_cameras(UNCONFIGURED, description)
         several = ["cameras:", *(f"  {name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())]
         draft.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
         return
@@ -410,7 +410,7 @@ def _joints(draft: Draft, description: RobotDescription) -> None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), names)) or ("", "")
+        pan, tilt = _tried(lambda: pan_and_tilt(UNCONFIGURED, names)) or ("", "")
     only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
     keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}

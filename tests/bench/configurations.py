@@ -22,6 +22,7 @@ from mobilecal_cli.calibrate.steps import Fit, calibrate
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.scenario import Scenario
@@ -77,7 +78,7 @@ def recordings() -> None:
             simulate(Scenario(robot="this", container=container, seed=cameras), log)
             cells = [cameras, chain, wheels, container]
             try:
-                report, _ = calibrate([log], Path(folder) / "result", flags=flags)
+                report, _ = calibrate([log], Path(folder) / "result", config=load_rig(None, flags))
             except MobilecalError as error:
                 line(*cells, error.message, "", "")
                 continue

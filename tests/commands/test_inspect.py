@@ -9,6 +9,7 @@ import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run
 from tests.commands.edited import edited
@@ -150,7 +151,7 @@ def black_images(topic, message):
 
 def test_the_square_beside_the_stated_one(sample_logs):
     log = [sample_logs / "paper_robot.mcap"]
-    found = inspect.inspect(log, flags={"board.square_m": 0.0801})
+    found = inspect.inspect(log, load_rig(None, {"board.square_m": 0.0801}))
     assert found.board.square_m == pytest.approx(0.08, rel=0.002)
     assert ", 80.10 mm stated" in inspection_text(found)
     assert found.exit_code == 0
