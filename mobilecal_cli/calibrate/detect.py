@@ -1,4 +1,4 @@
-"""Board detection and measurement per station, in segments that limit the number of images in memory."""
+"""The stations of a recording; board detection and measurement at them, in segments that limit the images in memory."""
 
 from __future__ import annotations
 
@@ -16,9 +16,19 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Board, CameraRig, GrayImage, PictureIndex, Rejection, Rig, Shot, Station
-from mobilecal_cli.readers import Recording, open_recording, read_images
-from mobilecal_cli.stations import Plan, images_of
+from mobilecal_cli.model import (
+    Board,
+    CameraInfo,
+    CameraRig,
+    GrayImage,
+    PictureIndex,
+    Rejection,
+    Rig,
+    Shot,
+    Station,
+)
+from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
+from mobilecal_cli.stations import Plan, images_of, plan_stations
 from mobilecal_cli.vision import (
     BoardFollower,
     Detection,
@@ -90,6 +100,27 @@ class Segment:
     images: Mapping[str, PictureIndex]
     shown: frozenset[int]
     thorough: bool
+
+
+def plan_recording(
+    recording: Recording, rig: Rig, everything: bool = False
+) -> tuple[tuple[Plan, ...], Mapping[str, CameraInfo], tuple[str, ...]]:
+    """Choose the stations of a recording by one pass over joints, wheels and times of images.
+
+    `everything` as for `plan_stations`.
+
+    Returns:
+        The stations of each log (one, or one for each piece between steps of the recording's clocks), its
+        `Signals.infos`, and notes on irregularities.
+
+    Raises:
+        RecordingError: see `read_signals` and `plan_stations`.
+    """
+    logs = read_signals(recording, rig.sources, rig.chain.joints)
+    plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
+    noted = (*(signals.notes for signals in logs), *(plan.notes for plan in plans))
+    notes = [note for each in noted for note in each]
+    return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
 
 def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:

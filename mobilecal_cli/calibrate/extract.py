@@ -17,10 +17,10 @@ from mobilecal_cli.calibrate.detect import (
     StationDetections,
     board_size,
     first_pairs,
+    plan_recording,
     undecodable,
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
-from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
@@ -333,6 +333,12 @@ _SAME_SHARE = 0.9  # of the readings while both were recorded
 _LEAST_OVERLAP = 0.05  # of the shorter recording
 _SAME_VALUE = 1e-9  # rad, m or px
 _HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
+
+
+def size_bytes(log: Path) -> int:
+    """Size of a recording, a file or a directory; 0 if it does not exist."""
+    files = log.rglob("*") if log.is_dir() else [log]
+    return sum(path.stat().st_size for path in files if path.is_file())
 
 
 def refuse_equal_files(logs: Sequence[LogSource]) -> None:

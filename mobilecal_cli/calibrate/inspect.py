@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.extract import describe, refuse_equal_files
+from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
@@ -123,7 +123,7 @@ def inspect(
         return Inspection(
             name=recording.name,
             containers=recording.containers,
-            size_bytes=_size_bytes(logs),
+            size_bytes=sum(map(size_bytes, logs)),
             start_ns=recording.start_ns,
             end_ns=recording.end_ns,
             topics=tuple(_topic(recording, info, times.get(info.name)) for info in recording.topics),
@@ -147,7 +147,7 @@ def recordings(logs: Sequence[Path]) -> list[list[Path]]:
         ConfigError: two paths have the same content.
     """
     try:
-        sizes = [_size_bytes([log]) for log in logs]
+        sizes = list(map(size_bytes, logs))
         equal = [log for log, size in zip(logs, sizes, strict=True) if size and sizes.count(size) > 1]
         refuse_equal_files([LogSource(str(log), sha256_of(log)) for log in equal])
         return join_splits(logs)
@@ -170,11 +170,6 @@ def check(
         return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
         return Inspection(str(logs[0]), missing=(lack_of(about, error),))
-
-
-def _size_bytes(logs: Sequence[Path]) -> int:
-    files = [p for log in logs for p in (log.rglob("*") if log.is_dir() else [log])]
-    return sum(p.stat().st_size for p in files if p.is_file())
 
 
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:

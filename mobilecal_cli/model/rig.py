@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -552,8 +552,7 @@ class KnownNoise:
     @property
     def given(self) -> dict[str, float]:
         """Name → value of those that are given."""
-        levels = {level.name: getattr(self, level.name) for level in fields(self)}
-        return {name: value for name, value in levels.items() if value is not None}
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

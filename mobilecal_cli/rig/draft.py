@@ -122,7 +122,10 @@ class Draft:
     def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
         """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
         self.filled.append(Filled(key, text if value is None else value, source))
-        line = f"  {key.partition('.')[2]}: {text}"
+        section, _, name = key.partition(".")
+        if f"{section}:" not in self.lines:
+            self.lines.append(f"{section}:")
+        line = f"  {name}: {text}"
         both = f"{line}  # {source}"
         self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
 
@@ -247,7 +250,6 @@ def _board(draft: Draft, board: BoardView | None) -> None:
         return
     columns, rows = board.size
     source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
-    draft.lines.append("board:")
     draft.fill("board.columns", str(columns), source)
     draft.fill("board.rows", str(rows), source)
     _square(draft, board)
@@ -301,7 +303,6 @@ def _cameras(draft: Draft, description: RobotDescription) -> None:
         several = ["cameras:", *(f"  {name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())]
         draft.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
         return
-    draft.lines.append("cameras:")
     for name, image in images.items():
         info = infos.get(name)
         value = image if info is None else f"{image}, {info}"
@@ -319,8 +320,6 @@ def _wheels(draft: Draft, description: RobotDescription) -> None:
     )
     sources, counted = draft.survey.wheels, counters(description.numbers)
     whole = tick_counters(counted)
-    if sources is not None or (len(counted) == 1 and whole):
-        draft.lines.append("wheels:")
     if sources is not None and sources["left"].assumed:
         topic = sources["left"].topic
         why = "recording: no wheels, and the only odometry that is named as theirs"
@@ -414,8 +413,6 @@ def _joints(draft: Draft, description: RobotDescription) -> None:
     only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
     keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}
-    if keys:
-        draft.lines.append("joints:")
     for key, value in keys.items():
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
         draft.fill(f"joints.{key}", _quoted(value), source, value)
@@ -434,7 +431,6 @@ def _head(draft: Draft, urdf_path: str | None) -> None:
         draft.ask_for("head chain", "head", *_example("head", HeadConfig))
         return
     chain, source = head.chain, "the given URDF" if urdf_path else head.origin
-    draft.lines.append("head:")
     if urdf_path is not None:
         draft.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
     draft.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)

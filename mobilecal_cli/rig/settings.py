@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     FixedLink,
     FloatArray,
     HeadChain,
+    JointLink,
     Nominal,
     Rig,
     Side,
@@ -43,22 +44,12 @@ def pose_settings(T: FloatArray) -> dict[str, Any]:
     }
 
 
-def _chain(chain: HeadChain) -> list[dict[str, Any]]:
-    links: list[dict[str, Any]] = []
-    for link in chain.links:
-        if isinstance(link, FixedLink):
-            links.append(
-                {
-                    "xyz_m": _numbers(link.T_parent_child[:3, 3]),
-                    "rpy_rad": _numbers(se3.to_rpy(link.T_parent_child[:3, :3])),
-                }
-            )
-            continue
-        joint: dict[str, Any] = {"joint": link.joint, "axis": _numbers(link.axis)}
-        if link.kind == "prismatic":
-            joint["kind"] = link.kind
-        links.append(joint)
-    return links
+def _link(link: FixedLink | JointLink) -> dict[str, Any]:
+    if isinstance(link, FixedLink):
+        T = link.T_parent_child
+        return {"xyz_m": _numbers(T[:3, 3]), "rpy_rad": _numbers(se3.to_rpy(T[:3, :3]))}
+    kind = {"kind": link.kind} if link.kind == "prismatic" else {}
+    return {"joint": link.joint, "axis": _numbers(link.axis), **kind}
 
 
 def _camera(rig: Rig, name: str) -> dict[str, Any]:
@@ -121,7 +112,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         "head": {
             "base_frame": rig.chain.base_frame,
             "head_frame": rig.chain.head_frame,
-            "chain": _chain(rig.chain),
+            "chain": [_link(link) for link in rig.chain.links],
         },
         "setting_sources": dict(rig.setting_sources),
     }

@@ -29,9 +29,7 @@ from mobilecal_cli.rig.names import (
     counters,
     is_wheel,
     joint_state_names,
-    other_drive,
     require_topic,
-    steered,
     tick_counters,
     wheel_place,
     wheel_sets,
@@ -64,6 +62,15 @@ _NOT_WHEELS = {
     "optitrack", "optical",
 }  # fmt: skip
 _OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
+#: Words of joints that steer wheels, except those of casters.
+_STEERING, _CASTERS = {"steer", "steering"}, {"caster", "castor", "casters", "castors"}
+#: Drives that are no differential drive, by the words of their topics, types and joints.
+_OTHER_DRIVES = {
+    "ackermann": "Ackermann",
+    "mecanum": "mecanum",
+    "omni": "omnidirectional",
+    "swerve": "swerve",
+}
 
 
 def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
@@ -169,8 +176,12 @@ def _refuse_other_drives(description: RobotDescription) -> None:
     Raises:
         RecordingError: naming the joints or the drive.
     """
-    joints = steered(joint_state_names(description))
-    drive, what = other_drive(description), f"; joints that steer: {listed(joints)}" if joints else ""
+    names = joint_state_names(description)
+    joints = [name for name in names if _STEERING & {*words(name)} and not _CASTERS & {*words(name)}]
+    names += [name for topic in description.topics for name in (topic.name, topic.type)]
+    present = {word for name in names for word in words(name)}
+    drive = next((drive for word, drive in _OTHER_DRIVES.items() if word in present), "")
+    what = f"; joints that steer: {listed(joints)}" if joints else ""
     if drive or joints:
         raise RecordingError(
             f"the names in the recording are those of {drive or 'a steered'} drive{what}: "

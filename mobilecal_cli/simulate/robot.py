@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal
+from typing import Final, Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -30,6 +30,10 @@ from mobilecal_cli.model import (
 WIDTH, HEIGHT = 640, 480
 _WHEELBASE_M = 0.262
 BASELINE_M = 0.12
+JOINT_RATE_HZ = 50  # of the joint states, and of ticks and odometry
+JOINT_NOISE_RAD = np.radians(0.01)  # sigma of one joint reading
+TICKS_PER_REVOLUTION = 4096  # of a wheel's tick counter
+TICK_BITS: Final = 16  # of its messages, so that it wraps
 
 
 def stereo_infos(
@@ -162,9 +166,6 @@ class SimulatedRobot:
             only as the odometry of a driver with the nominal wheels.
         slip: relative change of the effective separation with the turning rate, s/rad; `wheels` has that of a turn in
             place.
-        ticks_per_revolution, tick_bits: of the tick counters.
-        joint_noise_rad: sigma of one joint reading, rad.
-        joint_rate_hz: rate of the joint states (and ticks), Hz.
         mounted: other cameras than a stereo pair: name → pose in the first one, (4, 4) m.
     """
 
@@ -176,13 +177,9 @@ class SimulatedRobot:
     nominal_wheels: WheelGeometry
     pan: str = ""
     tilt: str = ""
-    encoder_step_rad: float = 2 * np.pi / 4096
+    encoder_step_rad: float = 2 * np.pi / TICKS_PER_REVOLUTION
     wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
     slip: float = 0.0
-    ticks_per_revolution: int = 4096
-    tick_bits: Literal[8, 16, 32, 64] = 16
-    joint_noise_rad: float = np.radians(0.01)
-    joint_rate_hz: int = 50
     mounted: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
@@ -249,8 +246,7 @@ class SimulatedRobot:
 
     def _wheel_source(self, side: Side) -> WheelSource:
         if self.wheel_signal == "ticks":
-            per_turn = float(self.ticks_per_revolution)
-            return WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
+            return WheelSource(f"/wheel_ticks/{side}", None, "data", float(TICKS_PER_REVOLUTION), TICK_BITS)
         if self.wheel_signal == "odometry":
             return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
         first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])

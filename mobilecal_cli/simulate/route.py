@@ -19,7 +19,9 @@ from mobilecal_cli.model import Board, FloatArray, WheelGeometry
 from mobilecal_cli.simulate.robot import OPTICAL, SimulatedRobot, pixels, pose
 from mobilecal_cli.targets import Motion
 
-_STRAIGHT_RADPS = 1e-12
+#: The board in front of a simulated robot.
+CHECKERBOARD = Board(9, 6, 0.08)
+_STRAIGHT_RADPS = 1e-12  # of turns that make no difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +371,7 @@ def plan_route(
     robot: SimulatedRobot,
     motion: Motion = "standard",
     stations: int = 12,
-    board: Board | None = None,
+    board: Board = CHECKERBOARD,
     seed: int = 0,
 ) -> Route:
     """Plan a route that keeps the board in view.
@@ -377,13 +379,13 @@ def plan_route(
     Args:
         motion: "standard", a motion with unobservable parameters, or "moving", which never rests.
         stations: number of stops; a moving route takes three seconds per station.
-        board: 9x6 corners with squares of 80 mm by default.
+        board: with known square size.
         seed: of all random choices.
 
     Raises:
         ConfigError: the board cannot be kept in view.
     """
-    planner = Planner(robot, board or Board(9, 6, 0.08), np.random.default_rng([seed, 1]))
+    planner = Planner(robot, board, np.random.default_rng([seed, 1]))
     if motion == "moving":
         return plan_moving(planner, 3.0 * stations)
     for _ in range(_LARGE_TURN_PLANS):

@@ -24,7 +24,7 @@ from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
-from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.robot import ROBOTS, TICKS_PER_REVOLUTION, SimulatedRobot
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.imperfect import (
     AS_PRINTED,
@@ -88,7 +88,7 @@ def recordings() -> None:
 
 
 def _counted(robot: SimulatedRobot) -> dict[str, object]:
-    return {f"wheels.{side}.ticks_per_revolution": robot.ticks_per_revolution for side in ("left", "right")}
+    return {f"wheels.{side}.ticks_per_revolution": TICKS_PER_REVOLUTION for side in ("left", "right")}
 
 
 def _placed(robot: SimulatedRobot, name: str) -> dict[str, object]:

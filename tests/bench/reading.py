@@ -49,8 +49,7 @@ def decode_alone(path: Path, workers: int) -> float:
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.calibrate.detect import DetectionWorkers, measure_stations
-    from mobilecal_cli.calibrate.plan import plan_recording
+    from mobilecal_cli.calibrate.detect import DetectionWorkers, measure_stations, plan_recording
     from mobilecal_cli.model import Board
     from mobilecal_cli.readers import open_recording, read_description
     from mobilecal_cli.rig.config import load_rig

@@ -18,7 +18,7 @@ from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.command import run
+from tests.command import run, succeeded
 from tests.export.test_improved import fitted_cameras
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
 from tests.truth import nees
@@ -57,13 +57,11 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_pa
     assert params["head_eye"]["child_frame"] == "camera_color_optical_frame"
     assert params["head_eye"]["parent_frame"] == "base_link"
     for target in ("camera_info", "foxglove", "json", "static_transform_yaml"):
-        made = run("export", written / "params.yaml", "--to", target, "--output", tmp_path / target)
-        assert made.code == 0, made.err
+        succeeded("export", written / "params.yaml", "--to", target, "--output", tmp_path / target)
     left = ("--to", "camera_info_left", "--output", tmp_path / "left")
     refused = run("export", written / "params.yaml", *left)
     assert (refused.code, "no camera 'left'" in refused.err) == (2, True)
-    again = run("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
-    assert again.code == 0
+    succeeded("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
     # The height of the camera, which no motion shows, is not compared.
     judged = run("evaluate", rgbd, written / "params.yaml", "--set", "board.square_m=0.08")
     assert (judged.code, "camera position" in judged.out) == (0, True)
@@ -103,8 +101,7 @@ def test_one_camera_needs_the_squares(rgbd):
     assert done.code == 2
     assert "does not show the size of the board's squares" in " ".join(done.err.split())
     assert "board: {square_m: 0.08}" in " ".join(done.err.split())
-    looked = run("inspect", rgbd, "--set", "board.square_m=0.08")
-    assert looked.code == 0
+    looked = succeeded("inspect", rgbd, "--set", "board.square_m=0.08")
     assert "left" not in re.sub("left wheel_left|left wheel|wheel_left|rotation: left", "", looked.out)
 
 

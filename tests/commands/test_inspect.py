@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
-from tests.command import run
+from tests.command import run, succeeded
 from tests.commands.edited import edited
 from tests.golden import assert_golden
 from tests.readers import recordings as r
@@ -52,8 +52,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
     assert_golden(text.out, "inspect")
     config = sample_logs / "tick_robot.rig.yaml"
-    made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
-    assert made.code == 0, made.err
+    made = succeeded("inspect", log, "--config", config, "--json", cwd=tmp_path)
     data = json.loads(made.out)
     assert data["missing"] == []
     assert data["exit_code"] == 0
