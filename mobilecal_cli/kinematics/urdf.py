@@ -114,7 +114,7 @@ def _checked(joint: UrdfJoint) -> UrdfJoint:
     return joint
 
 
-def _numbers(text: str, count: int, where: str) -> FloatArray:
+def _parsed_floats(text: str, count: int, where: str) -> FloatArray:
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
@@ -139,11 +139,13 @@ def _joint(element: Element) -> UrdfJoint:
     T = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
-        rpy = _numbers(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
-        T = se3.transform(se3.from_rpy(rpy), _numbers(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz"))
+        rpy = _parsed_floats(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
+        T = se3.transform(
+            se3.from_rpy(rpy), _parsed_floats(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz")
+        )
     axis_element = element.find("axis")
     axis_text = axis_element.get("xyz", _AXIS_DEFAULT) if axis_element is not None else _AXIS_DEFAULT
-    axis = _numbers(axis_text, 3, f"{where}, axis")
+    axis = _parsed_floats(axis_text, 3, f"{where}, axis")
     kind = element.get("type", "")
     if kind not in ("fixed", "floating") and math.hypot(*axis) < 1e-9:
         raise ConfigError(f"URDF: {where}: its axis has zero length", "correct the URDF")
@@ -152,8 +154,8 @@ def _joint(element: Element) -> UrdfJoint:
     if mimic_element is not None:
         mimic = (
             mimic_element.get("joint", ""),
-            float(_numbers(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
-            float(_numbers(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
+            float(_parsed_floats(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
+            float(_parsed_floats(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
         )
     length = math.hypot(*axis)
     return UrdfJoint(name, kind, ends["parent"], ends["child"], T, axis / length if length else axis, mimic)
@@ -188,7 +190,7 @@ def parse_urdf(text: str) -> Urdf:
             cylinder = link.find(f"{kind}/geometry/cylinder")
             if cylinder is not None and link.get("name") not in radii:
                 where = f"link {link.get('name')!r}, cylinder radius"
-                radii[link.get("name", "")] = float(_numbers(cylinder.get("radius", ""), 1, where)[0])
+                radii[link.get("name", "")] = float(_parsed_floats(cylinder.get("radius", ""), 1, where)[0])
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 

@@ -32,24 +32,24 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal
 
 
-def _numbers(array: FloatArray) -> list[float]:
+def _floats(array: FloatArray) -> list[float]:
     return [float(value) + 0.0 for value in array]
 
 
 def pose_settings(T: FloatArray) -> dict[str, Any]:
     """A pose as rig.yaml states it."""
     return {
-        "translation_m": _numbers(T[:3, 3]),
-        "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
+        "translation_m": _floats(T[:3, 3]),
+        "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3])),
     }
 
 
 def _link(link: FixedLink | JointLink) -> dict[str, Any]:
     if isinstance(link, FixedLink):
         T = link.T_parent_child
-        return {"xyz_m": _numbers(T[:3, 3]), "rpy_rad": _numbers(se3.to_rpy(T[:3, :3]))}
+        return {"xyz_m": _floats(T[:3, 3]), "rpy_rad": _floats(se3.to_rpy(T[:3, :3]))}
     kind = {"kind": link.kind} if link.kind == "prismatic" else {}
-    return {"joint": link.joint, "axis": _numbers(link.axis), **kind}
+    return {"joint": link.joint, "axis": _floats(link.axis), **kind}
 
 
 def _camera(rig: Rig, name: str) -> dict[str, Any]:

@@ -85,11 +85,11 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.parts}
     sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
     if len(sources) < len(SIDES):
-        found = _found(config, description)
-        if found is None:
+        by_name = _wheels_by_name(config, description)
+        if by_name is None:
             sources = _odometry(config, description, _odometry_topic(description)) | sources
         else:
-            sources = {side: _source(side, wheel, description) for side, wheel in found.items()} | sources
+            sources = {side: _source(side, wheel, description) for side, wheel in by_name.items()} | sources
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
@@ -151,7 +151,7 @@ def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, .
     return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
 
 
-def _found(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
+def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
     """The configuration completed by wheels that are found by names; None if there are none."""
     _refuse_other_drives(description)
     sets = _wheel_joints(description)

@@ -39,8 +39,8 @@ from mobilecal_cli.simulate.scenario import (
 )
 from mobilecal_cli.targets import Container
 
-START_NS = 1_700_000_000_000_000_000
-_JPEG_QUALITY = 92
+START_NS = 1_700_000_000_000_000_000  # begin of each recording, since 1970
+_JPEG_QUALITY = 92  # percent, as of usual drivers
 _OWN_SLIP = 0.001  # of one of several wheels of a side, rad per sqrt(rad)
 _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
 

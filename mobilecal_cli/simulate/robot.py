@@ -27,9 +27,9 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 
-WIDTH, HEIGHT = 640, 480
-_WHEELBASE_M = 0.262
-BASELINE_M = 0.12
+WIDTH, HEIGHT = 640, 480  # of the images, px
+_WHEELBASE_M = 0.262  # between front and rear wheels of four
+BASELINE_M = 0.12  # of the stereo pairs
 JOINT_RATE_HZ = 50  # of the joint states, and of ticks and odometry
 JOINT_NOISE_RAD = np.radians(0.01)  # sigma of one joint reading
 TICKS_PER_REVOLUTION = 4096  # of a wheel's tick counter
@@ -381,7 +381,7 @@ ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
 }
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _quoted(values: Iterable[float]) -> str:
     return quoteattr(" ".join(repr(float(value)) for value in values))
 
 
@@ -395,11 +395,11 @@ def urdf_text(robot: SimulatedRobot) -> str:
             f"  <link name={quoteattr(joint.link)}/>",
             f"  <joint name={quoteattr(joint.name or joint.link + '_fixed')} type={quoteattr(kind)}>",
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(joint.link)}/>",
-            f"    <origin xyz={_numbers(joint.xyz_m)} rpy={_numbers(joint.rpy_rad)}/>",
+            f"    <origin xyz={_quoted(joint.xyz_m)} rpy={_quoted(joint.rpy_rad)}/>",
         ]
         if joint.name:
-            limit = _numbers([joint.limit_rad])
-            lines.append(f"    <axis xyz={_numbers(joint.axis)}/>")
+            limit = _quoted([joint.limit_rad])
+            lines.append(f"    <axis xyz={_quoted(joint.axis)}/>")
             lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
         lines.append("  </joint>")
         parent = joint.link
@@ -410,7 +410,7 @@ def urdf_text(robot: SimulatedRobot) -> str:
             f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
             '  <joint name="camera_fixed" type="fixed">',
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(robot.infos[0].frame_id)}/>",
-            f"    <origin xyz={_numbers(T[:3, 3])} rpy={_numbers(rpy)}/>",
+            f"    <origin xyz={_quoted(T[:3, 3])} rpy={_quoted(rpy)}/>",
             "  </joint>",
         ]
     wheels = robot.nominal_wheels
@@ -425,7 +425,7 @@ def urdf_text(robot: SimulatedRobot) -> str:
                 f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
                 f'  <joint name="{name}" type="continuous">',
                 f'    <parent link="base_link"/><child link="{link}"/>',
-                f'    <origin xyz={_numbers((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
+                f'    <origin xyz={_quoted((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
                 "  </joint>",
             ]
     return "\n".join([*lines, "</robot>"]) + "\n"

@@ -119,16 +119,15 @@ def base_in_world(poses: FloatArray) -> FloatArray:
     return T
 
 
-REST_S = 1.2
-_SPEED_MPS = 0.3
-#: Rate of turns in place.
-TURN_RADPS = 0.7
-_MARGIN_PX = 22.0
-_SMALLEST_SQUARE_PX = 11.0
-_NEAREST_M, _FARTHEST_M = 1.05, 2.5
-_TRIES = 4000
+REST_S = 1.2  # at a stop: enough for what finds rests
+_SPEED_MPS = 0.3  # of drives between stops, as indoors
+TURN_RADPS = 0.7  # of turns in place
+_MARGIN_PX = 22.0  # around the board in the images, which the detection needs
+_SMALLEST_SQUARE_PX = 11.0  # the detection needs 7
+_NEAREST_M, _FARTHEST_M = 1.05, 2.5  # a stop from the board's center
+_TRIES = 4000  # random legs before a route is given up
 _LARGE_TURN_PLANS = 40  # about a third of the plans contain no large turn
-_KNOT_S = 1.0
+_KNOT_S = 1.0  # between changes of motion on a moving route
 
 
 @dataclass(frozen=True, slots=True, eq=False)
