@@ -98,10 +98,7 @@ def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | Mobile
             return solve(extraction)
         except SolveError:
             rig = extraction.rig
-            nominal = Nominal(
-                robot.T_parent_child if rig.nominal.T_h_reference is None else rig.nominal.T_h_reference,
-                rig.nominal.wheels or robot.wheels,
-            )
+            nominal = rig.nominal.over(Nominal(robot.T_parent_child, robot.wheels))
             return solve(replace(extraction, rig=replace(rig, nominal=nominal)))
     except MobilecalError as error:
         return error

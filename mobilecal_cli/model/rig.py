@@ -530,6 +530,11 @@ class Nominal(ReadOnly):
     T_h_reference: Annotated[FloatArray, 4, 4] | None = None
     wheels: WheelGeometry | None = None
 
+    def over(self, other: Nominal) -> Nominal:
+        """These values, and those of the other where there are none."""
+        T = other.T_h_reference if self.T_h_reference is None else self.T_h_reference
+        return Nominal(T, self.wheels or other.wheels)
+
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:

@@ -84,14 +84,10 @@ def complete_rig(survey: Survey) -> Rig:
     head, joints = survey.head, survey.joints
     if survey.lacks or not (images and cameras and wheels and head) or joints is None:
         raise survey.lacks[0][1]
-    infos, chain, given = survey.infos, head.chain, nominal_of(config)
-    drawn = head.drawn
+    infos, chain, drawn = survey.infos, head.chain, head.drawn
     sources = Sources(images, infos, joints, wheels, survey.elsewhere, config.cameras.layout)
     assumed = sources.assumed_wheels
-    nominal = Nominal(
-        drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
-        assumed or given.wheels or drawn.wheels,
-    )
+    nominal = Nominal(wheels=assumed).over(nominal_of(config)).over(drawn)
 
     # What each setting is, its key in rig.yaml, and its source if neither a flag nor the file gives it.
     rows = [

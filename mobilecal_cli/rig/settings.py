@@ -260,10 +260,7 @@ def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
     sources = dict(rig.setting_sources)
     sources |= {} if given.wheels is None else {"nominal wheels": "flag"}
     sources |= {} if given.T_h_reference is None else {"nominal head_eye": "flag"}
-    head_eye = rig.nominal.T_h_reference if given.T_h_reference is None else given.T_h_reference
-    return replace(
-        rig, nominal=Nominal(head_eye, given.wheels or rig.nominal.wheels), setting_sources=sources
-    )
+    return replace(rig, nominal=given.over(rig.nominal), setting_sources=sources)
 
 
 def _rescaled(
