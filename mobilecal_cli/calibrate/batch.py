@@ -233,7 +233,7 @@ def run_job(job: FleetJob) -> FleetRow:
         force = job.force or owns_result(job)
         _write_record(job, {})  # from now on, a result of this robot is one of the batch
         with naming_interruptions():
-            report, _ = calibrate(
+            report = calibrate(
                 job.logs,
                 job.output / job.name,
                 config=load_rig(job.config, job.flags),

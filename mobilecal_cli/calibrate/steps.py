@@ -413,12 +413,6 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
     return replace(extraction, observations=tuple(kept), counts=counts), rest
 
 
-def default_output(log: Path) -> Path:
-    """`<log name>_calibration` in the working directory."""
-    name = log.resolve().name if log.is_dir() else log.stem
-    return Path(f"{name}_calibration")
-
-
 def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent) -> Advice:
     """What limits the result, its cures from the cheapest on, and additional stops that improve it by 5 % or more.
 
@@ -432,7 +426,7 @@ def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent
 
 def calibrate(
     logs: Sequence[Path],
-    output: Path | None = None,
+    output: Path,
     *,
     config: RigConfig = UNCONFIGURED,
     method: Method = "ml",
@@ -443,15 +437,12 @@ def calibrate(
     force: bool = False,
     progress: Progress = silent,
     jobs: int = 1,
-) -> tuple[Report, Path]:
+) -> Report:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
-
-    Returns:
-        The report, and the output directory.
 
     Args:
         logs: recordings of one robot, or one extraction.npz.
-        output: directory to write; `<log name>_calibration` by default.
+        output: directory to write.
         config: rig.yaml with the flags that override it.
         method: see `solvers.solve`.
         constraints: fixed parameters, priors and additional parameters; for the method "ml".
@@ -467,8 +458,7 @@ def calibrate(
         MobilecalError: see `errors`; nothing is written then.
     """
     check_options(method, constraints or Constraints(), hold_out, config.flags)
-    directory = output if output is not None else default_output(logs[0])
-    check_output(directory, force)
+    check_output(output, force)
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)
@@ -476,5 +466,5 @@ def calibrate(
     fit = fitted(data.extraction, method, constraints, hold_out, progress)
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)
-    report.save(directory, force)
-    return report, directory
+    report.save(output, force)
+    return report

@@ -103,7 +103,10 @@ def calibrate(
     from mobilecal_cli.solvers import constraints_of
 
     began_s = time.perf_counter()
-    outputs = {"--summary": summary, "--output": output or steps.default_output(logs[0])}
+    if output is None:
+        name = logs[0].resolve().name if logs[0].is_dir() else logs[0].stem
+        output = Path(f"{name}_calibration")
+    outputs = {"--summary": summary, "--output": output}
     with options.errors_to(junit, logs, force, [config, last], outputs):
         if summary is not None:
             check_appendable(summary)
@@ -115,7 +118,7 @@ def calibrate(
         rig = load_rig(config, flags)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         with progress_bar(quiet, verbose) as progress:
-            report, directory = steps.calibrate(
+            report = steps.calibrate(
                 logs,
                 output,
                 config=rig,
@@ -138,12 +141,12 @@ def calibrate(
     elif not quiet:
         typer.echo(summary_text(report.values, verbose))
     if open_report:
-        typer.echo(open_page(directory / "report.html"), err=True)
+        typer.echo(open_page(output / "report.html"), err=True)
     verdict = report.verdict
     options.conclude(
         verdict.level,
         verdict.reason,
         verdict.next_step,
-        written=(directory / "params.yaml", directory / "report.html"),
+        written=(output / "params.yaml", output / "report.html"),
         quiet=as_json or quiet,
     )

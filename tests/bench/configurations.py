@@ -78,7 +78,7 @@ def recordings() -> None:
             simulate(Scenario(robot="this", container=container, seed=cameras), log)
             cells = [cameras, chain, wheels, container]
             try:
-                report, _ = calibrate([log], Path(folder) / "result", config=load_rig(None, flags))
+                report = calibrate([log], Path(folder) / "result", config=load_rig(None, flags))
             except MobilecalError as error:
                 line(*cells, error.message, "", "")
                 continue

@@ -46,7 +46,8 @@ def rgbd(tmp_path_factory):
 @pytest.fixture(scope="module")
 def calibrated(rgbd, tmp_path_factory):
     """The report on it, and the directory of its files."""
-    return calibrate([rgbd], tmp_path_factory.mktemp("rgbd") / "result", config=SQUARES)
+    directory = tmp_path_factory.mktemp("rgbd") / "result"
+    return calibrate([rgbd], directory, config=SQUARES), directory
 
 
 def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_path):
@@ -68,7 +69,7 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_pa
 
 
 def test_wrong_squares_of_one_camera_do_not_pass(rgbd, tmp_path):
-    report, _ = calibrate([rgbd], tmp_path / "result", config=load_rig(None, {"board.square_m": 0.072}))
+    report = calibrate([rgbd], tmp_path / "result", config=load_rig(None, {"board.square_m": 0.072}))
     assert report.verdict.level == "FAIL"
     assert "all differ by -" in report.verdict.reason
     assert "Measure ten squares" in report.verdict.next_step
@@ -174,7 +175,7 @@ def test_wrong_cameras_are_refused(rgbd, settings, words):
     [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())],
 )
 def test_samples_of_other_robots(name, robot, tmp_path):
-    report, _ = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)
+    report = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)
     assert report.verdict.level == "PASS"
     assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
     assumed = report.data.extraction.rig.sources.assumed_odometry

@@ -25,7 +25,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     simulate(Scenario(kind=kind, seed=2), log)
     size = {name: getattr(board, name) for name in ("columns", "rows", "square_m")}
     config = RigConfig.model_validate({"board": {**size, "kind": kind, **BOARDS[kind]}})
-    found, _ = steps.calibrate([log], tmp_path / "out", config=config)
+    found = steps.calibrate([log], tmp_path / "out", config=config)
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
@@ -33,7 +33,7 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind
-    again, _ = steps.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
+    again = steps.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
     np.testing.assert_allclose(
         again.fit.solution.parameters.T_h_c, found.fit.solution.parameters.T_h_c, atol=1e-9
     )
