@@ -43,7 +43,7 @@ def evaluate(
     robot = read_params(params)
     limits = gates_of(gates, config.gates, evaluating=True)
     wheels: WheelGeometry | None = None
-    extraction, _ = load(logs, config, progress)
+    extraction = load(logs, config, progress).extraction
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",

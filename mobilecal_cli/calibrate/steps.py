@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import Progress, silent, source_date
 from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
-from mobilecal_cli.calibrate.load import differences, load, read_params
+from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export import (
     check_output,
@@ -36,7 +36,6 @@ from mobilecal_cli.model import (
     Method,
     Parameters,
     Provenance,
-    Snapshot,
     Solution,
 )
 from mobilecal_cli.model.text import verdict_lines
@@ -56,25 +55,6 @@ from mobilecal_cli.solvers import solve as solve_extraction
 
 #: Sections of rig.yaml that only the method "ml" uses.
 _ONLY_ML = frozenset({"noise", "priors"})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Data:
-    """What recordings contain: everything the numbers need, and images for the report.
-
-    Attributes:
-        extraction: the measurements.
-        snapshots: images of the stations; thumbnails alone from an extraction.npz.
-        gates: limits of the configuration, by name.
-    """
-
-    extraction: Extraction
-    snapshots: tuple[Snapshot, ...] = ()
-    gates: Mapping[str, float] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        """One line."""
-        return f"Data({self.extraction!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,9 +131,7 @@ def extract(
     require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
     if jobs is True or not isinstance(jobs, int | np.integer) or jobs < 1:
         raise ConfigError(f"jobs: {jobs!r} worker processes are not possible", "give 1 or more")
-    rig = load_rig(path, flags)
-    extraction, snapshots = load(files, rig, progress, int(jobs))
-    return Data(extraction, snapshots, rig.gates)
+    return load(files, load_rig(path, flags), progress, int(jobs))
 
 
 def solve(
@@ -419,9 +397,9 @@ def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent
     Raises:
         MobilecalError: see `errors`.
     """
-    extraction, _ = load(logs, config, progress)
-    solution = fitted(extraction, progress=progress).solution
-    return advice_on(solution, extraction, config.gates)
+    data = load(logs, config, progress)
+    solution = fitted(data.extraction, progress=progress).solution
+    return advice_on(solution, data.extraction, data.gates)
 
 
 def calibrate(
@@ -462,7 +440,7 @@ def calibrate(
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)
-    data = Data(*load(logs, config, progress, jobs), config.gates)
+    data = load(logs, config, progress, jobs)
     fit = fitted(data.extraction, method, constraints, hold_out, progress)
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)

@@ -129,7 +129,7 @@ def _manifest(path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    extraction, _ = load([path], load_rig(None))
+    extraction = load([path], load_rig(None)).extraction
     require_stations(extraction)
     motion_gaps(extraction)
 
