@@ -14,7 +14,7 @@ from defusedxml.ElementTree import ParseError, fromstring
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+from mobilecal_cli.model import FixedLink, FloatArray, JointLink
 from mobilecal_cli.model.text import listed
 
 _AXIS_DEFAULT = "1 0 0"  # default of the URDF specification
@@ -194,23 +194,13 @@ def parse_urdf(text: str) -> Urdf:
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 
-def head_chain(
-    urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
-) -> HeadChain:
-    """Kinematic chain from v to a head link.
-
-    Args:
-        urdf: the robot.
-        base, head: link names.
-        pan, tilt: joint names.
-        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None if they are equal.
+def chain_links(urdf: Urdf, base: str, head: str) -> tuple[FixedLink | JointLink, ...]:
+    """Links of a `HeadChain` from one link down to another.
 
     Raises:
-        ConfigError: an unsupported kind of joint (floating, planar), or an invalid mimic.
+        ConfigError: no path of joints, an unsupported kind of joint (floating, planar), or an invalid mimic.
     """
     links: list[FixedLink | JointLink] = []
-    if T_base_v is not None:
-        links.append(FixedLink(se3.inverse(T_base_v)))
     for joint in urdf.path(base, head):
         if not np.array_equal(joint.T_parent_child, np.eye(4)):
             links.append(FixedLink(joint.T_parent_child))
@@ -229,7 +219,7 @@ def head_chain(
             )
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         links.append(JointLink(read, joint.axis, kind, multiplier, offset))  # type: ignore[arg-type]
-    return HeadChain(base, head, tuple(links), pan, tilt)
+    return tuple(links)
 
 
 def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import (
     Urdf,
     UrdfJoint,
-    head_chain,
+    chain_links,
     parse_urdf,
     vehicle_frame,
 )
@@ -113,10 +113,11 @@ def head_of(
             pan, tilt = pan_and_tilt(config, list(urdf.joints))
         base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
-    chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
+    offset, offset_notes = _vehicle_offset(urdf, wheels, base)
+    chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)), pan, tilt)
     _check_configured(config, chain)
     drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
-    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+    return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
 
 
 def _moving_transforms(
@@ -186,21 +187,20 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
     return carried
 
 
-def _chain_from_urdf(
-    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str, head: str, pan: str, tilt: str
-) -> tuple[HeadChain, list[str]]:
-    """Kinematic chain from v to the head, and notes on the position of v.
+def _vehicle_offset(
+    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str
+) -> tuple[list[FixedLink], list[str]]:
+    """The link from the vehicle frame v to the base link, none if they are the same, and notes on it.
 
-    The vehicle frame v lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
+    The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
     differs, the offset is computed from the origins of the wheel joints.
     """
-    wheels = urdf_wheels(urdf, sources)
-    T_offset, notes = None, []
+    links, notes, wheels = [], [], urdf_wheels(urdf, sources)
     if len(wheels) == 2:
         T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
         shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
         if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:
-            T_offset = T_base_v
+            links.append(FixedLink(se3.inverse(T_base_v)))
             notes.append(
                 f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
                 f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
@@ -212,7 +212,7 @@ def _chain_from_urdf(
                 f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive "
                 "is calibrated, with these joints at zero."
             )
-    return head_chain(urdf, base, head, pan, tilt, T_offset), notes
+    return links, notes
 
 
 def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:

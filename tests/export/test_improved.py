@@ -16,9 +16,9 @@ from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import improved_chain, without_correction
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.kinematics.urdf import head_chain, parse_urdf
+from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.model import Camera, LensCorrection, LogSource
+from mobilecal_cli.model import Camera, HeadChain, LensCorrection, LogSource
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -218,7 +218,7 @@ MIMIC = b"""<robot name="r">
 def test_sliding_and_coupled_joints():
     """By hand: zeros move a sliding joint's origin along its axis, and a coupled joint's by its multiplier."""
     urdf = parse_urdf(MIMIC.decode())
-    chain = head_chain(urdf, "base", "head", "pan", "")
+    chain = HeadChain("base", "head", chain_links(urdf, "base", "head"), pan="pan")
     rig = replace(imperfect_rig(), chain=chain)
     names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
     values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))
