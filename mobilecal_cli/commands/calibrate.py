@@ -115,8 +115,8 @@ def calibrate(
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
         given = {"board.square_m": square_m, "stations": stations}
         flags |= {key: value for key, value in given.items() if value is not None}
-        rig = load_rig(config, flags)
         constraints = constraints_of(fix or [], prior or [], estimate or [])
+        rig = load_rig(config, flags)
         with progress_bar(quiet, verbose) as progress:
             report = steps.calibrate(
                 logs,
