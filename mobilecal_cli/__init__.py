@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mobilecal_cli.calibrate.export import export as export_to
+    from mobilecal_cli.calibrate.load import Data
     from mobilecal_cli.calibrate.load import read_params as load
-    from mobilecal_cli.calibrate.steps import Data, Fit, Report, extract, solve
+    from mobilecal_cli.calibrate.steps import Fit, Report, extract, solve
     from mobilecal_cli.comparison import difference as compare
     from mobilecal_cli.errors import MobilecalError
     from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
@@ -45,6 +46,7 @@ __all__ = [
 
 _ELSEWHERE = {
     "compare": ("comparison", "difference"),
+    "Data": ("calibrate.load", "Data"),
     "export_to": ("calibrate.export", "export"),
     "Drive": ("measured", "Drive"),
     "from_motions": ("measured", "from_motions"),

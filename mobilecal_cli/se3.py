@@ -176,11 +176,8 @@ def euler_zyx_deg(rotation: FloatArray) -> tuple[float, float, float]:
     """
     R = np.asarray(rotation)
     ay = np.arctan2(-R[2, 0], np.hypot(R[0, 0], R[1, 0]))
-    if np.hypot(R[0, 0], R[1, 0]) < _LOCKED:
-        ax, az = (
-            0.0,
-            np.arctan2(-R[0, 1], R[1, 1]),
-        )  # only their sum or difference is defined: assign it to az
+    if np.hypot(R[0, 0], R[1, 0]) < _LOCKED:  # only their sum or difference is defined: assign it to az
+        ax, az = 0.0, np.arctan2(-R[0, 1], R[1, 1])
     else:
         ax, az = np.arctan2(R[2, 1], R[2, 2]), np.arctan2(R[1, 0], R[0, 0])
     return float(np.degrees(ax)), float(np.degrees(ay)), float(np.degrees(az))

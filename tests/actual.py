@@ -20,8 +20,9 @@ from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, IntArray
 from mobilecal_cli.simulate import robot as described
 from mobilecal_cli.simulate.messages import World
 from mobilecal_cli.simulate.render import INVERSE_ROUNDS, BoardRenderer, pixel_grid
-from mobilecal_cli.simulate.robot import RobotJoint, SimulatedRobot, Vector, pose
+from mobilecal_cli.simulate.robot import JOINT_RATE_HZ, RobotJoint, SimulatedRobot, Vector, pose
 from mobilecal_cli.simulate.route import Route, base_in_world
+from mobilecal_cli.simulate.scenario import BLUR_PX, WHEEL_NOISE_RAD_PER_SQRT_RAD
 
 DISTORTIONS = ("radial_1", "radial_2", "tangential_x", "tangential_y")
 _MOVED_RAD = 1e-9
@@ -455,8 +456,8 @@ class ImperfectWorld(World):
         return self.actual.rig_cameras
 
     def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
-        shape, blur_px = self.actual.shape(self.route.board), self.scenario.blur_px
-        return [ImperfectRenderer(camera, shape, blur_px, random) for camera in self.cameras.each]
+        shape = self.actual.shape(self.route.board)
+        return [ImperfectRenderer(camera, shape, BLUR_PX, random) for camera in self.cameras.each]
 
     def _random(self) -> np.random.Generator:
         return np.random.default_rng([self.scenario.seed, 6])
@@ -480,7 +481,7 @@ class ImperfectWorld(World):
         return stamps_s + self.noise.stamp_s * random.normal(size=len(times_s))
 
     def state_times_s(self) -> FloatArray:
-        times_s = np.arange(0, self.route.duration_s, 1 / self.robot.joint_rate_hz)
+        times_s = np.arange(0, self.route.duration_s, 1 / JOINT_RATE_HZ)
         breaks_s = self.route.drive.breaks_s + self.actual.constants.get("time_wheels", 0.0)
         exact = self.scenario.exact
         return np.unique(np.concatenate([times_s, breaks_s[breaks_s >= 0]])) if exact else times_s
@@ -493,7 +494,7 @@ class ImperfectWorld(World):
         angles = self.route.drive.wheel_angles(times_s - late_s, self.robot.wheels, self.robot.slip)
         if self.scenario.exact:
             return angles
-        noise = replace(self.noise, wheel_rad_per_sqrt_rad=self.scenario.wheel_noise_rad_per_sqrt_rad)
+        noise = replace(self.noise, wheel_rad_per_sqrt_rad=WHEEL_NOISE_RAD_PER_SQRT_RAD)
         leg = np.searchsorted(station_times_s(self.route), times_s)
         # The first angle twice: every reading has random numbers of its own.
         return self.stepped(rolled_as_read(np.concatenate([angles[:1], angles]), leg, noise, random)[1:])

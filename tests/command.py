@@ -67,3 +67,10 @@ def run(*arguments: object, cwd: Path | None = None, environment: Mapping[str, s
     texts = [stream.buffer.getvalue().decode() for stream in (out, err)]
     left = sorted(str(path.relative_to(folder)) for path in set(folder.rglob("*")) - before) if cwd else []
     return Run(code, *texts, left)
+
+
+def succeeded(*arguments: object, cwd: Path | None = None) -> Run:
+    """`run`, with exit code 0."""
+    done = run(*arguments, cwd=cwd)
+    assert done.code == 0, done.out + done.err
+    return done

@@ -20,9 +20,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for name in ("paper_robot", "straight", "head_fixed"):
             constraints = constraints_of(["t_y=0"] if name == "head_fixed" else [], [], [])
-            report, _ = steps.calibrate(
-                [SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints
-            )
+            report = steps.calibrate([SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints)
             done = report.fit
             way = plots.seen_from_above(done.solution, done.extraction, 0)
             (IMAGES / f"way-{name}.svg").write_text(standalone(way), encoding="utf-8")

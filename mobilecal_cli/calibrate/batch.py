@@ -8,6 +8,7 @@ import json
 import os
 import re
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -20,6 +21,7 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
+from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import submitted, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
@@ -140,24 +142,19 @@ def _check_names(source: Path, names: Sequence[str]) -> None:
 
 def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
     """Refuse a recording that two robots use, also as copies."""
-    of_size: dict[int, list[tuple[str, Path]]] = {}
-    for robot in robots:
-        for log in robot.logs:
-            files = log.rglob("*") if log.is_dir() else (log,)
-            size = sum(path.stat().st_size for path in files if path.is_file())
-            of_size.setdefault(size, []).append((robot.name, log))
-    for size, alike in of_size.items():
-        user: dict[str, str] = {}
-        for name, log in alike if size and len(alike) > 1 else ():
-            try:
-                other = user.setdefault(sha256_of(log), name)
-            except RecordingError:  # the other robots can still be calibrated
-                continue
-            if other != name:
-                raise ConfigError(
-                    f"{source}: {other} and {name} have the same recording: {log.name}",
-                    "give each robot its own recordings",
-                )
+    recorded = [(robot.name, log, size_bytes(log)) for robot in robots for log in robot.logs]
+    sizes = Counter(size for *_, size in recorded)
+    user: dict[str, str] = {}
+    for name, log, size in recorded:
+        try:
+            other = user.setdefault(sha256_of(log), name) if size and sizes[size] > 1 else name
+        except RecordingError:  # the other robots can still be calibrated
+            continue
+        if other != name:
+            raise ConfigError(
+                f"{source}: {other} and {name} have the same recording: {log.name}",
+                "give each robot its own recordings",
+            )
 
 
 def _of_directory(folder: Path) -> list[_Robot]:
@@ -236,11 +233,10 @@ def run_job(job: FleetJob) -> FleetRow:
         force = job.force or owns_result(job)
         _write_record(job, {})  # from now on, a result of this robot is one of the batch
         with naming_interruptions():
-            report, _ = calibrate(
+            report = calibrate(
                 job.logs,
                 job.output / job.name,
-                config_path=job.config,
-                flags=job.flags,
+                config=load_rig(job.config, job.flags),
                 gates=job.gates,
                 force=force,
             )

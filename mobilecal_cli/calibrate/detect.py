@@ -1,4 +1,4 @@
-"""Board detection and measurement per station, in segments that limit the number of images in memory."""
+"""The stations of a recording; board detection and measurement at them, in segments that limit the images in memory."""
 
 from __future__ import annotations
 
@@ -16,9 +16,19 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Board, CameraRig, GrayImage, PictureIndex, Rejection, Rig, Shot, Station
-from mobilecal_cli.readers import Recording, open_recording, read_images
-from mobilecal_cli.stations import Plan, images_of
+from mobilecal_cli.model import (
+    Board,
+    CameraInfo,
+    CameraRig,
+    GrayImage,
+    PictureIndex,
+    Rejection,
+    Rig,
+    Shot,
+    Station,
+)
+from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
+from mobilecal_cli.stations import Plan, images_of, plan_stations
 from mobilecal_cli.vision import (
     BoardFollower,
     Detection,
@@ -90,6 +100,27 @@ class Segment:
     images: Mapping[str, PictureIndex]
     shown: frozenset[int]
     thorough: bool
+
+
+def plan_recording(
+    recording: Recording, rig: Rig, everything: bool = False
+) -> tuple[tuple[Plan, ...], Mapping[str, CameraInfo], tuple[str, ...]]:
+    """Choose the stations of a recording by one pass over joints, wheels and times of images.
+
+    `everything` as for `plan_stations`.
+
+    Returns:
+        The stations of each log (one, or one for each piece between steps of the recording's clocks), its
+        `Signals.infos`, and notes on irregularities.
+
+    Raises:
+        RecordingError: see `read_signals` and `plan_stations`.
+    """
+    logs = read_signals(recording, rig.sources, rig.chain.joints)
+    plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
+    noted = (*(signals.notes for signals in logs), *(plan.notes for plan in plans))
+    notes = [note for each in noted for note in each]
+    return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
 
 def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
@@ -287,29 +318,44 @@ class DetectionWorkers(Processes):
         if not self.started and processes > 1:
             self.start(processes, _begin, [part.opened for part in self._recording.parts])
 
-    def detect_segments(
-        self, rig: Rig, board: Board, segments: Sequence[Segment], count: Callable[[int], None]
-    ) -> list[StationDetections]:
-        """`detect_segment` for all segments; `count` receives the number of images processed since its last call."""
+    def detect_all(
+        self, rig: Rig, board: Board, plans: Sequence[Plan], thorough: bool, progress: Progress
+    ) -> list[list[StationDetections]]:
+        """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
+
+        A few segments are processed without the workers. For `thorough`, see `vision.detect`.
+        """
+        segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
+        shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
+        total = sum(len(shot.taken_ns) for shot in shots)
+        searched = 0
+
+        def count(images: int) -> None:
+            nonlocal searched
+            searched += images
+            progress("detecting the board", searched, total)
+
         detections: list[StationDetections] = []
         waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
         done, ahead = 0, iter(segments)
-        self.call(len(segments) // 2)
-        while self.started and 1 < len(segments) > done:
-            try:
-                for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
-                    waiting.append(self.submit(_detect, rig, board, segment))
-                detected, damage = waiting.popleft()()
-            except FAILED:
-                break
-            for note in damage:
-                self._recording.note(note)
-            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
-            detections += detected
-            done += 1
-        for segment in segments[done:]:
-            detections += detect_segment(self._recording, rig, board, segment, count)
-        return detections
+        with _one_thread():
+            self.call(len(segments) // 2)
+            while self.started and 1 < len(segments) > done:
+                try:
+                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
+                        waiting.append(self.submit(_detect, rig, board, segment))
+                    detected, damage = waiting.popleft()()
+                except FAILED:
+                    break
+                for note in damage:
+                    self._recording.note(note)
+                count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+                detections += detected
+                done += 1
+            for segment in segments[done:]:
+                detections += detect_segment(self._recording, rig, board, segment, count)
+        in_order = iter(detections)
+        return [list(islice(in_order, len(plan.stations))) for plan in plans]
 
     def measure_stations(
         self,
@@ -330,31 +376,3 @@ class DetectionWorkers(Processes):
                 ]
                 return [measured for result in results for measured in result()]
         return measure_stations(log, cameras, board, stations, detections)
-
-
-def detect_all(
-    workers: DetectionWorkers,
-    rig: Rig,
-    board: Board,
-    plans: Sequence[Plan],
-    thorough: bool,
-    progress: Progress,
-) -> list[list[StationDetections]]:
-    """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
-
-    A few segments are processed without the workers. For `thorough`, see `vision.detect`.
-    """
-    segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
-    shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
-    total = sum(len(shot.taken_ns) for shot in shots)
-    done = 0
-
-    def count(images: int) -> None:
-        nonlocal done
-        done += images
-        progress("detecting the board", done, total)
-
-    with _one_thread():
-        detections = workers.detect_segments(rig, board, segments, count)
-    in_order = iter(detections)
-    return [list(islice(in_order, len(plan.stations))) for plan in plans]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
@@ -14,7 +13,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, 
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution, WheelGeometry
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
 from mobilecal_cli.solvers import clock_offsets, solve
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
 
@@ -24,8 +23,7 @@ def evaluate(
     params: Path,
     *,
     before: Path | None = None,
-    config_path: Path | None = None,
-    flags: Mapping[str, Any] | None = None,
+    config: RigConfig = UNCONFIGURED,
     gates: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Evaluated:
@@ -35,8 +33,7 @@ def evaluate(
         logs: recordings of the calibrated robot, or one extraction.npz.
         params: the calibration.
         before: another params.yaml, whose wheels dead reckoning is compared with; by default the nominal wheels.
-        config_path: rig.yaml.
-        flags: dotted key → value, over the file.
+        config: rig.yaml with the flags that override it.
         gates: `NAME=LIMIT`, over those of the file.
         progress: receives the progress.
 
@@ -44,10 +41,9 @@ def evaluate(
         MobilecalError: see `errors`.
     """
     robot = read_params(params)
-    config = load_rig(config_path, flags)
     limits = gates_of(gates, config.gates, evaluating=True)
     wheels: WheelGeometry | None = None
-    extraction, _ = load(logs, config, progress)
+    extraction = load(logs, config, progress).extraction
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",
@@ -102,10 +98,7 @@ def _solved(extraction: Extraction, robot: CalibratedRobot) -> Solution | Mobile
             return solve(extraction)
         except SolveError:
             rig = extraction.rig
-            nominal = Nominal(
-                robot.T_parent_child if rig.nominal.T_h_reference is None else rig.nominal.T_h_reference,
-                rig.nominal.wheels or robot.wheels,
-            )
+            nominal = rig.nominal.over(Nominal(robot.T_parent_child, robot.wheels))
             return solve(replace(extraction, rig=replace(rig, nominal=nominal)))
     except MobilecalError as error:
         return error

@@ -16,12 +16,11 @@ from mobilecal_cli.calibrate.detect import (
     DetectionWorkers,
     StationDetections,
     board_size,
-    detect_all,
     first_pairs,
+    plan_recording,
     undecodable,
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
-from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
@@ -41,7 +40,6 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
-    RobotDescription,
     Snapshot,
     Track,
     WheelTrack,
@@ -54,9 +52,9 @@ from mobilecal_cli.readers import (
     read_description,
     sha256_of,
 )
-from mobilecal_cli.rig.config import RigConfig, read_urdf
+from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import may_be_a_reading
-from mobilecal_cli.rig.resolve import Survey, complete_rig, resolve_rig, survey_rig
+from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import needs_numbers
 from mobilecal_cli.stations import Plan
 from mobilecal_cli.vision import (
@@ -75,28 +73,25 @@ WORTH_BYTES = 2**26
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
 
-def describe(
-    recording: Recording, config: RigConfig, urdf_text: str | None, joints_too: bool = False
-) -> tuple[RobotDescription, Survey]:
-    """The description, and what it and a configuration determine.
+def describe(recording: Recording, config: RigConfig, joints_too: bool = False) -> Survey:
+    """What the description of a recording and a configuration determine.
 
     Numbers in other messages are read only if no wheel is known without them.
 
     Args:
-        urdf_text: text of the URDF to use in place of the one in the recording.
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
 
     Raises:
         RecordingError: the recording is empty.
+        ConfigError: the URDF that the configuration names cannot be read.
     """
     description = read_description(recording)
-    wanted = needs_numbers(config, description)
-    survey = None if wanted else survey_rig(config, description, urdf_text)
+    survey = None if needs_numbers(config, description) else survey_rig(config, description)
     if survey is None or (joints_too and survey.lacks):
         others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
         description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
-        survey = survey_rig(config, description, urdf_text)
-    return description, survey
+        survey = survey_rig(config, description)
+    return survey
 
 
 #: Relative difference of camera infos that is rounding.
@@ -127,16 +122,16 @@ def _extracted(
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    urdf = read_urdf(config)
-    description, survey = describe(recording, config, urdf)
-    rig, rig_notes = complete_rig(survey, config)
+    survey = describe(recording, config)
+    rig = complete_rig(survey)
     everything = config.stations == "all"
     if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
         workers.call()
     plans, infos, plan_notes = plan_recording(recording, rig, everything)
     if infos:
-        description = replace(description, infos={**description.infos, **infos})
-        rig, rig_notes = resolve_rig(config, description, urdf)
+        description = survey.description
+        survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
+        rig = complete_rig(survey)
     for log in earlier:
         for plan in plans:
             if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
@@ -151,7 +146,7 @@ def _extracted(
                 "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    detected = detect_all(workers, rig, board, plans, not everything, progress)
+    detected = workers.detect_all(rig, board, plans, not everything, progress)
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -172,7 +167,7 @@ def _extracted(
                 f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
             )
     progress("measuring", 0, None)
-    notes = (*rig_notes, *plan_notes, *recording.damage)
+    notes = (*survey.notes, *plan_notes, *recording.damage)
     logs = []
     for number, (plan, detections) in enumerate(zip(plans, detected, strict=True), len(earlier)):
         measured = workers.measure_stations(number, rig.cameras, board, plan.stations, detections)
@@ -338,6 +333,12 @@ _SAME_SHARE = 0.9  # of the readings while both were recorded
 _LEAST_OVERLAP = 0.05  # of the shorter recording
 _SAME_VALUE = 1e-9  # rad, m or px
 _HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
+
+
+def size_bytes(log: Path) -> int:
+    """Size of a recording, a file or a directory; 0 if it does not exist."""
+    files = log.rglob("*") if log.is_dir() else [log]
+    return sum(path.stat().st_size for path in files if path.is_file())
 
 
 def refuse_equal_files(logs: Sequence[LogSource]) -> None:

@@ -23,7 +23,7 @@ from mobilecal_cli.kinematics import (
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN
 
-FEWEST_STATIONS = 4
+FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 #: Notes on a recording in the hint of a refusal.
 _NOTED = 3
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.extract import board_of, describe, refuse_equal_files
+from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
@@ -36,9 +36,9 @@ from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
-from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
-from mobilecal_cli.rig.resolve import complete_rig, stereo_layout
+from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
 #: At most so much of a recording is decompressed for the motion.
@@ -76,10 +76,7 @@ class _Findings:
 
 
 def inspect(
-    logs: Sequence[Path],
-    config_path: Path | None = None,
-    flags: Mapping[str, Any] | None = None,
-    progress: Progress = silent,
+    logs: Sequence[Path], config: RigConfig = UNCONFIGURED, progress: Progress = silent
 ) -> Inspection:
     """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
 
@@ -88,15 +85,13 @@ def inspect(
 
     Args:
         logs: parts of one recording.
-        config_path: rig.yaml.
-        flags: dotted key → value, over the file.
+        config: rig.yaml with the flags that override it.
         progress: receives the progress.
 
     Raises:
         RecordingError: the recording cannot be opened.
-        ConfigError: the configuration cannot be read.
+        ConfigError: the URDF that the configuration names cannot be read.
     """
-    config = load_rig(config_path, flags)
     findings = _Findings()
     with open_recording(logs) as recording:
         progress("topics", 0, None)
@@ -107,31 +102,28 @@ def inspect(
             findings.miss("gates", error)
         rig, survey, board, motion, covered = None, None, None, None, None
         try:
-            description, survey = describe(recording, config, read_urdf(config))
+            survey = describe(recording, config)
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:
             findings.missing += [lack_of(part, error) for part, error in survey.lacks]
         elif survey is not None:
-            rig, rig_notes = complete_rig(survey, config)
-            findings.notes += rig_notes
+            rig = complete_rig(survey)
+            findings.notes += survey.notes
             progress("motion", 0, None)
-            findings.weak += _wrong_chain(config, rig, description)
+            findings.weak += _wrong_chain(config, rig, survey.description)
             findings.add_gaps("priors", rig, _without_priors(rig, config))
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings)
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            layout, square_m = stereo_layout(config), config.board.square_m
-            board, lacks, limits = sample_board(
-                recording, survey.images, layout, survey.cameras, board_of(config), square_m
-            )
+            board, lacks, limits = sample_board(recording, survey)
             findings.missing += lacks
             findings.weak += limits
         return Inspection(
             name=recording.name,
             containers=recording.containers,
-            size_bytes=_size_bytes(logs),
+            size_bytes=sum(map(size_bytes, logs)),
             start_ns=recording.start_ns,
             end_ns=recording.end_ns,
             topics=tuple(_topic(recording, info, times.get(info.name)) for info in recording.topics),
@@ -155,7 +147,7 @@ def recordings(logs: Sequence[Path]) -> list[list[Path]]:
         ConfigError: two paths have the same content.
     """
     try:
-        sizes = [_size_bytes([log]) for log in logs]
+        sizes = list(map(size_bytes, logs))
         equal = [log for log, size in zip(logs, sizes, strict=True) if size and sizes.count(size) > 1]
         refuse_equal_files([LogSource(str(log), sha256_of(log)) for log in equal])
         return join_splits(logs)
@@ -172,16 +164,12 @@ def check(
     """`inspect`, with an invalid configuration and an unreadable recording among the problems found."""
     about = "rig.yaml"
     try:
-        read_urdf(load_rig(config_path, flags))
+        config = load_rig(config_path, flags)
+        read_urdf(config)
         about = "recording"
-        return inspect(logs, config_path, flags, progress)
+        return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
         return Inspection(str(logs[0]), missing=(lack_of(about, error),))
-
-
-def _size_bytes(logs: Sequence[Path]) -> int:
-    files = [p for log in logs for p in (log.rglob("*") if log.is_dir() else [log])]
-    return sum(p.stat().st_size for p in files if p.is_file())
 
 
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mobilecal_cli import se3
@@ -19,10 +20,27 @@ from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
 
 
-def load(
-    logs: Sequence[Path], config: RigConfig, progress: Progress = silent, jobs: int = 1
-) -> tuple[Extraction, tuple[Snapshot, ...]]:
-    """The extraction of recordings with its snapshots, or the one in an extraction.npz with its thumbnails.
+@dataclass(frozen=True, slots=True, eq=False)
+class Data:
+    """What recordings contain: everything the numbers need, and images for the report.
+
+    Attributes:
+        extraction: the measurements.
+        snapshots: images of the stations; thumbnails alone from an extraction.npz.
+        gates: limits of the configuration, by name.
+    """
+
+    extraction: Extraction
+    snapshots: tuple[Snapshot, ...] = ()
+    gates: Mapping[str, float] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Data({self.extraction!r})"
+
+
+def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, jobs: int = 1) -> Data:
+    """What recordings contain, or an extraction.npz.
 
     Raises:
         RecordingError: a recording or an extraction cannot be used.
@@ -30,14 +48,15 @@ def load(
             a recording twice.
     """
     if not any(path.is_file() and zipfile.is_zipfile(path) for path in logs):
-        return extract(logs, config, progress, jobs)
+        return Data(*extract(logs, config, progress, jobs), config.gates)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(
             f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
             "give it without recordings and without --config, or give the recordings instead",
         )
     refuse_others(config.flags, str(logs[0]))
-    return with_settings(read_extraction(logs[0]), config), snapshots_from_npz(logs[0])
+    extraction = with_settings(read_extraction(logs[0]), config)
+    return Data(extraction, snapshots_from_npz(logs[0]), config.gates)
 
 
 def read_extraction(path: Path) -> Extraction:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.calibrate.detect import check_picture
+from mobilecal_cli.calibrate.extract import board_of
 from mobilecal_cli.errors import MobilecalError, ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import (
     Board,
@@ -17,10 +18,10 @@ from mobilecal_cli.model import (
     Rejection,
     Sources,
     Station,
-    StereoLayout,
 )
 from mobilecal_cli.readers import Recording, pictures_near
 from mobilecal_cli.report.inspection import Lack
+from mobilecal_cli.rig.resolve import Survey
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
 
@@ -32,27 +33,20 @@ _FEWEST_SQUARES = 2
 _SQUARE_PERCENT = 1.0
 
 
-def sample_board(
-    recording: Recording,
-    images: Mapping[str, str],
-    layout: StereoLayout,
-    cameras: CameraRig | None,
-    board: Board | None,
-    stated_m: float | None = None,
-) -> tuple[BoardView | None, list[Lack], list[Lack]]:
+def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None, list[Lack], list[Lack]]:
     """The board in a few images (None if no image can be read), what is wrong with it, and what limits a calibration.
 
     Args:
-        images: image topic of each camera.
-        cameras: the cameras, None if unknown.
-        board: as configured, None if its size is found in the images.
-        stated_m: side of a square as configured, m.
+        survey: of a recording whose image topics are known; the board's size is found in the images if its
+            configuration does not state it.
     """
+    images, cameras, config = survey.images or {}, survey.cameras, survey.config
+    board, stated_m = board_of(config), config.board.square_m
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
         return None, [], []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
-    sources = Sources(images, {}, (), {}, layout=layout)
+    sources = Sources(images, {}, (), {}, layout=config.cameras.layout)
     samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
     for name, picture in pictures_near(recording, sources, moments):
         samples[name].append(picture)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
+from mobilecal_cli.calibrate.detect import plan_recording
 from mobilecal_cli.calibrate.load import parameters_of
-from mobilecal_cli.calibrate.plan import plan_recording
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
 from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of

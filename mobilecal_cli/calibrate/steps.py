@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,7 @@ from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import Progress, silent, source_date
 from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
-from mobilecal_cli.calibrate.load import differences, load, read_params
+from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export import (
     check_output,
@@ -36,7 +36,6 @@ from mobilecal_cli.model import (
     Method,
     Parameters,
     Provenance,
-    Snapshot,
     Solution,
 )
 from mobilecal_cli.model.text import verdict_lines
@@ -48,7 +47,7 @@ from mobilecal_cli.report.plots import draw_all, path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
 from mobilecal_cli.report.verdict import Case, gates_of, judge, reasons_of
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
 from mobilecal_cli.solvers import evaluate as evaluate_parameters
@@ -56,25 +55,6 @@ from mobilecal_cli.solvers import solve as solve_extraction
 
 #: Sections of rig.yaml that only the method "ml" uses.
 _ONLY_ML = frozenset({"noise", "priors"})
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Data:
-    """What recordings contain: everything the numbers need, and images for the report.
-
-    Attributes:
-        extraction: the measurements.
-        snapshots: images of the stations; thumbnails alone from an extraction.npz.
-        gates: limits of the configuration, by name.
-    """
-
-    extraction: Extraction
-    snapshots: tuple[Snapshot, ...] = ()
-    gates: Mapping[str, float] = field(default_factory=dict)
-
-    def __repr__(self) -> str:
-        """One line."""
-        return f"Data({self.extraction!r})"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,9 +131,7 @@ def extract(
     require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
     if jobs is True or not isinstance(jobs, int | np.integer) or jobs < 1:
         raise ConfigError(f"jobs: {jobs!r} worker processes are not possible", "give 1 or more")
-    rig = load_rig(path, flags)
-    extraction, snapshots = load(files, rig, progress, int(jobs))
-    return Data(extraction, snapshots, rig.gates)
+    return load(files, load_rig(path, flags), progress, int(jobs))
 
 
 def solve(
@@ -413,32 +391,22 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
     return replace(extraction, observations=tuple(kept), counts=counts), rest
 
 
-def default_output(log: Path) -> Path:
-    """`<log name>_calibration` in the working directory."""
-    name = log.resolve().name if log.is_dir() else log.stem
-    return Path(f"{name}_calibration")
-
-
-def suggest(
-    logs: Sequence[Path], config_path: Path | None, flags: Mapping[str, Any], progress: Progress = silent
-) -> Advice:
+def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent) -> Advice:
     """What limits the result, its cures from the cheapest on, and additional stops that improve it by 5 % or more.
 
     Raises:
         MobilecalError: see `errors`.
     """
-    config = load_rig(config_path, flags)
-    extraction, _ = load(logs, config, progress)
-    solution = fitted(extraction, progress=progress).solution
-    return advice_on(solution, extraction, config.gates)
+    data = load(logs, config, progress)
+    solution = fitted(data.extraction, progress=progress).solution
+    return advice_on(solution, data.extraction, data.gates)
 
 
 def calibrate(
     logs: Sequence[Path],
-    output: Path | None = None,
+    output: Path,
     *,
-    config_path: Path | None = None,
-    flags: Mapping[str, Any] | None = None,
+    config: RigConfig = UNCONFIGURED,
     method: Method = "ml",
     constraints: Constraints | None = None,
     gates: Sequence[str] = (),
@@ -447,17 +415,13 @@ def calibrate(
     force: bool = False,
     progress: Progress = silent,
     jobs: int = 1,
-) -> tuple[Report, Path]:
+) -> Report:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
-
-    Returns:
-        The report, and the output directory.
 
     Args:
         logs: recordings of one robot, or one extraction.npz.
-        output: directory to write; `<log name>_calibration` by default.
-        config_path: rig.yaml.
-        flags: dotted key → value, overriding the file.
+        output: directory to write.
+        config: rig.yaml with the flags that override it.
         method: see `solvers.solve`.
         constraints: fixed parameters, priors and additional parameters; for the method "ml".
         gates: `NAME=LIMIT`, overriding those of the file.
@@ -471,17 +435,14 @@ def calibrate(
     Raises:
         MobilecalError: see `errors`; nothing is written then.
     """
-    settings = [key for key, value in (flags or {}).items() if value is not None]
-    check_options(method, constraints or Constraints(), hold_out, settings)
-    directory = output if output is not None else default_output(logs[0])
-    check_output(directory, force)
-    config = load_rig(config_path, flags)
+    check_options(method, constraints or Constraints(), hold_out, config.flags)
+    check_output(output, force)
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)
-    data = Data(*load(logs, config, progress, jobs), config.gates)
+    data = load(logs, config, progress, jobs)
     fit = fitted(data.extraction, method, constraints, hold_out, progress)
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)
-    report.save(directory, force)
-    return report, directory
+    report.save(output, force)
+    return report

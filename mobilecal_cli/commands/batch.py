@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from mobilecal_cli.commands import options
 from mobilecal_cli.errors import OutputError, ResourceError
@@ -13,22 +14,21 @@ from mobilecal_cli.errors import OutputError, ResourceError
 
 def batch(
     source: Annotated[
-        Path,
-        typer.Argument(readable=False, help="Directory with one recording per robot, or a manifest (YAML)."),
+        Path, options.path_argument(help="Directory with one recording per robot, or a manifest (YAML).")
     ],
     output: Annotated[
-        Path, typer.Option("--output", "-o", readable=False, help="Directory for the results of all robots.")
+        Path, options.path_option("--output", "-o", help="Directory for the results of all robots.")
     ],
     config: options.Config = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes. [default: one per core]")] = None,
+    jobs: Annotated[int | None, Option(min=1, help="Worker processes. [default: one per core]")] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
+        str | None, Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
     ] = None,
     force: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--force",
             help="Calibrate all robots again, and replace also results that this batch did not write.",
         ),

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
-from mobilecal_cli.commands.options import Force, counts_of, written_line
+from mobilecal_cli.commands.options import Force, counts_of, path_option, written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Paper
 
@@ -21,25 +22,22 @@ LEAST_BORDER = 0.3
 
 
 def board(
-    corners: Annotated[str, typer.Option(metavar="COLUMNSxROWS", help="Inner corners, for example 8x5.")],
-    square: Annotated[float, typer.Option(metavar="METERS", help="Side of a square, m.")],
+    corners: Annotated[str, Option(metavar="COLUMNSxROWS", help="Inner corners, for example 8x5.")],
+    square: Annotated[float, Option(metavar="METERS", help="Side of a square, m.")],
     charuco: Annotated[
-        bool, typer.Option("--charuco", help="With markers: the board may be partly visible.")
+        bool, Option("--charuco", help="With markers: the board may be partly visible.")
     ] = False,
     dictionary: Annotated[
         str | None,
-        typer.Option(help="ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]"),
+        Option(help="ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]"),
     ] = None,
     marker_share: Annotated[
-        float | None, typer.Option(help="ChArUco: marker side / square side. [default: 0.75]")
+        float | None, Option(help="ChArUco: marker side / square side. [default: 0.75]")
     ] = None,
     paper: Annotated[
-        Paper,
-        typer.Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs."),
+        Paper, Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs.")
     ] = "auto",
-    output: Annotated[Path, typer.Option("--output", "-o", readable=False, help="PDF to write.")] = Path(
-        "board.pdf"
-    ),
+    output: Annotated[Path, path_option("--output", "-o", help="PDF to write.")] = Path("board.pdf"),
     force: Force = False,
 ) -> None:
     """Make a board to print at true scale, as PDF.

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from typer import Option
 
 from mobilecal_cli.commands import options
 
@@ -17,49 +18,44 @@ def calibrate(
     config: options.Config = None,
     output: Annotated[
         Path | None,
-        typer.Option(
-            "--output", "-o", readable=False, help="Directory to write. [default: <log name>_calibration]"
-        ),
+        options.path_option("--output", "-o", help="Directory to write. [default: <log name>_calibration]"),
     ] = None,
     method: Annotated[
         Literal["linear", "paper", "lm", "ml"],
-        typer.Option(
+        Option(
             help="ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point "
             "error by Powell's method; lm: the same, faster."
         ),
     ] = "ml",
-    board: Annotated[
-        str | None, typer.Option(help="Inner corners, for example 9x6. [default: detected]")
-    ] = None,
+    board: Annotated[str | None, Option(help="Inner corners, for example 9x6. [default: detected]")] = None,
     square_m: Annotated[
-        float | None, typer.Option(help="Side of a square, m. [default: measured by the stereo pair]")
+        float | None, Option(help="Side of a square, m. [default: measured by the stereo pair]")
     ] = None,
     stations: Annotated[
         Literal["auto", "all"] | None,
-        typer.Option(
+        Option(
             help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
             show_default=False,
         ),
     ] = None,
     jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Worker processes for images. [default: one per core]"),
+        int | None, Option(min=1, help="Worker processes for images. [default: one per core]")
     ] = None,
     setting: options.Settings = None,
     fix: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="NAME[=VALUE],...",
             help="Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.",
         ),
     ] = None,
     prior: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
+        Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
     ] = None,
     estimate: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="NAME,...",
             help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
         ),
@@ -67,27 +63,23 @@ def calibrate(
     gate: options.Gates = None,
     hold_out: Annotated[
         float | None,
-        typer.Option(
+        Option(
             min=0.0, max=0.8, help="Share at the end of each recording to hold out and to test the result on."
         ),
     ] = None,
     last: Annotated[
         Path | None,
-        typer.Option(
-            readable=False, help="params.yaml to compare the result with. [default: the nominal values]"
-        ),
+        options.path_option(help="params.yaml to compare the result with. [default: the nominal values]"),
     ] = None,
     open_report: Annotated[
-        bool,
-        typer.Option("--open", help="Open the report in the browser; without a display, print where it is."),
+        bool, Option("--open", help="Open the report in the browser; without a display, print where it is.")
     ] = False,
     as_json: options.AsJson = False,
     junit: options.JUnit = None,
     summary: Annotated[
         Path | None,
-        typer.Option(
-            readable=False,
-            help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.",
+        options.path_option(
+            help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY."
         ),
     ] = None,
     force: options.Force = False,
@@ -107,10 +99,14 @@ def calibrate(
     from mobilecal_cli.export import append_text, check_appendable, write_file
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
+    from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.solvers import constraints_of
 
     began_s = time.perf_counter()
-    outputs = {"--summary": summary, "--output": output or steps.default_output(logs[0])}
+    if output is None:
+        name = logs[0].resolve().name if logs[0].is_dir() else logs[0].stem
+        output = Path(f"{name}_calibration")
+    outputs = {"--summary": summary, "--output": output}
     with options.errors_to(junit, logs, force, [config, last], outputs):
         if summary is not None:
             check_appendable(summary)
@@ -120,12 +116,12 @@ def calibrate(
         given = {"board.square_m": square_m, "stations": stations}
         flags |= {key: value for key, value in given.items() if value is not None}
         constraints = constraints_of(fix or [], prior or [], estimate or [])
+        rig = load_rig(config, flags)
         with progress_bar(quiet, verbose) as progress:
-            report, directory = steps.calibrate(
+            report = steps.calibrate(
                 logs,
                 output,
-                config_path=config,
-                flags=flags,
+                config=rig,
                 method=method,
                 constraints=constraints,
                 gates=gate or [],
@@ -145,12 +141,12 @@ def calibrate(
     elif not quiet:
         typer.echo(summary_text(report.values, verbose))
     if open_report:
-        typer.echo(open_page(directory / "report.html"), err=True)
+        typer.echo(open_page(output / "report.html"), err=True)
     verdict = report.verdict
     options.conclude(
         verdict.level,
         verdict.reason,
         verdict.next_step,
-        written=(directory / "params.yaml", directory / "report.html"),
+        written=(output / "params.yaml", output / "report.html"),
         quiet=as_json or quiet,
     )

@@ -5,13 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, show_each
+from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, path_argument, show_each
 
 
 def check(
-    rig: Annotated[Path, typer.Argument(readable=False, help="Configuration to check (rig.yaml).")],
+    rig: Annotated[Path, path_argument(help="Configuration to check (rig.yaml).")],
     logs: Logs,
     setting: Settings = None,
     as_json: AsJson = False,

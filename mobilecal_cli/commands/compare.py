@@ -6,27 +6,26 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from mobilecal_cli.commands.options import AsJson, Force, conclude
+from mobilecal_cli.commands.options import AsJson, Force, conclude, path_argument, path_option
 
 
 def compare(
     files: Annotated[
-        list[Path],
-        typer.Argument(readable=False, help="params.yaml files of one robot; the first is the reference."),
+        list[Path], path_argument(help="params.yaml files of one robot; the first is the reference.")
     ],
     max_sigma: Annotated[
-        float | None, typer.Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
+        float | None, Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
     ] = None,
     max_ray_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Limit on the shift of a point 2 m ahead, mm.")
+        float | None, Option(min=0.0, help="Limit on the shift of a point 2 m ahead, mm.")
     ] = None,
     max_heading_deg: Annotated[
-        float | None, typer.Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
+        float | None, Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
     ] = None,
     plot: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="SVG file to write: every parameter over all calibrations."),
+        Path | None, path_option(help="SVG file to write: every parameter over all calibrations.")
     ] = None,
     as_json: AsJson = False,
     force: Force = False,

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from mobilecal_cli.commands import options
 from mobilecal_cli.errors import ConfigError
@@ -14,17 +15,15 @@ from mobilecal_cli.errors import ConfigError
 def evaluate(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            readable=False,
+        options.path_argument(
             metavar="logs... params",
             help="Recordings of one robot, and last the params.yaml of the calibration to test.",
         ),
     ],
     before: Annotated[
         Path | None,
-        typer.Option(
-            readable=False,
-            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]",
+        options.path_option(
+            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]"
         ),
     ] = None,
     config: options.Config = None,
@@ -32,7 +31,7 @@ def evaluate(
     gate: options.Gates = None,
     as_json: options.AsJson = False,
     junit: options.JUnit = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing JUnit file.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace an existing JUnit file.")] = False,
     verbose: options.Verbose = False,
     quiet: options.NoBar = False,
 ) -> None:
@@ -49,6 +48,7 @@ def evaluate(
     from mobilecal_cli.export import write_file
     from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
+    from mobilecal_cli.rig.config import load_rig
 
     *logs, params = files
     if not logs:
@@ -62,8 +62,7 @@ def evaluate(
                 logs,
                 params,
                 before=before,
-                config_path=config,
-                flags=options.flags_of(setting),
+                config=load_rig(config, options.flags_of(setting)),
                 gates=gate or [],
                 progress=progress,
             )

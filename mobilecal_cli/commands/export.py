@@ -6,64 +6,59 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from mobilecal_cli.commands.options import Force, written_line
+from mobilecal_cli.commands.options import Force, path_argument, path_option, written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Target
 
 
 def export(
-    params: Annotated[Path, typer.Argument(readable=False, help="params.yaml of a calibration.")],
-    to: Annotated[Target, typer.Option(help="Output format.")],
+    params: Annotated[Path, path_argument(help="params.yaml of a calibration.")],
+    to: Annotated[Target, Option(help="Output format.")],
     urdf: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="URDF to patch, for --to urdf; the file itself is not changed."),
+        Path | None, path_option(help="URDF to patch, for --to urdf; the file itself is not changed.")
     ] = None,
     camera: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="For --to camera_info: the camera. [default: the reference]"),
+        str | None, Option(metavar="NAME", help="For --to camera_info: the camera. [default: the reference]")
     ] = None,
     left_joint: Annotated[
-        str | None, typer.Option(help="Joint of the left wheel. [default: as calibrated]")
+        str | None, Option(help="Joint of the left wheel. [default: as calibrated]")
     ] = None,
     right_joint: Annotated[
-        str | None, typer.Option(help="Joint of the right wheel. [default: as calibrated]")
+        str | None, Option(help="Joint of the right wheel. [default: as calibrated]")
     ] = None,
     with_chain: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--with-chain",
             help="For --to urdf: also write the estimated head chain (joint origins and axes).",
         ),
     ] = False,
     rate: Annotated[
         float | None,
-        typer.Option(metavar="HZ", help="For --to odometry_covariance: messages per second. [default: 50]"),
+        Option(metavar="HZ", help="For --to odometry_covariance: messages per second. [default: 50]"),
     ] = None,
     distance: Annotated[
         float | None,
-        typer.Option(
+        Option(
             metavar="METERS",
             help="For --to odometry_covariance: length of straight drives. [default: legs of the recording]",
         ),
     ] = None,
     log: Annotated[
         list[Path] | None,
-        typer.Option(
-            readable=False,
-            help="For --to foxglove: recording of the calibration, for its images. Repeatable.",
-        ),
+        path_option(help="For --to foxglove: recording of the calibration, for its images. Repeatable."),
     ] = None,
     allow_failed: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--allow-failed",
             help="Also export a calibration whose verdict is not PASS; the export states the verdict.",
         ),
     ] = False,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", readable=False, help="File to write. [default: standard output]"),
+        Path | None, path_option("--output", "-o", help="File to write. [default: standard output]")
     ] = None,
     force: Force = False,
 ) -> None:

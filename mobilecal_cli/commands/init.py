@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
+from mobilecal_cli.commands.options import Force, Logs, Quiet, path_option, written_line
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
@@ -21,11 +21,10 @@ if TYPE_CHECKING:
 def init(
     logs: Logs,
     output: Annotated[
-        Path, typer.Option("--output", "-o", readable=False, help="File to write; - for standard output.")
+        Path, path_option("--output", "-o", help="File to write; - for standard output.")
     ] = Path("rig.yaml"),
     urdf: Annotated[
-        Path | None,
-        typer.Option(readable=False, help="URDF of the robot. [default: robot_description in the recording]"),
+        Path | None, path_option(help="URDF of the robot. [default: robot_description in the recording]")
     ] = None,
     force: Force = False,
     quiet: Quiet = False,
@@ -74,23 +73,20 @@ def draft(
     from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
-    from mobilecal_cli.rig.config import RigConfig, read_urdf
+    from mobilecal_cli.rig.config import RigConfig
     from mobilecal_cli.rig.draft import draft_rig
 
     config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
-    text = read_urdf(config)
     with open_recording(logs) as recording:
         progress("topics", 0, None)
-        description, survey = describe(recording, config, text, joints_too=True)
+        survey = describe(recording, config, joints_too=True)
         board = None
         if survey.images is not None:
             progress("images", 0, None)
-            board, *_ = sample_board(recording, survey.images, "separate", survey.cameras, None)
+            board, *_ = sample_board(recording, survey)
         made = draft_rig(
-            description,
+            survey,
             logs[0].name,
-            survey=survey,
-            urdf_text=text,
             urdf_path=None if urdf is None else os.path.relpath(urdf, beside or Path()),
             board=board,
         )

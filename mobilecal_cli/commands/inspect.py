@@ -23,10 +23,11 @@ def inspect(
     from mobilecal_cli.calibrate.inspect import recordings
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.inspection import inspection_json, inspection_text
+    from mobilecal_cli.rig.config import load_rig
 
     with progress_bar(quiet) as progress:
-        flags = flags_of(setting)
-        inspections = [inspected(parts, config, flags, progress) for parts in recordings(logs)]
+        rig = load_rig(config, flags_of(setting))
+        inspections = [inspected(parts, rig, progress) for parts in recordings(logs)]
     show_each(
         inspections,
         [inspection_json(each) if as_json else inspection_text(each) for each in inspections],

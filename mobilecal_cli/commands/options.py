@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import Argument, Option
 
 from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
 
@@ -37,19 +39,17 @@ def setting_keys(incomplete: str) -> list[tuple[str, str]]:
     return [(f"{key}=", text) for key, text in keys.items() if key.startswith(incomplete)]
 
 
+#: A path that typer does not check: the messages of the commands say what to do.
+path_option, path_argument = partial(Option, readable=False), partial(Argument, readable=False)
 Logs = Annotated[
-    list[Path],
-    typer.Argument(readable=False, help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag."),
+    list[Path], path_argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")
 ]
 Config = Annotated[
-    Path | None,
-    typer.Option(
-        "--config", "-c", readable=False, help="Configuration (rig.yaml); `mobilecal init` drafts one."
-    ),
+    Path | None, path_option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--set",
         metavar="KEY=VALUE",
         help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable.",
@@ -58,28 +58,22 @@ Settings = Annotated[
 ]
 Gates = Annotated[
     list[str] | None,
-    typer.Option(
+    Option(
         "--gate",
         metavar="NAME=LIMIT",
         help="Exit with code 6 if the figure exceeds the limit. Repeatable.",
         autocompletion=gate_names,
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace existing output.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress and no summary.")]
-NoBar = Annotated[bool, typer.Option("--quiet", "-q", help="Print no progress.")]
+Force = Annotated[bool, Option("--force", help="Replace existing output.")]
+Quiet = Annotated[bool, Option("--quiet", "-q", help="Print no progress and no summary.")]
+NoBar = Annotated[bool, Option("--quiet", "-q", help="Print no progress.")]
 Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose",
-        "-v",
-        help="Print every figure and check; on standard error, each stage.",
-    ),
+    bool, Option("--verbose", "-v", help="Print every figure and check; on standard error, each stage.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+AsJson = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[
-    Path | None,
-    typer.Option("--junit", readable=False, help="Also write every criterion to this file as JUnit XML."),
+    Path | None, path_option("--junit", help="Also write every criterion to this file as JUnit XML.")
 ]
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
-from mobilecal_cli.commands.options import Force, Quiet, written_line
+from mobilecal_cli.commands.options import Force, Quiet, path_argument, written_line
 from mobilecal_cli.targets import ROBOTS, BoardKind, Container, Motion, Pictures, Robot
 
 _PAPER = Robot("paper")
@@ -15,32 +16,26 @@ _BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 
 
 def simulate(
-    out: Annotated[
-        Path, typer.Argument(readable=False, help="Recording to write: a file, or a directory for rosbag2.")
-    ],
+    out: Annotated[Path, path_argument(help="Recording to write: a file, or a directory for rosbag2.")],
     robot: Annotated[
-        Robot,
-        typer.Option(help=f"{'; '.join(f'{name}: {meaning}' for name, meaning in ROBOTS.items())}."),
+        Robot, Option(help=f"{'; '.join(f'{name}: {meaning}' for name, meaning in ROBOTS.items())}.")
     ] = _PAPER,
-    motion: Annotated[Motion, typer.Option(help="Motion of the base and the head.")] = "standard",
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    motion: Annotated[Motion, Option(help="Motion of the base and the head.")] = "standard",
+    seed: Annotated[int, Option(min=0, help="Seed of the random numbers.")] = 0,
     stations: Annotated[
-        int, typer.Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
+        int, Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
     ] = 12,
     container: Annotated[
-        Container | None, typer.Option(help="Container format. [default: from the file extension]")
+        Container | None, Option(help="Container format. [default: from the file extension]")
     ] = None,
-    pictures: Annotated[Pictures, typer.Option(help="Image encoding.")] = "jpeg",
+    pictures: Annotated[Pictures, Option(help="Image encoding.")] = "jpeg",
     board: Annotated[
-        BoardKind,
-        typer.Option(help="Board on the wall; boards with markers may be partly visible."),
+        BoardKind, Option(help="Board on the wall; boards with markers may be partly visible.")
     ] = "checkerboard",
     exact: Annotated[
-        bool, typer.Option("--exact", help="No noise and no encoder quantization (use with png).")
+        bool, Option("--exact", help="No noise and no encoder quantization (use with png).")
     ] = False,
-    camera_late: Annotated[
-        float, typer.Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")
-    ] = 0.0,
+    camera_late: Annotated[float, Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")] = 0.0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:

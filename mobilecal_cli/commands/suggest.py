@@ -24,7 +24,8 @@ def suggest(
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.formats import json_text
+    from mobilecal_cli.rig.config import load_rig
 
     with progress_bar(quiet) as progress:
-        advice = steps.suggest(logs, config, flags_of(setting), progress)
+        advice = steps.suggest(logs, load_rig(config, flags_of(setting)), progress)
     typer.echo(json_text(advice) if as_json else "\n".join(advice.lines), nl=not as_json)

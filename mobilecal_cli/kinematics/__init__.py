@@ -26,26 +26,3 @@ from mobilecal_cli.kinematics.wheels import (
     integrate,
     join,
 )
-
-__all__ = [
-    "DRIVEN_RAD",
-    "FEWEST_LEGS",
-    "TILTED_RAD",
-    "TURNED_RAD",
-    "Arcs",
-    "Increments",
-    "JointFrames",
-    "MotionSeen",
-    "between_steps",
-    "cut_at",
-    "encoder_step_rad",
-    "encoder_steps_rad",
-    "head_eye_words",
-    "head_jacobian",
-    "head_pose",
-    "integrate",
-    "join",
-    "joint_frames",
-    "motion_seen",
-    "unseen_height",
-]

@@ -14,7 +14,7 @@ from defusedxml.ElementTree import ParseError, fromstring
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FixedLink, FloatArray, HeadChain, JointLink
+from mobilecal_cli.model import FixedLink, FloatArray, JointLink
 from mobilecal_cli.model.text import listed
 
 _AXIS_DEFAULT = "1 0 0"  # default of the URDF specification
@@ -92,6 +92,13 @@ class Urdf:
             link = above[link].parent
         return tuple(reversed(path))
 
+    def position_m(self, base: str, tip: str) -> FloatArray:
+        """Origin of a link in the coordinates of one above it, with all joints at zero, (3,) m; raises as `path`."""
+        T = np.eye(4)
+        for joint in self.path(base, tip):
+            T = T @ joint.T_parent_child
+        return T[:3, 3]
+
 
 def _checked(joint: UrdfJoint) -> UrdfJoint:
     """The joint itself, if a real robot can have it.
@@ -107,7 +114,7 @@ def _checked(joint: UrdfJoint) -> UrdfJoint:
     return joint
 
 
-def _numbers(text: str, count: int, where: str) -> FloatArray:
+def _parsed_floats(text: str, count: int, where: str) -> FloatArray:
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
@@ -132,11 +139,13 @@ def _joint(element: Element) -> UrdfJoint:
     T = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
-        rpy = _numbers(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
-        T = se3.transform(se3.from_rpy(rpy), _numbers(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz"))
+        rpy = _parsed_floats(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
+        T = se3.transform(
+            se3.from_rpy(rpy), _parsed_floats(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz")
+        )
     axis_element = element.find("axis")
     axis_text = axis_element.get("xyz", _AXIS_DEFAULT) if axis_element is not None else _AXIS_DEFAULT
-    axis = _numbers(axis_text, 3, f"{where}, axis")
+    axis = _parsed_floats(axis_text, 3, f"{where}, axis")
     kind = element.get("type", "")
     if kind not in ("fixed", "floating") and math.hypot(*axis) < 1e-9:
         raise ConfigError(f"URDF: {where}: its axis has zero length", "correct the URDF")
@@ -145,8 +154,8 @@ def _joint(element: Element) -> UrdfJoint:
     if mimic_element is not None:
         mimic = (
             mimic_element.get("joint", ""),
-            float(_numbers(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
-            float(_numbers(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
+            float(_parsed_floats(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
+            float(_parsed_floats(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
         )
     length = math.hypot(*axis)
     return UrdfJoint(name, kind, ends["parent"], ends["child"], T, axis / length if length else axis, mimic)
@@ -181,20 +190,18 @@ def parse_urdf(text: str) -> Urdf:
             cylinder = link.find(f"{kind}/geometry/cylinder")
             if cylinder is not None and link.get("name") not in radii:
                 where = f"link {link.get('name')!r}, cylinder radius"
-                radii[link.get("name", "")] = float(_numbers(cylinder.get("radius", ""), 1, where)[0])
+                radii[link.get("name", "")] = float(_parsed_floats(cylinder.get("radius", ""), 1, where)[0])
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 
-def chain_links(
-    path: tuple[UrdfJoint, ...], joints: Mapping[str, UrdfJoint]
-) -> tuple[FixedLink | JointLink, ...]:
-    """Links of a `HeadChain` for a path of URDF joints.
+def chain_links(urdf: Urdf, base: str, head: str) -> tuple[FixedLink | JointLink, ...]:
+    """Links of a `HeadChain` from one link down to another.
 
     Raises:
-        ConfigError: an unsupported kind of joint (floating, planar), or an invalid mimic.
+        ConfigError: no path of joints, an unsupported kind of joint (floating, planar), or an invalid mimic.
     """
     links: list[FixedLink | JointLink] = []
-    for joint in path:
+    for joint in urdf.path(base, head):
         if not np.array_equal(joint.T_parent_child, np.eye(4)):
             links.append(FixedLink(joint.T_parent_child))
         if joint.kind == "fixed":
@@ -206,45 +213,13 @@ def chain_links(
                 "set head.base_frame to a link below it",
             )
         read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
-        if read not in joints:
+        if read not in urdf.joints:
             raise ConfigError(
                 f"URDF: joint {joint.name!r} mimics {read!r}, which does not exist", "correct the URDF"
             )
         kind = "prismatic" if joint.kind == "prismatic" else "revolute"
         links.append(JointLink(read, joint.axis, kind, multiplier, offset))  # type: ignore[arg-type]
     return tuple(links)
-
-
-def head_chain(
-    urdf: Urdf, base: str, head: str, pan: str, tilt: str, T_base_v: FloatArray | None = None
-) -> HeadChain:
-    """Kinematic chain from v to a head link.
-
-    Args:
-        urdf: the robot.
-        base, head: link names.
-        pan, tilt: joint names.
-        T_base_v: (4, 4) vehicle coordinates to base link coordinates; None if they are equal.
-    """
-    links = chain_links(urdf.path(base, head), urdf.joints)
-    if T_base_v is not None:
-        links = (FixedLink(se3.inverse(T_base_v)), *links)
-    return HeadChain(base, head, links, pan, tilt)
-
-
-def wheel_centres(urdf: Urdf, base: str, left: str, right: str) -> tuple[FloatArray, FloatArray]:
-    """Centers of the left and right wheel in base coordinates, (3,) each, m, for the names of their joints.
-
-    Raises:
-        ConfigError: the link of a wheel is not connected to the base.
-    """
-    centres = []
-    for name in (left, right):
-        T = np.eye(4)
-        for joint in urdf.path(base, urdf.joints[name].child):
-            T = T @ joint.T_parent_child
-        centres.append(T[:3, 3])
-    return centres[0], centres[1]
 
 
 def vehicle_frame(left_m: FloatArray, right_m: FloatArray) -> FloatArray:

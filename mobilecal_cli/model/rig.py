@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -530,6 +530,11 @@ class Nominal(ReadOnly):
     T_h_reference: Annotated[FloatArray, 4, 4] | None = None
     wheels: WheelGeometry | None = None
 
+    def over(self, other: Nominal) -> Nominal:
+        """These values, and those of the other where there are none."""
+        T = other.T_h_reference if self.T_h_reference is None else self.T_h_reference
+        return Nominal(T, self.wheels or other.wheels)
+
 
 @dataclass(frozen=True, slots=True)
 class KnownNoise:
@@ -552,8 +557,7 @@ class KnownNoise:
     @property
     def given(self) -> dict[str, float]:
         """Name → value of those that are given."""
-        levels = {level.name: getattr(self, level.name) for level in fields(self)}
-        return {name: value for name, value in levels.items() if value is not None}
+        return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 @dataclass(frozen=True, slots=True, eq=False)

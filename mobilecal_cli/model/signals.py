@@ -149,11 +149,6 @@ class Shot:
         """Time of the images: the mean of their stamps."""
         return sum(self.taken_ns) // len(self.taken_ns)
 
-    @property
-    def apart_ns(self) -> int:
-        """Time between the first and the last image."""
-        return max(self.taken_ns) - min(self.taken_ns)
-
     def split(self, tolerance_ns: float) -> list[Shot]:
         """Shots of images that are within a tolerance, in order of time: the shot itself, if all are."""
         parts: list[Shot] = []

@@ -27,7 +27,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
-from mobilecal_cli.model import FloatArray, WheelGeometry
+from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -181,6 +181,11 @@ class CamerasConfig(_Section):
     def named(self) -> dict[str, CameraTopics]:
         """The cameras with other names than left and right."""
         return dict(self.__pydantic_extra__ or {})
+
+    @property
+    def layout(self) -> StereoLayout:
+        """Arrangement of the two images of a pair."""
+        return "separate" if self.both is None else self.both.layout
 
     def of(self, name: str) -> CameraTopics:
         """What is configured of a camera."""
@@ -424,7 +429,7 @@ class RigConfig(_Section):
         description="auto: rests, or keyframes if the robot does not rest; all: every image, including those in motion",
     )
     _path: Path | None = PrivateAttr(None)
-    _flags: frozenset[str] = PrivateAttr(frozenset())
+    _flags: tuple[str, ...] = PrivateAttr(())
 
     @property
     def path(self) -> Path | None:
@@ -432,8 +437,8 @@ class RigConfig(_Section):
         return self._path
 
     @property
-    def flags(self) -> frozenset[str]:
-        """Dotted keys that flags gave."""
+    def flags(self) -> tuple[str, ...]:
+        """Dotted keys that flags gave, in their order."""
         return self._flags
 
     def source_of(self, key: str) -> Literal["flag", "file"] | None:
@@ -446,6 +451,10 @@ class RigConfig(_Section):
                 return None
             value = getattr(value, part)
         return "file"
+
+
+#: Everything is left to the recording and the defaults.
+UNCONFIGURED = RigConfig()
 
 
 def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigConfig:
@@ -473,7 +482,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
-    rig._path, rig._flags = path, frozenset(given)
+    rig._path, rig._flags = path, tuple(given)
     return rig
 
 

@@ -33,19 +33,20 @@ from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
     TODO,
+    UNCONFIGURED,
     BoardConfig,
     CamerasConfig,
     HeadConfig,
     HeadEyeNominal,
     JointFieldConfig,
     NoiseConfig,
-    RigConfig,
     WheelsConfig,
     WheelsNominal,
+    read_urdf,
 )
 from mobilecal_cli.rig.head import pan_and_tilt
 from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
-from mobilecal_cli.rig.resolve import Part, Survey, survey_rig
+from mobilecal_cli.rig.resolve import Part, Survey
 from mobilecal_cli.rig.settings import pose_settings
 from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
 
@@ -121,7 +122,10 @@ class Draft:
     def fill(self, key: str, text: str, source: str, value: str | None = None) -> None:
         """A key of a section as YAML, with its source as a comment; and its value for the summary, if not the text."""
         self.filled.append(Filled(key, text if value is None else value, source))
-        line = f"  {key.partition('.')[2]}: {text}"
+        section, _, name = key.partition(".")
+        if f"{section}:" not in self.lines:
+            self.lines.append(f"{section}:")
+        line = f"  {name}: {text}"
         both = f"{line}  # {source}"
         self.lines += [both] if len(both) <= _WIDTH else [f"  # {source}", line]
 
@@ -176,27 +180,19 @@ def _listing(title: str, names: Iterable[str]) -> str:
 
 
 def draft_rig(
-    description: RobotDescription,
-    log_name: str,
-    *,
-    survey: Survey | None = None,
-    urdf_text: str | None = None,
-    urdf_path: str | None = None,
-    board: BoardView | None = None,
+    survey: Survey, log_name: str, urdf_path: str | None = None, board: BoardView | None = None
 ) -> Draft:
     """Draft of a rig.yaml.
 
     Where names, images or readings allow two answers, the user is asked.
 
     Args:
-        `description`: topics and first messages of the recording.
+        survey: of the recording, with no more configured than the URDF to use in place of the one in the recording.
         log_name: shown in the first line.
-        survey: of the recording without a configuration, if there is one already.
-        urdf_text: text of the URDF to use in place of the one in the recording.
-        urdf_path: its path, as it is written to the file.
+        urdf_path: path of that URDF, as it is written to the file.
         board: the board in some images.
     """
-    survey = survey or survey_rig(RigConfig(), description, urdf_text)
+    description = survey.description
     draft = Draft(survey, () if survey.head is None else survey.head.notes)
     draft.lines += [
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
@@ -205,7 +201,7 @@ def draft_rig(
         "schema_version: 1",
         "",
     ]
-    text = urdf_text or next((text for _, text in sorted(description.urdfs.items())), None)
+    text = read_urdf(survey.config) or next((text for _, text in sorted(description.urdfs.items())), None)
     urdf = None if text is None else _tried(lambda: parse_urdf(text))
     for write in (
         partial(_board, draft, board),
@@ -254,7 +250,6 @@ def _board(draft: Draft, board: BoardView | None) -> None:
         return
     columns, rows = board.size
     source = f"images: inner corners of the checkerboard, whole in {board.seen} of {board.pictures}"
-    draft.lines.append("board:")
     draft.fill("board.columns", str(columns), source)
     draft.fill("board.rows", str(rows), source)
     _square(draft, board)
@@ -304,11 +299,10 @@ def _cameras(draft: Draft, description: RobotDescription) -> None:
     present = (topic.name for topic in description.topics if topic.type in IMAGES)
     draft.lines.append(_listing("image topics in the recording", present))
     if images is None:
-        named = named_cameras(RigConfig(), description)
+        named = named_cameras(UNCONFIGURED, description)
         several = ["cameras:", *(f"  {name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())]
         draft.ask_for("cameras", "cameras", *(several if named else _example("cameras", CamerasConfig)))
         return
-    draft.lines.append("cameras:")
     for name, image in images.items():
         info = infos.get(name)
         value = image if info is None else f"{image}, {info}"
@@ -326,8 +320,6 @@ def _wheels(draft: Draft, description: RobotDescription) -> None:
     )
     sources, counted = draft.survey.wheels, counters(description.numbers)
     whole = tick_counters(counted)
-    if sources is not None or (len(counted) == 1 and whole):
-        draft.lines.append("wheels:")
     if sources is not None and sources["left"].assumed:
         topic = sources["left"].topic
         why = "recording: no wheels, and the only odometry that is named as theirs"
@@ -417,12 +409,10 @@ def _joints(draft: Draft, description: RobotDescription) -> None:
         chain = survey.head.chain
         pan, tilt = chain.pan, chain.tilt
     else:
-        pan, tilt = _tried(lambda: pan_and_tilt(RigConfig(), names)) or ("", "")
+        pan, tilt = _tried(lambda: pan_and_tilt(UNCONFIGURED, names)) or ("", "")
     only_topic = survey.joints and len(survey.joints) == 1 and not survey.elsewhere
     keys = {"topic": survey.joints[0]} if survey.joints and only_topic else {}
     keys |= {key: name for key, name in (("pan", pan), ("tilt", tilt)) if name}
-    if keys:
-        draft.lines.append("joints:")
     for key, value in keys.items():
         source = "recording: the only one with the head's joints" if key == "topic" else "name of the joint"
         draft.fill(f"joints.{key}", _quoted(value), source, value)
@@ -441,7 +431,6 @@ def _head(draft: Draft, urdf_path: str | None) -> None:
         draft.ask_for("head chain", "head", *_example("head", HeadConfig))
         return
     chain, source = head.chain, "the given URDF" if urdf_path else head.origin
-    draft.lines.append("head:")
     if urdf_path is not None:
         draft.fill("head.urdf", _quoted(urdf_path), "option --urdf", urdf_path)
     draft.fill("head.base_frame", _quoted(chain.base_frame), source, chain.base_frame)

@@ -13,7 +13,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import (
     Urdf,
     UrdfJoint,
-    head_chain,
+    chain_links,
     parse_urdf,
     vehicle_frame,
 )
@@ -43,7 +43,8 @@ from mobilecal_cli.rig.names import (
 )
 from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
 
-_MIDWAY_M = 1e-6
+#: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
+_MIDWAY_M, _AHEAD_DEG = 1e-6, 1e-4
 #: A transform that changes by less is fixed; the transform of a fixed mount does not change at all.
 _STILL_RAD, _STILL_M = 2e-3, 5e-4
 #: A transform that deviates by more from the motion of a joint is not a joint.
@@ -112,10 +113,11 @@ def head_of(
             pan, tilt = pan_and_tilt(config, list(urdf.joints))
         base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
-    chain, chain_notes = _chain_from_urdf(urdf, wheels, base, head, pan, tilt)
+    offset, offset_notes = _vehicle_offset(urdf, wheels, base)
+    chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)), pan, tilt)
     _check_configured(config, chain)
     drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
-    return Head(chain, urdf, drawn, origin, (*notes, *chain_notes))
+    return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
 
 
 def _moving_transforms(
@@ -185,37 +187,32 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
     return carried
 
 
-def _chain_from_urdf(
-    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str, head: str, pan: str, tilt: str
-) -> tuple[HeadChain, list[str]]:
-    """Kinematic chain from v to the head, and notes on the position of v.
+def _vehicle_offset(
+    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str
+) -> tuple[list[FixedLink], list[str]]:
+    """The link from the vehicle frame v to the base link, none if they are the same, and notes on it.
 
-    The vehicle frame v lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
+    The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
     differs, the offset is computed from the origins of the wheel joints.
     """
-    wheels = urdf_wheels(urdf, sources)
-    if len(wheels) < 2:
-        return head_chain(urdf, base, head, pan, tilt), []
-    T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
-    notes = []
-    moving = [
-        joint.name
-        for joint in urdf.path(base, urdf.joints[wheels["left"][0]].parent)
-        if joint.kind != "fixed"
-    ]
-    if moving:  # as on a robot that steers its axle
-        notes.append(
-            f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive is "
-            "calibrated, with these joints at zero."
-        )
-    shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
-    if float(np.linalg.norm(shift)) < _MIDWAY_M and abs(turn) < 1e-4:
-        return head_chain(urdf, base, head, pan, tilt), notes
-    note = (
-        f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
-        f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
-    )
-    return head_chain(urdf, base, head, pan, tilt, T_base_v), [note, *notes]
+    links, notes, wheels = [], [], urdf_wheels(urdf, sources)
+    if len(wheels) == 2:
+        T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
+        shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
+        if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:
+            links.append(FixedLink(se3.inverse(T_base_v)))
+            notes.append(
+                f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
+                f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
+            )
+        axle = urdf.path(base, urdf.joints[wheels["left"][0]].parent)
+        moving = [joint.name for joint in axle if joint.kind != "fixed"]
+        if moving:  # as on a robot that steers its axle
+            notes.append(
+                f"According to the URDF, the wheels move against {base} with {listed(moving)}. A differential drive "
+                "is calibrated, with these joints at zero."
+            )
+    return links, notes
 
 
 def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:

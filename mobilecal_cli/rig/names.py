@@ -139,10 +139,6 @@ _NOT_DRIVEN = {
     "caster", "castor", "casters", "castors", "passive", "swivel", "idler", "arm", "gripper", "finger", "steer",
     "steering", "suspension", "rocker", "bogie", "flywheel",
 }  # fmt: skip
-_STEERING = {"steer", "steering"}
-_CASTERS = {"caster", "castor", "casters", "castors"}
-#: Drives that are no differential drive, by the words of their topics, types and joints.
-OTHER_DRIVES = {"ackermann": "Ackermann", "mecanum": "mecanum", "omni": "omnidirectional", "swerve": "swerve"}
 
 
 def _wheel_words(name: str) -> list[str]:
@@ -182,18 +178,6 @@ def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
             sets.setdefault(rest, {}).setdefault(place, {}).setdefault(side, name)
     whole = [[pair for pair in places.values() if len(pair) == 2] for places in sets.values()]
     return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
-
-
-def steered(names: Iterable[str]) -> list[str]:
-    """Joints that steer wheels, except those of casters."""
-    return [name for name in names if _STEERING & {*words(name)} and not _CASTERS & {*words(name)}]
-
-
-def other_drive(description: RobotDescription) -> str:
-    """A drive that is no differential drive, by the names of topics, types and joints; "" if nothing names one."""
-    names = [name for topic in description.topics for name in (topic.name, topic.type)]
-    present = {word for name in (*names, *joint_state_names(description)) for word in words(name)}
-    return next((drive for word, drive in OTHER_DRIVES.items() if word in present), "")
 
 
 def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField, ...]]]:

@@ -18,7 +18,6 @@ from mobilecal_cli.model import (
     RobotDescription,
     Side,
     Sources,
-    StereoLayout,
     WheelSource,
     camera_words,
 )
@@ -30,7 +29,7 @@ from mobilecal_cli.rig.cameras import (
     is_rectified,
     note_on_choice,
 )
-from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_fields, joint_topics, joint_transforms
 from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
@@ -47,6 +46,7 @@ class Survey:
     """The parts of a rig that configuration and recording determine, and why the others are unknown.
 
     Attributes:
+        config, description: of the configuration and the recording.
         images, infos: topics of each camera.
         rectified: whether the images are rectified.
         cameras: the cameras.
@@ -59,6 +59,8 @@ class Survey:
             error has none of its own.
     """
 
+    config: RigConfig
+    description: RobotDescription
     images: dict[str, str] | None
     infos: dict[str, str]
     rectified: bool
@@ -71,38 +73,21 @@ class Survey:
     lacks: tuple[tuple[Part, _Lack], ...]
 
 
-def resolve_rig(
-    config: RigConfig,
-    description: RobotDescription,
-    urdf_text: str | None = None,
-) -> tuple[Rig, tuple[str, ...]]:
-    """Complete a configuration with the contents of the recording: the rig, and notes for the report.
+def complete_rig(survey: Survey) -> Rig:
+    """The rig of a survey.
 
     Raises:
         RecordingError: the recording lacks something that the configuration does not give.
         ConfigError: configuration and recording contradict each other, or several choices remain.
     """
-    return complete_rig(survey_rig(config, description, urdf_text), config)
-
-
-def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...]]:
-    """The rig of a survey of the same configuration, and notes for the report.
-
-    Raises:
-        RecordingError, ConfigError: the first error of the survey.
-    """
-    images, cameras, wheels = survey.images, survey.cameras, survey.wheels
+    config, images, cameras, wheels = survey.config, survey.images, survey.cameras, survey.wheels
     head, joints = survey.head, survey.joints
     if survey.lacks or not (images and cameras and wheels and head) or joints is None:
         raise survey.lacks[0][1]
-    infos, chain, given = survey.infos, head.chain, nominal_of(config)
-    drawn = head.drawn
-    sources = Sources(images, infos, joints, wheels, survey.elsewhere, stereo_layout(config))
+    infos, chain, drawn = survey.infos, head.chain, head.drawn
+    sources = Sources(images, infos, joints, wheels, survey.elsewhere, config.cameras.layout)
     assumed = sources.assumed_wheels
-    nominal = Nominal(
-        drawn.T_h_reference if given.T_h_reference is None else given.T_h_reference,
-        assumed or given.wheels or drawn.wheels,
-    )
+    nominal = Nominal(wheels=assumed).over(nominal_of(config)).over(drawn)
 
     # What each setting is, its key in rig.yaml, and its source if neither a flag nor the file gives it.
     rows = [
@@ -133,7 +118,7 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         ("nominal wheels", "nominal.wheels", "assumed" if assumed else "URDF" if drawn.wheels else "none"),
         ("nominal head_eye", "nominal.head_eye", "none" if drawn.T_h_reference is None else "URDF"),
     ]
-    rig = Rig(
+    return Rig(
         cameras,
         chain,
         nominal,
@@ -142,66 +127,77 @@ def complete_rig(survey: Survey, config: RigConfig) -> tuple[Rig, tuple[str, ...
         KnownNoise(**config.noise.model_dump()),
         prior_sigmas(config.priors, cameras, chain),
     )
-    return rig, (*survey.notes, *head.notes)
 
 
-def stereo_layout(config: RigConfig) -> StereoLayout:
-    """Arrangement of the two images of a pair."""
-    return "separate" if config.cameras.both is None else config.cameras.both.layout
+def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
+    """Everything that configuration and recording determine, and all errors, except those that follow from another.
 
-
-def survey_rig(config: RigConfig, description: RobotDescription, urdf_text: str | None = None) -> Survey:
-    """Everything that configuration and recording determine, and all errors, except those that follow from another."""
+    Raises:
+        ConfigError: the URDF that the configuration names cannot be read.
+    """
     lacks: list[tuple[Part, _Lack]] = []
+    lacks_of_head: list[tuple[Part, _Lack]] = []
 
-    def tried(part: Part, step: Callable[[], T]) -> T | None:
+    def tried(part: Part, step: Callable[[], T], errors: list[tuple[Part, _Lack]] = lacks) -> T | None:
         try:
             return step()
         except (RecordingError, ConfigError) as error:
-            lacks.append((part, error))
+            errors.append((part, error))
             return None
 
+    urdf_text = read_urdf(config)
     images = tried("cameras", lambda: image_topics(config, description))
     configured = (config.joints.topic, config.wheels.left.topic, config.wheels.right.topic)
-    description = of_one_robot(description, (images or {}).values(), filter(None, configured))
+    of_robot = of_one_robot(description, (images or {}).values(), filter(None, configured))
     topics: dict[str, str] = {}
     rectified, cameras = False, None
     notes: tuple[str, ...] = ()
     if images is not None:
         for name, image in images.items():
-            topic = tried("camera infos", partial(info_topic, name, image, config, description))
+            topic = tried("camera infos", partial(info_topic, name, image, config, of_robot))
             topics |= {name: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(next(iter(images.values()))) if told is None else told
-        notes = note_on_choice(images, config, description)
-    infos = {name: description.infos[topic] for name, topic in topics.items()}
+        notes = note_on_choice(images, config, of_robot)
+    infos = {name: of_robot.infos[topic] for name, topic in topics.items()}
     whole = images is not None and len(infos) == len(images)
     if whole:
         tried("camera infos", lambda: check_sizes(infos))
-    wheels = tried("wheels", lambda: wheel_sources(config, description))
+    wheels = tried("wheels", lambda: wheel_sources(config, of_robot))
     reference = config.cameras.reference or next(iter(images or {}), "")
     frame = infos[reference].frame_id if reference in infos else ""
-    lacks_of_cameras = len(lacks)
-    head = tried("head chain", lambda: head_of(config, description, urdf_text, wheels or {}, frame))
-    if images is not None and not frame:  # which link carries a camera without a frame is no error of its own
-        lacks[lacks_of_cameras:] = [
-            own for own in lacks[lacks_of_cameras:] if isinstance(own[1], RecordingError)
-        ]
+    head = tried(
+        "head chain", lambda: head_of(config, of_robot, urdf_text, wheels or {}, frame), lacks_of_head
+    )
+    # Which link carries a camera without a frame is no error of its own.
+    if images is not None and not frame:
+        lacks_of_head = [lack for lack in lacks_of_head if isinstance(lack[1], RecordingError)]
     if whole:
-        urdf = None if head is None else head.urdf
-        own, lacks[lacks_of_cameras:] = lacks[lacks_of_cameras:], []
-        cameras = tried(
-            "camera infos", lambda: camera_rig(infos, rectified, config, partial(fixed_pose, urdf))
-        )
-        lacks += own
+        drawn = partial(fixed_pose, None if head is None else head.urdf)
+        cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
+    lacks += lacks_of_head
     if wheels is not None and head is not None and head.urdf is not None:
         wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
     elsewhere: dict[str, JointField | JointTransform] = {}
     joints: tuple[str, ...] | None = None
     if head is not None:
-        elsewhere |= tried("joints", lambda: joint_fields(config, description, head.chain)) or {}
-        elsewhere |= joint_transforms(config, description, head.chain, head.urdf)
-        joints = tried("joints", lambda: joint_topics(config, description, head.chain, elsewhere))
+        notes += head.notes
+        elsewhere |= tried("joints", lambda: joint_fields(config, of_robot, head.chain)) or {}
+        elsewhere |= joint_transforms(config, of_robot, head.chain, head.urdf)
+        joints = tried("joints", lambda: joint_topics(config, of_robot, head.chain, elsewhere))
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
-    return Survey(images, topics, rectified, cameras, wheels, head, elsewhere, joints, notes, tuple(lacks))
+    return Survey(
+        config,
+        description,
+        images,
+        topics,
+        rectified,
+        cameras,
+        wheels,
+        head,
+        elsewhere,
+        joints,
+        notes,
+        tuple(lacks),
+    )

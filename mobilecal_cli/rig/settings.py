@@ -21,6 +21,7 @@ from mobilecal_cli.model import (
     FixedLink,
     FloatArray,
     HeadChain,
+    JointLink,
     Nominal,
     Rig,
     Side,
@@ -31,34 +32,24 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal
 
 
-def _numbers(array: FloatArray) -> list[float]:
+def _floats(array: FloatArray) -> list[float]:
     return [float(value) + 0.0 for value in array]
 
 
 def pose_settings(T: FloatArray) -> dict[str, Any]:
     """A pose as rig.yaml states it."""
     return {
-        "translation_m": _numbers(T[:3, 3]),
-        "quaternion_xyzw": _numbers(se3.quaternion_xyzw(T[:3, :3])),
+        "translation_m": _floats(T[:3, 3]),
+        "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3])),
     }
 
 
-def _chain(chain: HeadChain) -> list[dict[str, Any]]:
-    links: list[dict[str, Any]] = []
-    for link in chain.links:
-        if isinstance(link, FixedLink):
-            links.append(
-                {
-                    "xyz_m": _numbers(link.T_parent_child[:3, 3]),
-                    "rpy_rad": _numbers(se3.to_rpy(link.T_parent_child[:3, :3])),
-                }
-            )
-            continue
-        joint: dict[str, Any] = {"joint": link.joint, "axis": _numbers(link.axis)}
-        if link.kind == "prismatic":
-            joint["kind"] = link.kind
-        links.append(joint)
-    return links
+def _link(link: FixedLink | JointLink) -> dict[str, Any]:
+    if isinstance(link, FixedLink):
+        T = link.T_parent_child
+        return {"xyz_m": _floats(T[:3, 3]), "rpy_rad": _floats(se3.to_rpy(T[:3, :3]))}
+    kind = {"kind": link.kind} if link.kind == "prismatic" else {}
+    return {"joint": link.joint, "axis": _floats(link.axis), **kind}
 
 
 def _camera(rig: Rig, name: str) -> dict[str, Any]:
@@ -121,7 +112,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         "head": {
             "base_frame": rig.chain.base_frame,
             "head_frame": rig.chain.head_frame,
-            "chain": _chain(rig.chain),
+            "chain": [_link(link) for link in rig.chain.links],
         },
         "setting_sources": dict(rig.setting_sources),
     }
@@ -269,10 +260,7 @@ def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
     sources = dict(rig.setting_sources)
     sources |= {} if given.wheels is None else {"nominal wheels": "flag"}
     sources |= {} if given.T_h_reference is None else {"nominal head_eye": "flag"}
-    head_eye = rig.nominal.T_h_reference if given.T_h_reference is None else given.T_h_reference
-    return replace(
-        rig, nominal=Nominal(head_eye, given.wheels or rig.nominal.wheels), setting_sources=sources
-    )
+    return replace(rig, nominal=given.over(rig.nominal), setting_sources=sources)
 
 
 def _rescaled(

@@ -10,7 +10,7 @@ import numpy as np
 
 from mobilecal_cli import ranges
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import Urdf, wheel_centres
+from mobilecal_cli.kinematics.urdf import Urdf
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import (
     ODOMETRY,
@@ -29,9 +29,7 @@ from mobilecal_cli.rig.names import (
     counters,
     is_wheel,
     joint_state_names,
-    other_drive,
     require_topic,
-    steered,
     tick_counters,
     wheel_place,
     wheel_sets,
@@ -64,6 +62,15 @@ _NOT_WHEELS = {
     "optitrack", "optical",
 }  # fmt: skip
 _OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
+#: Words of joints that steer wheels, except those of casters.
+_STEERING, _CASTERS = {"steer", "steering"}, {"caster", "castor", "casters", "castors"}
+#: Drives that are no differential drive, by the words of their topics, types and joints.
+_OTHER_DRIVES = {
+    "ackermann": "Ackermann",
+    "mecanum": "mecanum",
+    "omni": "omnidirectional",
+    "swerve": "swerve",
+}
 
 
 def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
@@ -78,11 +85,11 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.parts}
     sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
     if len(sources) < len(SIDES):
-        found = _found(config, description)
-        if found is None:
+        by_name = _wheels_by_name(config, description)
+        if by_name is None:
             sources = _odometry(config, description, _odometry_topic(description)) | sources
         else:
-            sources = {side: _source(side, wheel, description) for side, wheel in found.items()} | sources
+            sources = {side: _source(side, wheel, description) for side, wheel in by_name.items()} | sources
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
@@ -144,7 +151,7 @@ def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, .
     return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
 
 
-def _found(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
+def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
     """The configuration completed by wheels that are found by names; None if there are none."""
     _refuse_other_drives(description)
     sets = _wheel_joints(description)
@@ -169,8 +176,12 @@ def _refuse_other_drives(description: RobotDescription) -> None:
     Raises:
         RecordingError: naming the joints or the drive.
     """
-    joints = steered(joint_state_names(description))
-    drive, what = other_drive(description), f"; joints that steer: {listed(joints)}" if joints else ""
+    names = joint_state_names(description)
+    joints = [name for name in names if _STEERING & {*words(name)} and not _CASTERS & {*words(name)}]
+    names += [name for topic in description.topics for name in (topic.name, topic.type)]
+    present = {word for name in names for word in words(name)}
+    drive = next((drive for word, drive in _OTHER_DRIVES.items() if word in present), "")
+    what = f"; joints that steer: {listed(joints)}" if joints else ""
     if drive or joints:
         raise RecordingError(
             f"the names in the recording are those of {drive or 'a steered'} drive{what}: "
@@ -345,12 +356,15 @@ def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, t
 def side_centres(
     urdf: Urdf, base: str, wheels: Mapping[Side, Sequence[str]]
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean center of the left and of the right wheels in base coordinates, (3,) each, m."""
-    pairs = [
-        wheel_centres(urdf, base, left, right)
-        for left, right in zip(wheels["left"], wheels["right"], strict=True)
-    ]
-    left, right = (np.mean(centres, axis=0) for centres in zip(*pairs, strict=True))
+    """Mean center of the left and of the right wheels in base coordinates, (3,) each, m.
+
+    Raises:
+        ConfigError: the link of a wheel is not connected to the base.
+    """
+    centres = {
+        side: [urdf.position_m(base, urdf.joints[name].child) for name in wheels[side]] for side in SIDES
+    }
+    left, right = (np.mean(centres[side], axis=0) for side in SIDES)
     return left, right
 
 

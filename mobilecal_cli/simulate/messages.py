@@ -5,7 +5,6 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -22,13 +21,26 @@ from rosbags.typesys.store import Typestore
 
 from mobilecal_cli.model import CameraInfo, CameraRig, FloatArray, IntArray, WheelGeometry
 from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import SimulatedRobot, urdf_text
+from mobilecal_cli.simulate.robot import (
+    JOINT_NOISE_RAD,
+    JOINT_RATE_HZ,
+    TICK_BITS,
+    TICKS_PER_REVOLUTION,
+    SimulatedRobot,
+    urdf_text,
+)
 from mobilecal_cli.simulate.route import Route, base_in_world
-from mobilecal_cli.simulate.scenario import Scenario, truth_yaml
+from mobilecal_cli.simulate.scenario import (
+    BLUR_PX,
+    PIXEL_NOISE_GREY,
+    WHEEL_NOISE_RAD_PER_SQRT_RAD,
+    Scenario,
+    truth_yaml,
+)
 from mobilecal_cli.targets import Container
 
-START_NS = 1_700_000_000_000_000_000
-_COUNTER_TYPES = {8: "UInt8", 16: "UInt16", 32: "UInt32", 64: "UInt64"}
+START_NS = 1_700_000_000_000_000_000  # begin of each recording, since 1970
+_JPEG_QUALITY = 92  # percent, as of usual drivers
 _OWN_SLIP = 0.001  # of one of several wheels of a side, rad per sqrt(rad)
 _COUNTER_START_BELOW_WRAP = 500  # every counter wraps within a recording
 
@@ -118,7 +130,7 @@ def _picture(grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) 
         height, width = image.shape
         size = {"height": height, "width": width, "step": width}
         return "sensor_msgs/msg/Image", {"header": header, "encoding": "mono8", "data": image.ravel(), **size}
-    options = [cv2.IMWRITE_JPEG_QUALITY, scenario.jpeg_quality] if scenario.pictures == "jpeg" else []
+    options = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY] if scenario.pictures == "jpeg" else []
     ending = ".jpg" if scenario.pictures == "jpeg" else ".png"
     data = cv2.imencode(ending, image, options)[1].ravel()
     return "sensor_msgs/msg/CompressedImage", {"header": header, "format": scenario.pictures, "data": data}
@@ -143,8 +155,7 @@ class World:
 
     def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
         """A renderer of the board for each camera."""
-        blur_px = self.scenario.blur_px
-        return [BoardRenderer(camera, self.route.board, blur_px, random) for camera in self.cameras.each]
+        return [BoardRenderer(camera, self.route.board, BLUR_PX, random) for camera in self.cameras.each]
 
     def camera_poses(self, times_s: FloatArray) -> FloatArray:
         """T_w_c of the first camera at given times, (n, 4, 4)."""
@@ -157,7 +168,7 @@ class World:
 
     def state_times_s(self) -> FloatArray:
         """Times of the joint states; exact recordings sample every change of speed: angles are linear in between."""
-        times_s = np.arange(0, self.route.duration_s, 1 / self.robot.joint_rate_hz)
+        times_s = np.arange(0, self.route.duration_s, 1 / JOINT_RATE_HZ)
         breaks_s = self.route.drive.breaks_s
         return np.unique(np.concatenate([times_s, breaks_s])) if self.scenario.exact else times_s
 
@@ -171,8 +182,7 @@ class World:
         if self.scenario.exact:
             return angles
         change = np.diff(angles, axis=0, prepend=angles[:1])
-        level = self.scenario.wheel_noise_rad_per_sqrt_rad
-        error = random.normal(size=change.shape) * level * np.sqrt(np.abs(change))
+        error = random.normal(size=change.shape) * WHEEL_NOISE_RAD_PER_SQRT_RAD * np.sqrt(np.abs(change))
         return self.stepped(angles + np.cumsum(error, axis=0))
 
     def stepped(self, angles: FloatArray) -> FloatArray:
@@ -207,7 +217,7 @@ def _state_messages(world: World) -> Iterator[Published]:
     times_s = world.state_times_s()
     joints = world.joints(times_s)
     if not scenario.exact:
-        joints = joints + robot.joint_noise_rad * random.normal(size=joints.shape)
+        joints = joints + JOINT_NOISE_RAD * random.normal(size=joints.shape)
     wheels = world.wheels(times_s, random)
     names = list(robot.joint_names)
     counters = robot.wheel_signal == "ticks"
@@ -228,10 +238,10 @@ def _state_messages(world: World) -> Iterator[Published]:
         if robot.wheel_signal == "odometry":
             yield Published(stamp, "/odom", "nav_msgs/msg/Odometry", _odometry(pose, stamp))
         if counters:
-            kind = f"std_msgs/msg/{_COUNTER_TYPES[robot.tick_bits]}"
+            kind = f"std_msgs/msg/UInt{TICK_BITS}"
             for side, angle in (("right", wheel[0]), ("left", wheel[1])):
-                ticks = int(np.round(angle * robot.ticks_per_revolution / (2 * np.pi)))
-                count = (2**robot.tick_bits - _COUNTER_START_BELOW_WRAP + ticks) % 2**robot.tick_bits
+                ticks = int(np.round(angle * TICKS_PER_REVOLUTION / (2 * np.pi)))
+                count = (2**TICK_BITS - _COUNTER_START_BELOW_WRAP + ticks) % 2**TICK_BITS
                 yield Published(stamp, f"/wheel_ticks/{side}", kind, {"data": count})
 
 
@@ -247,7 +257,7 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
         for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
             grey = renderer.picture(np.linalg.inv(T_w_c @ T_c_x) @ world.route.T_w_k)
             if not scenario.exact:
-                grey = grey + scenario.pixel_noise_grey * random.normal(size=grey.shape)
+                grey = grey + PIXEL_NOISE_GREY * random.normal(size=grey.shape)
             kind, fields = _picture(grey, info.frame_id, stamp, scenario)
             yield Published(stamp, topics.image[name], kind, fields)
             yield Published(stamp, topics.info[name], "sensor_msgs/msg/CameraInfo", _camera_info(info, stamp))
@@ -270,9 +280,6 @@ def published(world: World, drawn: Callable[[int, int], None]) -> Iterator[Publi
     )
 
 
-_Write = Callable[[Path, Iterable[Published], Publisher], None]
-
-
 def _mcap(
     compression: CompressionType, path: Path, messages: Iterable[Published], publisher: Publisher
 ) -> None:
@@ -292,7 +299,29 @@ def _mcap(
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _connected(writer: Any, messages: Iterable[Published], publisher: Publisher) -> None:  # noqa: ANN401
+#: Containers of each kind of writer, and what they differ in.
+_MCAP = {
+    "mcap": CompressionType.NONE,
+    "mcap-lz4": CompressionType.LZ4,
+    "mcap-zstd": CompressionType.ZSTD,
+    "mcap-ros1": CompressionType.NONE,
+}
+_ROSBAG2 = {"rosbag2": StoragePlugin.SQLITE3, "rosbag2-mcap": StoragePlugin.MCAP}
+_BAG = {"bag-lz4": BagWriter.CompressionFormat.LZ4, "bag-bz2": BagWriter.CompressionFormat.BZ2}
+
+
+def write(container: Container, path: Path, messages: Iterable[Published]) -> None:
+    """Write messages, in order of time, as a recording."""
+    ros1 = container.startswith("bag") or container == "mcap-ros1"
+    publisher = Publisher(1 if ros1 else 2)
+    if container in _MCAP:
+        _mcap(_MCAP[container], path, messages, publisher)
+        return
+    writer: Any = BagWriter(path)
+    if container in _ROSBAG2:
+        writer = Rosbag2Writer(path, version=9, storage_plugin=_ROSBAG2[container])
+    elif container in _BAG:
+        writer.set_compression(_BAG[container])
     connections: dict[str, Any] = {}
     with writer:
         for published in messages:
@@ -300,38 +329,3 @@ def _connected(writer: Any, messages: Iterable[Published], publisher: Publisher)
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, published.type, typestore=publisher.store)
             writer.write(connections[topic], published.time_ns, publisher.serialized(published))
-
-
-def _rosbag2(plugin: StoragePlugin, path: Path, messages: Iterable[Published], publisher: Publisher) -> None:
-    _connected(Rosbag2Writer(path, version=9, storage_plugin=plugin), messages, publisher)
-
-
-def _bag(
-    compression: BagWriter.CompressionFormat | None,
-    path: Path,
-    messages: Iterable[Published],
-    publisher: Publisher,
-) -> None:
-    writer = BagWriter(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    _connected(writer, messages, publisher)
-
-
-_WRITERS: dict[Container, _Write] = {
-    "mcap": partial(_mcap, CompressionType.NONE),
-    "mcap-lz4": partial(_mcap, CompressionType.LZ4),
-    "mcap-zstd": partial(_mcap, CompressionType.ZSTD),
-    "mcap-ros1": partial(_mcap, CompressionType.NONE),
-    "rosbag2": partial(_rosbag2, StoragePlugin.SQLITE3),
-    "rosbag2-mcap": partial(_rosbag2, StoragePlugin.MCAP),
-    "bag": partial(_bag, None),
-    "bag-lz4": partial(_bag, BagWriter.CompressionFormat.LZ4),
-    "bag-bz2": partial(_bag, BagWriter.CompressionFormat.BZ2),
-}
-
-
-def write(container: Container, path: Path, messages: Iterable[Published]) -> None:
-    """Write messages, in order of time, as a recording."""
-    ros1 = container.startswith("bag") or container == "mcap-ros1"
-    _WRITERS[container](path, messages, Publisher(1 if ros1 else 2))

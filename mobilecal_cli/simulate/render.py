@@ -70,11 +70,11 @@ class Print:
 
 
 _SUB = 2  # subpixels per axis; edges are shaded over one, so that they are not aligned to their grid
-_DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0
-_MARGIN_SQUARES = 1.0
-_PAD_PX = 6
+_DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0  # gray levels
+_MARGIN_SQUARES = 1.0  # of paper around the print
+_PAD_PX = 6  # around the board, which the lens blur reaches
 _SHADE = 0.10  # decrease of the brightness over the image width
-INVERSE_ROUNDS = 25
+INVERSE_ROUNDS = 25  # to rounding, with the distortion of the simulated cameras
 
 
 def _width(position: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Literal
+from typing import Final, Literal
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -27,9 +27,13 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 
-WIDTH, HEIGHT = 640, 480
-_WHEELBASE_M = 0.262
-BASELINE_M = 0.12
+WIDTH, HEIGHT = 640, 480  # of the images, px
+_WHEELBASE_M = 0.262  # between front and rear wheels of four
+BASELINE_M = 0.12  # of the stereo pairs
+JOINT_RATE_HZ = 50  # of the joint states, and of ticks and odometry
+JOINT_NOISE_RAD = np.radians(0.01)  # sigma of one joint reading
+TICKS_PER_REVOLUTION = 4096  # of a wheel's tick counter
+TICK_BITS: Final = 16  # of its messages, so that it wraps
 
 
 def stereo_infos(
@@ -162,9 +166,6 @@ class SimulatedRobot:
             only as the odometry of a driver with the nominal wheels.
         slip: relative change of the effective separation with the turning rate, s/rad; `wheels` has that of a turn in
             place.
-        ticks_per_revolution, tick_bits: of the tick counters.
-        joint_noise_rad: sigma of one joint reading, rad.
-        joint_rate_hz: rate of the joint states (and ticks), Hz.
         mounted: other cameras than a stereo pair: name → pose in the first one, (4, 4) m.
     """
 
@@ -176,13 +177,9 @@ class SimulatedRobot:
     nominal_wheels: WheelGeometry
     pan: str = ""
     tilt: str = ""
-    encoder_step_rad: float = 2 * np.pi / 4096
+    encoder_step_rad: float = 2 * np.pi / TICKS_PER_REVOLUTION
     wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
     slip: float = 0.0
-    ticks_per_revolution: int = 4096
-    tick_bits: Literal[8, 16, 32, 64] = 16
-    joint_noise_rad: float = np.radians(0.01)
-    joint_rate_hz: int = 50
     mounted: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
@@ -249,8 +246,7 @@ class SimulatedRobot:
 
     def _wheel_source(self, side: Side) -> WheelSource:
         if self.wheel_signal == "ticks":
-            per_turn = float(self.ticks_per_revolution)
-            return WheelSource(f"/wheel_ticks/{side}", None, "data", per_turn, self.tick_bits)
+            return WheelSource(f"/wheel_ticks/{side}", None, "data", float(TICKS_PER_REVOLUTION), TICK_BITS)
         if self.wheel_signal == "odometry":
             return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
         first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])
@@ -385,7 +381,7 @@ ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
 }
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _quoted(values: Iterable[float]) -> str:
     return quoteattr(" ".join(repr(float(value)) for value in values))
 
 
@@ -399,11 +395,11 @@ def urdf_text(robot: SimulatedRobot) -> str:
             f"  <link name={quoteattr(joint.link)}/>",
             f"  <joint name={quoteattr(joint.name or joint.link + '_fixed')} type={quoteattr(kind)}>",
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(joint.link)}/>",
-            f"    <origin xyz={_numbers(joint.xyz_m)} rpy={_numbers(joint.rpy_rad)}/>",
+            f"    <origin xyz={_quoted(joint.xyz_m)} rpy={_quoted(joint.rpy_rad)}/>",
         ]
         if joint.name:
-            limit = _numbers([joint.limit_rad])
-            lines.append(f"    <axis xyz={_numbers(joint.axis)}/>")
+            limit = _quoted([joint.limit_rad])
+            lines.append(f"    <axis xyz={_quoted(joint.axis)}/>")
             lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
         lines.append("  </joint>")
         parent = joint.link
@@ -414,7 +410,7 @@ def urdf_text(robot: SimulatedRobot) -> str:
             f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
             '  <joint name="camera_fixed" type="fixed">',
             f"    <parent link={quoteattr(parent)}/><child link={quoteattr(robot.infos[0].frame_id)}/>",
-            f"    <origin xyz={_numbers(T[:3, 3])} rpy={_numbers(rpy)}/>",
+            f"    <origin xyz={_quoted(T[:3, 3])} rpy={_quoted(rpy)}/>",
             "  </joint>",
         ]
     wheels = robot.nominal_wheels
@@ -429,7 +425,7 @@ def urdf_text(robot: SimulatedRobot) -> str:
                 f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
                 f'  <joint name="{name}" type="continuous">',
                 f'    <parent link="base_link"/><child link="{link}"/>',
-                f'    <origin xyz={_numbers((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
+                f'    <origin xyz={_quoted((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
                 "  </joint>",
             ]
     return "\n".join([*lines, "</robot>"]) + "\n"

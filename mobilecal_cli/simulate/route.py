@@ -19,7 +19,9 @@ from mobilecal_cli.model import Board, FloatArray, WheelGeometry
 from mobilecal_cli.simulate.robot import OPTICAL, SimulatedRobot, pixels, pose
 from mobilecal_cli.targets import Motion
 
-_STRAIGHT_RADPS = 1e-12
+#: The board in front of a simulated robot.
+CHECKERBOARD = Board(9, 6, 0.08)
+_STRAIGHT_RADPS = 1e-12  # of turns that make no difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,16 +119,15 @@ def base_in_world(poses: FloatArray) -> FloatArray:
     return T
 
 
-REST_S = 1.2
-_SPEED_MPS = 0.3
-#: Rate of turns in place.
-TURN_RADPS = 0.7
-_MARGIN_PX = 22.0
-_SMALLEST_SQUARE_PX = 11.0
-_NEAREST_M, _FARTHEST_M = 1.05, 2.5
-_TRIES = 4000
+REST_S = 1.2  # at a stop: enough for what finds rests
+_SPEED_MPS = 0.3  # of drives between stops, as indoors
+TURN_RADPS = 0.7  # of turns in place
+_MARGIN_PX = 22.0  # around the board in the images, which the detection needs
+_SMALLEST_SQUARE_PX = 11.0  # the detection needs 7
+_NEAREST_M, _FARTHEST_M = 1.05, 2.5  # a stop from the board's center
+_TRIES = 4000  # random legs before a route is given up
 _LARGE_TURN_PLANS = 40  # about a third of the plans contain no large turn
-_KNOT_S = 1.0
+_KNOT_S = 1.0  # between changes of motion on a moving route
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -369,7 +370,7 @@ def plan_route(
     robot: SimulatedRobot,
     motion: Motion = "standard",
     stations: int = 12,
-    board: Board | None = None,
+    board: Board = CHECKERBOARD,
     seed: int = 0,
 ) -> Route:
     """Plan a route that keeps the board in view.
@@ -377,13 +378,13 @@ def plan_route(
     Args:
         motion: "standard", a motion with unobservable parameters, or "moving", which never rests.
         stations: number of stops; a moving route takes three seconds per station.
-        board: 9x6 corners with squares of 80 mm by default.
+        board: with known square size.
         seed: of all random choices.
 
     Raises:
         ConfigError: the board cannot be kept in view.
     """
-    planner = Planner(robot, board or Board(9, 6, 0.08), np.random.default_rng([seed, 1]))
+    planner = Planner(robot, board, np.random.default_rng([seed, 1]))
     if motion == "moving":
         return plan_moving(planner, 3.0 * stations)
     for _ in range(_LARGE_TURN_PLANS):

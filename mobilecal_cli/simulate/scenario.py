@@ -9,17 +9,19 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.model import Board, Markers
-from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
-from mobilecal_cli.simulate.route import Route, plan_route
+from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.route import CHECKERBOARD, Route, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
 
-_BOARD = Board(9, 6, 0.08)
 PRINTED: dict[BoardKind, Board] = {
     "charuco": Board(15, 11, 0.08, Markers("charuco", "DICT_5X5_1000", 0.75)),
     "aprilgrid": Board(9, 7, 0.11, Markers("aprilgrid", "DICT_APRILTAG_36h11", 0.3, border_bits=2)),
 }
-_MOVING_HZ = 10.0
-_REST_MARGIN_S = 0.3
+PIXEL_NOISE_GREY = 2.0  # sigma of the sensor noise, gray levels
+BLUR_PX = 0.6  # sigma of the lens blur
+WHEEL_NOISE_RAD_PER_SQRT_RAD = 0.003  # sigma of a wheel's rotation over one radian
+_MOVING_HZ = 10.0  # stereo pairs of a recording without rests
+_REST_MARGIN_S = 0.3  # at both ends of a rest, without a stereo pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +35,11 @@ class Scenario:
         stations: number of stops; a moving route takes three seconds per station.
         container: format of the recording.
         pictures: format of the images.
-        jpeg_quality: of JPEGs.
         pictures_per_rest: stereo pairs per stop.
         board: the checkerboard that the route keeps in view, with known square size.
         kind: printed board: that checkerboard, or a larger board with markers from `PRINTED` at the same center,
             which many images show in part.
         exact: no noise, encoders of unlimited resolution, lossless images.
-        pixel_noise_grey: sigma of the sensor noise, gray levels.
-        blur_px: sigma of the lens blur, px.
-        wheel_noise_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
     """
 
@@ -51,14 +49,10 @@ class Scenario:
     stations: int = 12
     container: Container = "mcap"
     pictures: Pictures = "jpeg"
-    jpeg_quality: int = 92
     pictures_per_rest: int = 2
-    board: Board = _BOARD
+    board: Board = CHECKERBOARD
     kind: BoardKind = "checkerboard"
     exact: bool = False
-    pixel_noise_grey: float = 2.0
-    blur_px: float = 0.6
-    wheel_noise_rad_per_sqrt_rad: float = 0.003
     camera_late_s: float = 0.0
 
     def plan(self) -> tuple[SimulatedRobot, Route]:
@@ -107,6 +101,7 @@ def _factors(robot: SimulatedRobot) -> list[str]:
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
     quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
+    noisy = 0.0 if scenario.exact else 1.0
     lines = [
         "# Ground truth of this simulated recording. Lengths in m, angles in rad, times in s.",
         "schema_version: 1",
@@ -129,11 +124,11 @@ def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
         f"  motion: {scenario.motion}",
         f"  seed: {scenario.seed}",
         f"  exact: {str(scenario.exact).lower()}",
-        f"  pixel_noise_grey: {decimal(0.0 if scenario.exact else scenario.pixel_noise_grey)}",
-        f"  blur_px: {decimal(scenario.blur_px)}",
-        f"  wheel_noise_rad_per_sqrt_rad: {decimal(0.0 if scenario.exact else scenario.wheel_noise_rad_per_sqrt_rad)}",
-        f"  encoder_step_rad: {decimal(0.0 if scenario.exact else robot.encoder_step_rad)}",
-        f"  joint_noise_rad: {decimal(0.0 if scenario.exact else robot.joint_noise_rad)}",
+        f"  pixel_noise_grey: {decimal(noisy * PIXEL_NOISE_GREY)}",
+        f"  blur_px: {decimal(BLUR_PX)}",
+        f"  wheel_noise_rad_per_sqrt_rad: {decimal(noisy * WHEEL_NOISE_RAD_PER_SQRT_RAD)}",
+        f"  encoder_step_rad: {decimal(noisy * robot.encoder_step_rad)}",
+        f"  joint_noise_rad: {decimal(noisy * JOINT_NOISE_RAD)}",
         f"  camera_late_s: {decimal(scenario.camera_late_s)}",
         f"board_in_world: {decimals(route.T_w_k[:3].ravel())}  # first three rows of T_w_k",
     ]

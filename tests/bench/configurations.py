@@ -22,8 +22,9 @@ from mobilecal_cli.calibrate.steps import Fit, calibrate
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate
-from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.robot import ROBOTS, TICKS_PER_REVOLUTION, SimulatedRobot
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.imperfect import (
     AS_PRINTED,
@@ -77,7 +78,7 @@ def recordings() -> None:
             simulate(Scenario(robot="this", container=container, seed=cameras), log)
             cells = [cameras, chain, wheels, container]
             try:
-                report, _ = calibrate([log], Path(folder) / "result", flags=flags)
+                report = calibrate([log], Path(folder) / "result", config=load_rig(None, flags))
             except MobilecalError as error:
                 line(*cells, error.message, "", "")
                 continue
@@ -87,7 +88,7 @@ def recordings() -> None:
 
 
 def _counted(robot: SimulatedRobot) -> dict[str, object]:
-    return {f"wheels.{side}.ticks_per_revolution": robot.ticks_per_revolution for side in ("left", "right")}
+    return {f"wheels.{side}.ticks_per_revolution": TICKS_PER_REVOLUTION for side in ("left", "right")}
 
 
 def _placed(robot: SimulatedRobot, name: str) -> dict[str, object]:

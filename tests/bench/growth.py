@@ -28,6 +28,7 @@ _STAGES = (
 def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
     """Calibrate in this process: seconds of each stage, and the peak of resident memory, MB."""
     from mobilecal_cli.calibrate import steps
+    from mobilecal_cli.rig.config import RigConfig
 
     began: list[tuple[str, float]] = []
 
@@ -35,8 +36,8 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
         if not began or began[-1][0] != stage:
             began.append((stage, time.perf_counter()))
 
-    flags, jobs = {"stations": stations}, os.cpu_count() or 1
-    steps.calibrate([log], out, flags=flags, force=True, progress=progress, jobs=jobs)
+    config, jobs = RigConfig.model_validate({"stations": stations}), os.cpu_count() or 1
+    steps.calibrate([log], out, config=config, force=True, progress=progress, jobs=jobs)
     began.append(("", time.perf_counter()))
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):

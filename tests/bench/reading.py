@@ -49,21 +49,20 @@ def decode_alone(path: Path, workers: int) -> float:
 
 def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.calibrate.detect import DetectionWorkers, detect_all, measure_stations
-    from mobilecal_cli.calibrate.plan import plan_recording
+    from mobilecal_cli.calibrate.detect import DetectionWorkers, measure_stations, plan_recording
     from mobilecal_cli.model import Board
     from mobilecal_cli.readers import open_recording, read_description
     from mobilecal_cli.rig.config import load_rig
-    from mobilecal_cli.rig.resolve import resolve_rig
+    from mobilecal_cli.rig.resolve import complete_rig, survey_rig
     from mobilecal_cli.vision import Detection, Measured, resolve_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
     with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
         workers.call()
-        rig, _ = resolve_rig(load_rig(None), read_description(recording))
+        rig = complete_rig(survey_rig(load_rig(None), read_description(recording)))
         (plan,), *_ = plan_recording(recording, rig, True)
-        (detections,) = detect_all(workers, rig, board, [plan], False, lambda *_: None)
+        (detections,) = workers.detect_all(rig, board, [plan], False, lambda *_: None)
     seconds = time.perf_counter() - start
     each = (d for one in detections for side in one.found.values() for d in side.values())
     found = sum(isinstance(d, Detection) for d in each)

@@ -12,12 +12,13 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FACTORS
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.messages import World, published, write
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.command import run
+from tests.command import run, succeeded
 from tests.export.test_improved import fitted_cameras
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
 from tests.truth import nees
@@ -25,6 +26,7 @@ from tests.truth import nees
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 SQUARE = {"board.square_m": 0.08}
+SQUARES = load_rig(None, SQUARE)
 
 
 ALL_BUT_THE_HEIGHT = np.arange(9) != 5
@@ -44,7 +46,8 @@ def rgbd(tmp_path_factory):
 @pytest.fixture(scope="module")
 def calibrated(rgbd, tmp_path_factory):
     """The report on it, and the directory of its files."""
-    return calibrate([rgbd], tmp_path_factory.mktemp("rgbd") / "result", flags=SQUARE)
+    directory = tmp_path_factory.mktemp("rgbd") / "result"
+    return calibrate([rgbd], directory, config=SQUARES), directory
 
 
 def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_path):
@@ -55,20 +58,18 @@ def test_one_camera_on_the_base_passes_with_true_sigmas(rgbd, calibrated, tmp_pa
     assert params["head_eye"]["child_frame"] == "camera_color_optical_frame"
     assert params["head_eye"]["parent_frame"] == "base_link"
     for target in ("camera_info", "foxglove", "json", "static_transform_yaml"):
-        made = run("export", written / "params.yaml", "--to", target, "--output", tmp_path / target)
-        assert made.code == 0, made.err
+        succeeded("export", written / "params.yaml", "--to", target, "--output", tmp_path / target)
     left = ("--to", "camera_info_left", "--output", tmp_path / "left")
     refused = run("export", written / "params.yaml", *left)
     assert (refused.code, "no camera 'left'" in refused.err) == (2, True)
-    again = run("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
-    assert again.code == 0
+    succeeded("calibrate", written / "extraction.npz", "--output", tmp_path / "again")
     # The height of the camera, which no motion shows, is not compared.
     judged = run("evaluate", rgbd, written / "params.yaml", "--set", "board.square_m=0.08")
     assert (judged.code, "camera position" in judged.out) == (0, True)
 
 
 def test_wrong_squares_of_one_camera_do_not_pass(rgbd, tmp_path):
-    report, _ = calibrate([rgbd], tmp_path / "result", flags={"board.square_m": 0.072})
+    report = calibrate([rgbd], tmp_path / "result", config=load_rig(None, {"board.square_m": 0.072}))
     assert report.verdict.level == "FAIL"
     assert "all differ by -" in report.verdict.reason
     assert "Measure ten squares" in report.verdict.next_step
@@ -101,8 +102,7 @@ def test_one_camera_needs_the_squares(rgbd):
     assert done.code == 2
     assert "does not show the size of the board's squares" in " ".join(done.err.split())
     assert "board: {square_m: 0.08}" in " ".join(done.err.split())
-    looked = run("inspect", rgbd, "--set", "board.square_m=0.08")
-    assert looked.code == 0
+    looked = succeeded("inspect", rgbd, "--set", "board.square_m=0.08")
     assert "left" not in re.sub("left wheel_left|left wheel|wheel_left|rotation: left", "", looked.out)
 
 
@@ -175,7 +175,7 @@ def test_wrong_cameras_are_refused(rgbd, settings, words):
     [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())],
 )
 def test_samples_of_other_robots(name, robot, tmp_path):
-    report, _ = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", flags=SQUARE)
+    report = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)
     assert report.verdict.level == "PASS"
     assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
     assumed = report.data.extraction.rig.sources.assumed_odometry

@@ -128,9 +128,9 @@ def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
     resolve = EXTRACTING.complete_rig
 
     def other_size(*args):
-        rig, notes = resolve(*args)
+        rig = resolve(*args)
         left = replace(rig.cameras.each[0], width=641)
-        return replace(rig, cameras=with_pair(rig.cameras, left=left)), notes
+        return replace(rig, cameras=with_pair(rig.cameras, left=left))
 
     monkeypatch.setattr(EXTRACTING, "complete_rig", other_size)
     with pytest.raises(RecordingError, match="the left images are 640 x 480") as raised:

@@ -33,7 +33,7 @@ def npz(tmp_path_factory):
 
 def loaded(npz, **flags):
     flags = {key.replace("__", "."): value for key, value in flags.items()}
-    return load([npz], load_rig(None, flags))[0]
+    return load([npz], load_rig(None, flags)).extraction
 
 
 def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from mobilecal_cli.calibrate.plan import plan_recording
+from mobilecal_cli.calibrate.detect import plan_recording
 from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_images
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.command import run
+from tests.command import run, succeeded
 from tests.commands.edited import edited
 
 IMAGES = ("/stereo/left/image_raw/compressed", "/stereo/right/image_raw/compressed")
@@ -149,8 +149,7 @@ def test_a_few_nan_are_left_out_and_told(make, tmp_path):
             return message
         return replace(message, position=np.full_like(message.position, math.nan))
 
-    result = run("calibrate", make(spoil), "--output", "out", cwd=tmp_path)
-    assert result.code == 0, result.err
+    succeeded("calibrate", make(spoil), "--output", "out", cwd=tmp_path)
     assert "NaN or infinite" in (tmp_path / "out/report.json").read_text()
 
 
@@ -178,8 +177,7 @@ def test_a_wheel_that_counts_backwards(make, tmp_path):
     log = make(scaled("wheel_left_joint", -1.0))
     words = "the left wheel's encoder has the wrong sign"
     refused(run("calibrate", log, cwd=tmp_path), 5, words, "wheels.left.sign")
-    cured = run("calibrate", log, "--set", "wheels.left.sign=-1", "--output", "out", cwd=tmp_path)
-    assert cured.code == 0, cured.err
+    succeeded("calibrate", log, "--set", "wheels.left.sign=-1", "--output", "out", cwd=tmp_path)
 
 
 def test_bad_flags(paper, tmp_path):

@@ -22,7 +22,7 @@ from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
-from mobilecal_cli.rig.config import RigConfig, load_rig, read_urdf
+from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.command import run
@@ -330,12 +330,12 @@ def counted(monkeypatch):
     """A calibration that returns at once; how often it ran."""
     ran = []
 
-    def answer(logs, out, *, config_path, flags, force, **_):
+    def answer(logs, out, *, config, force, **_):
         ran.append(out.name)
-        read_urdf(load_rig(config_path, flags))
+        read_urdf(config)
         write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
 
-    monkeypatch.setattr(batch_module, "calibrate", lambda *given, **named: (answer(*given, **named), None))
+    monkeypatch.setattr(batch_module, "calibrate", answer)
     monkeypatch.setattr(batch_module, "_row", lambda job, _: replace(row(0), name=job.name))
     return ran
 

@@ -2,13 +2,12 @@
 
 import pytest
 
-from tests.command import run
+from tests.command import run, succeeded
 
 
 def test_a_board_and_its_line_for_rig_yaml(tmp_path):
     out = tmp_path / "board.pdf"
-    done = run("board", "--corners", "8x5", "--square", "0.08", "--output", out)
-    assert done.code == 0
+    done = succeeded("board", "--corners", "8x5", "--square", "0.08", "--output", out)
     lines = done.out.splitlines()
     assert lines[0] == "board: {columns: 8, rows: 5, square_m: 0.08}"
     assert "Print at actual size on A1 (841 x 594 mm), and measure the scale bar." in lines

@@ -20,7 +20,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import NINE, LogSource, NoiseLevels
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
-from tests.command import run
+from tests.command import run, succeeded
 from tests.commands.edited import edited
 from tests.extractions import joined
 
@@ -113,15 +113,13 @@ def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, nam
     """Also the part of a rosbag2 alone, without its metadata."""
     (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
     log = shutil.copy(storage, workplace / name) if name == "bare.db3" else sample_logs / name
-    result = run("calibrate", log, "--output", f"out_{name}", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", log, "--output", f"out_{name}", cwd=workplace)
     assert same_numbers(workplace / f"out_{name}")
     assert "separation_m" in numbers(workplace / f"out_{name}/params.yaml")
 
 
 def test_an_extraction_is_solved_again(npz, workplace):
-    again = run("calibrate", npz, "--output", "again", cwd=workplace)
-    assert again.code == 0, again.err
+    succeeded("calibrate", npz, "--output", "again", cwd=workplace)
     assert same_numbers(workplace / "again")
     refused = run("calibrate", npz, "--board", "9x6", "--output", "refused", cwd=workplace)
     assert refused.code == 2
@@ -144,8 +142,7 @@ def test_fixed_prior_and_more_numbers(npz, workplace):
         *("--fix", "separation=0.51", "--prior", "radius_left=0.2275±0.0001"),
         *("--estimate", "pan_zero,focal_length", "--set", "noise.joint_rad=0.0002"),
     ]
-    result = run("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", npz, *asked, "-o", "asked", cwd=workplace)
     params = load(workplace / "asked/params.yaml")
     assert params["wheels"]["separation_m"] == 0.51
     assert params["uncertainty"]["observable"]["separation"] is False
@@ -159,8 +156,7 @@ def test_fixed_prior_and_more_numbers(npz, workplace):
 
 
 def test_the_report_says_what_to_record_next(npz, workplace):
-    result = run("suggest", npz, "-q", cwd=workplace)
-    assert result.code == 0, result.err
+    result = succeeded("suggest", npz, "-q", cwd=workplace)
     assert "1. " in result.out
     assert "head_pan_joint" in result.out
 
@@ -176,8 +172,7 @@ def test_a_wrong_square_is_said(workplace, sample_logs):
 
 def test_ticks_that_wrap_round(workplace, sample_logs):
     log, rig = sample_logs / "tick_robot.mcap", sample_logs / "tick_robot.rig.yaml"
-    result = run("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
     turn, move, wheels = apart(
         load(workplace / "tick/params.yaml"), load(sample_logs / "tick_robot.truth.yaml")
     )
@@ -255,15 +250,13 @@ def test_a_recording_in_two_files_is_one(npz, workplace, sample_logs):
         part_of(log, workplace / "split0.mcap", 0, 30),
         part_of(log, workplace / "split1.mcap", 30, 1e9, unstamped=False),
     ]
-    result = run("calibrate", *files, "--output", "split", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", *files, "--output", "split", cwd=workplace)
     assert same_numbers(workplace / "split")
     assert run("calibrate", "split/extraction.npz", "--output", "resolved", cwd=workplace).code == 0
 
 
 def test_the_right_camera_as_reference(npz, workplace):
-    result = run("calibrate", npz, "--set", "cameras.reference=right", "-o", "right", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", npz, "--set", "cameras.reference=right", "-o", "right", cwd=workplace)
     right, left = (load(workplace / name / "params.yaml") for name in ("right", "paper_robot_calibration"))
     assert right["head_eye"]["child_frame"] == "stereo_right_optical"
     apart = np.subtract(right["head_eye"]["translation_m"], left["head_eye"]["translation_m"])
@@ -287,15 +280,13 @@ def test_init_drafts_a_configuration_that_works(first, workplace, sample_logs):
     assert run("init", log, cwd=workplace).code == 0
     assert run("init", log, cwd=workplace).code == 7
     assert run("init", log, "--force", cwd=workplace).code == 0
-    result = run("calibrate", log, "--config", "rig.yaml", "--output", "drafted", cwd=workplace)
-    assert result.code == 0, result.err
+    succeeded("calibrate", log, "--config", "rig.yaml", "--output", "drafted", cwd=workplace)
     assert same_numbers(workplace / "drafted")
     assert "schema_version: 1" in run("init", log, "--output", "-", cwd=workplace).out
 
 
 def test_help_and_version(tmp_path):
-    shown = run("--help", cwd=tmp_path)
-    assert shown.code == 0
+    shown = succeeded("--help", cwd=tmp_path)
     assert "Example: mobilecal" in run("calibrate", "--help", cwd=tmp_path).out
     summaries = shown.out.partition("Commands:\n")[2].splitlines()
     assert [line.split()[0] for line in summaries][:3] == ["calibrate", "init", "check"]
@@ -354,8 +345,7 @@ def fixed_camera(workplace):
 def test_a_camera_that_is_fixed_to_the_base(workplace, sample_logs, fixed_camera):
     """The head of this recording stays at zero. Everything but the height of the camera is calibrated."""
     log, urdf = sample_logs / "head_fixed.mcap", ["--set", f"head.urdf={fixed_camera}"]
-    result = run("calibrate", log, *urdf, "-o", "fixed", cwd=workplace)
-    assert result.code == 0, result.err
+    result = succeeded("calibrate", log, *urdf, "-o", "fixed", cwd=workplace)
     assert "PASS" in result.out
     assert "from the robot description" in result.out
     params = load(workplace / "fixed/params.yaml")
@@ -366,12 +356,9 @@ def test_a_camera_that_is_fixed_to_the_base(workplace, sample_logs, fixed_camera
     std = params["uncertainty"]["std"]
     for name in ("radius_right", "radius_left", "separation"):
         assert abs(params["wheels"][f"{name}_m"] - truth[f"{name}_m"]) < 4 * std[name]
-    looked = run("inspect", log, *urdf, cwd=workplace)
-    assert looked.code == 0, looked.err
+    looked = succeeded("inspect", log, *urdf, cwd=workplace)
     assert "camera fixed to base_link" in looked.out
     assert "tilt the head" not in looked.out
-    drafted = run("init", log, "--urdf", fixed_camera, "-o", "fixed.yaml", cwd=workplace)
-    assert drafted.code == 0, drafted.err
-    checked = run("check", "fixed.yaml", log, cwd=workplace)
-    assert checked.code == 0, checked.err
+    succeeded("init", log, "--urdf", fixed_camera, "-o", "fixed.yaml", cwd=workplace)
+    checked = succeeded("check", "fixed.yaml", log, cwd=workplace)
     assert "all parameters but the camera's height" in " ".join(checked.out.split())

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import checklist, checklist_text
-from tests.command import run
+from tests.command import run, succeeded
 from tests.commands.edited import edited
 from tests.golden import assert_golden
 
@@ -28,8 +28,7 @@ def states(found):
 
 def test_a_rig_that_fits(sample_logs, tmp_path):
     rig, log = sample_logs / "tick_robot.rig.yaml", sample_logs / "tick_robot.mcap"
-    done = run("check", rig, log, cwd=tmp_path)
-    assert done.code == 0, done.err
+    done = succeeded("check", rig, log, cwd=tmp_path)
     assert done.out.endswith("No problems.\n")
     assert_golden(done.out, "check")
     assert "70.00 mm measured with the stereo pair, not stated" in done.out
@@ -140,8 +139,7 @@ def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
         return None if right and count > 10 else message
 
     log = edited(sample_logs / "paper_robot.mcap", tmp_path / "pulled.mcap", pulled)
-    done = run("calibrate", log, "-o", tmp_path / "out", cwd=tmp_path)
-    assert done.code == 0  # the other stations count with the left camera alone
+    succeeded("calibrate", log, "-o", tmp_path / "out", cwd=tmp_path)
     notes = json.loads((tmp_path / "out/report.json").read_text())["notes"]
     (note,) = [note for note in notes if "No right images" in note]
     assert "while there are 14 left images. Check the cable and the driver of the right camera." in note

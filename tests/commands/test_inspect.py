@@ -9,8 +9,9 @@ import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
-from tests.command import run
+from tests.command import run, succeeded
 from tests.commands.edited import edited
 from tests.golden import assert_golden
 from tests.readers import recordings as r
@@ -51,8 +52,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     assert text.out.endswith("This recording cannot be calibrated as it is (exit code 3).\n")
     assert_golden(text.out, "inspect")
     config = sample_logs / "tick_robot.rig.yaml"
-    made = run("inspect", log, "--config", config, "--json", cwd=tmp_path)
-    assert made.code == 0, made.err
+    made = succeeded("inspect", log, "--config", config, "--json", cwd=tmp_path)
     data = json.loads(made.out)
     assert data["missing"] == []
     assert data["exit_code"] == 0
@@ -150,7 +150,7 @@ def black_images(topic, message):
 
 def test_the_square_beside_the_stated_one(sample_logs):
     log = [sample_logs / "paper_robot.mcap"]
-    found = inspect.inspect(log, flags={"board.square_m": 0.0801})
+    found = inspect.inspect(log, load_rig(None, {"board.square_m": 0.0801}))
     assert found.board.square_m == pytest.approx(0.08, rel=0.002)
     assert ", 80.10 mm stated" in inspection_text(found)
     assert found.exit_code == 0

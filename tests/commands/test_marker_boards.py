@@ -5,6 +5,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli.calibrate import inspect, steps
+from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.scenario import PRINTED, Scenario
@@ -23,8 +24,8 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     log, board = tmp_path / "log.mcap", PRINTED[kind]
     simulate(Scenario(kind=kind, seed=2), log)
     size = {name: getattr(board, name) for name in ("columns", "rows", "square_m")}
-    flags = {f"board.{key}": value for key, value in {**size, "kind": kind, **BOARDS[kind]}.items()}
-    found, _ = steps.calibrate([log], tmp_path / "out", flags=flags)
+    config = RigConfig.model_validate({"board": {**size, "kind": kind, **BOARDS[kind]}})
+    found = steps.calibrate([log], tmp_path / "out", config=config)
     seen = [corners.seen for o in found.fit.extraction.observations for corners in (o.views[0], o.views[1])]
     assert len(seen) >= 2 * 9
     assert not any(mask.all() for mask in seen)
@@ -32,11 +33,11 @@ def test_a_board_with_markers_that_leaves_the_pictures(kind, tmp_path):
     assert found.verdict.level == "PASS"
     params = YAML(typ="safe").load((tmp_path / "out" / "params.yaml").read_text())
     assert params["provenance"]["config"]["board"]["kind"] == kind
-    again, _ = steps.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
+    again = steps.calibrate([tmp_path / "out" / "extraction.npz"], tmp_path / "again")
     np.testing.assert_allclose(
         again.fit.solution.parameters.T_h_c, found.fit.solution.parameters.T_h_c, atol=1e-9
     )
     if kind == "aprilgrid":
-        view = inspect.inspect([log], None, flags).board
+        view = inspect.inspect([log], config).board
         assert view.size == (board.columns, board.rows)
         assert view.seen >= 9

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.calibrate import steps
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording
+from mobilecal_cli.rig.config import load_rig
 from tests.readers.test_encodings import in_json, in_protobuf, written_in_json
 
 
@@ -20,7 +21,7 @@ def log(sample_logs):
 
 @pytest.fixture(scope="module")
 def usual(log, tmp_path_factory):
-    return steps.calibrate([log], tmp_path_factory.mktemp("usual") / "out")[0].fit.solution
+    return steps.calibrate([log], tmp_path_factory.mktemp("usual") / "out").fit.solution
 
 
 def in_other_clothes(log, folder):
@@ -42,7 +43,7 @@ def in_other_clothes(log, folder):
 def test_protobuf_and_json(log, usual, tmp_path):
     (tmp_path / "rig.yaml").write_text("head: {urdf: robot.urdf}\n")
     logs = in_other_clothes(log, tmp_path)
-    found, _ = steps.calibrate(logs, tmp_path / "out", config_path=tmp_path / "rig.yaml")
+    found = steps.calibrate(logs, tmp_path / "out", config=load_rig(tmp_path / "rig.yaml"))
     assert found.verdict.level == "PASS"
     np.testing.assert_allclose(found.fit.solution.parameters.T_h_c, usual.parameters.T_h_c, atol=1e-9)
     for name in ("radius_right_m", "radius_left_m", "separation_m"):
@@ -97,7 +98,7 @@ def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
     logs = [in_other_clothes(log, tmp_path)[0], in_transforms(log, urdf, tmp_path, "stereo_left_optical")]
     nominal = {f"nominal.wheels.{name}": 0.22 for name in ("radius_left_m", "radius_right_m")}
     flags = {**nominal, "nominal.wheels.separation_m": 0.5}
-    found, _ = steps.calibrate(logs, tmp_path / "out", flags=flags)
+    found = steps.calibrate(logs, tmp_path / "out", config=load_rig(None, flags))
     assert any("no URDF" in note for note in found.fit.extraction.notes)
     assert found.fit.extraction.rig.chain.joints == tuple(
         joint.child for joint in urdf.path("base_link", "head_link") if joint.kind != "fixed"

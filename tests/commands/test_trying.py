@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from tests.command import run
+from tests.command import run, succeeded
 
 SAMPLE_STD = 0.02  # m; far above what the sample's separation has
 
@@ -15,12 +15,11 @@ SAMPLE_STD = 0.02  # m; far above what the sample's separation has
 def made(sample_logs, tmp_path_factory):
     """A calibration of the sample log with a quarter of it held out, as CI would run it."""
     folder = tmp_path_factory.mktemp("made")
-    done = run(
+    done = succeeded(
         "calibrate", sample_logs / "paper_robot.mcap", "-o", folder / "out", "--hold-out", "0.25", "--json",
         "--gate", f"std.wheels.separation_m={SAMPLE_STD}", "--gate", "hold_out.translation_rms_mm=50",
         "--set", "gates.stations=9", "--junit", folder / "junit.xml",
     )  # fmt: skip
-    assert done.code == 0, done.err
     return folder, done
 
 
@@ -42,12 +41,10 @@ def test_hold_out_gates_and_json(made):
 
 def test_evaluate_with_gates(made):
     folder, _ = made
-    found = run("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
-    assert found.code == 0, found.err
+    found = succeeded("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
     assert json.loads(found.out)["stations"] == 12
     npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
-    kept = run("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
-    assert kept.code == 0, kept.err
+    kept = succeeded("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
     assert "pass        gate drift_deg_per_turn" in kept.out
     assert "PASS: The calibration agrees with this recording" in kept.out
     junit = folder / "evaluate.xml"
@@ -82,8 +79,7 @@ def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
     copy = folder / "renamed.bag.mcap"
     shutil.copyfile(sample_logs / "paper_robot.mcap", copy)
     note = "This recording was used for this calibration: the errors below are not independent."
-    found = run("evaluate", copy, folder / "out" / "params.yaml", "--json", "--quiet")
-    assert found.code == 0, found.err
+    found = succeeded("evaluate", copy, folder / "out" / "params.yaml", "--json", "--quiet")
     data = json.loads(found.out)
     assert [path.rpartition("/")[2] for path in data["used_for_calibration"]] == [copy.name]
     assert data["notes"][0] == note
@@ -124,14 +120,12 @@ def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
     """The same drive with and without the delay: errors are alike, and the delay is stated."""
     found = {}
     moving = ("--motion", "moving", "--stations", "8", "--quiet")
-    made = run("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
-    assert made.code == 0, made.err
+    made = succeeded("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
     made = run("calibrate", tmp_path / "made.mcap", "-o", tmp_path / "made", "--quiet")
     assert made.code in (0, 6), made.err
     for late in (0.0, 0.03):
         log = tmp_path / f"late_{late}.mcap"
-        done = run("simulate", log, "--seed", "7", "--camera-late", late, *moving)
-        assert done.code == 0, done.err
+        done = succeeded("simulate", log, "--seed", "7", "--camera-late", late, *moving)
         done = run("evaluate", log, tmp_path / "made" / "params.yaml", "--json", "--quiet")
         found[late] = json.loads(done.out)
     for key in ("reprojection_px", "rotation_deg", "translation_mm"):
@@ -166,8 +160,7 @@ def test_compare(made, tmp_path):
     folder, _ = made
     first = folder / "out" / "params.yaml"
     limits = ("--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01")
-    same = run("compare", first, first, *limits)
-    assert same.code == 0, same.err
+    same = succeeded("compare", first, first, *limits)
     assert "share a recording" in same.out
     moved = changed_params(first, tmp_path / "moved.yaml", "separation_m", 1.2)
     apart = run("compare", first, moved, "--max-sigma", "4", "--json")
@@ -184,8 +177,7 @@ def test_a_history_is_drawn(made, tmp_path):
     for number in range(3):
         files.append(tmp_path / f"{number}.yaml")
         shutil.copyfile(folder / "out" / "params.yaml", files[-1])
-    done = run("compare", *files, "--plot", tmp_path / "drift.svg")
-    assert done.code == 0, done.err
+    done = succeeded("compare", *files, "--plot", tmp_path / "drift.svg")
     assert "All 3 calibrations" in done.out
     ET.parse(tmp_path / "drift.svg")
     assert run("compare", *files, "--plot", tmp_path / "drift.svg").code == 7

@@ -17,7 +17,7 @@ from mobilecal_cli.model import FACTORS, AssumedOdometry, CalibratedRobot, Wheel
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.command import run
+from tests.command import run, succeeded
 
 YAML_ = YAML(typ="safe", pure=True)
 
@@ -29,8 +29,7 @@ def made(tmp_path_factory):
     for robot, container in (("skid_steer", "mcap"), ("odometry_only", "bag")):
         log = folder / f"{robot}.{container}"
         simulate(Scenario(robot=robot, seed=4, container=container), log)
-        done = run("calibrate", log, "--output", folder / robot, cwd=folder)
-        assert done.code == 0, done.out + done.err
+        done = succeeded("calibrate", log, "--output", folder / robot, cwd=folder)
         results[robot] = log, folder / robot, done.out, YAML_.load(truth_path(log).read_text())
     return results
 
@@ -142,8 +141,7 @@ def test_nominal_wheels_make_lengths_of_odometry(made, tmp_path):
     log, _, _, truth = made["odometry_only"]
     sizes = ("radius_left_m=0.0352", "radius_right_m=0.0352", "separation_m=0.23")
     flags = [part for size in sizes for part in ("--set", f"nominal.wheels.{size}")]
-    done = run("calibrate", log, "--output", tmp_path / "out", *flags, cwd=tmp_path)
-    assert done.code == 0, done.out + done.err
+    succeeded("calibrate", log, "--output", tmp_path / "out", *flags, cwd=tmp_path)
     found = read_params(tmp_path / "out" / "params.yaml")
     std = np.sqrt(np.diag(found.knowledge.covariance))[6:]
     true = [truth["wheels"][name] for name in ("radius_right_m", "radius_left_m", "separation_m")]
@@ -154,8 +152,7 @@ def test_counters_are_found_by_all_three_commands(sample_logs, tmp_path):
     log = sample_logs / "tick_robot.mcap"
     ticks = [f"--set=wheels.{side}.ticks_per_revolution=4096" for side in ("left", "right")]
     linear = ("--board", "9x6", "--method", "linear", *ticks)
-    done = run("calibrate", log, "--output", tmp_path / "out", *linear, cwd=tmp_path)
-    assert done.code == 0, done.out + done.err
+    succeeded("calibrate", log, "--output", tmp_path / "out", *linear, cwd=tmp_path)
     assert run("inspect", log, *ticks, cwd=tmp_path).code == 0
     assert "ticks_per_revolution: N" in run("inspect", log, cwd=tmp_path).out
     assert "ticks_per_revolution: TODO" in run("init", log, "--output", "-", cwd=tmp_path).out

@@ -218,8 +218,7 @@ MIMIC = b"""<robot name="r">
 def test_sliding_and_coupled_joints():
     """By hand: zeros move a sliding joint's origin along its axis, and a coupled joint's by its multiplier."""
     urdf = parse_urdf(MIMIC.decode())
-    links = chain_links(urdf.path("base", "head"), urdf.joints)
-    chain = HeadChain("base", "head", links, pan="pan")
+    chain = HeadChain("base", "head", chain_links(urdf, "base", "head"), pan="pan")
     rig = replace(imperfect_rig(), chain=chain)
     names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
     values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))

@@ -34,7 +34,7 @@ from mobilecal_cli.export.formats.static_transform_launch import StaticTransform
 from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.formats.xacro import Xacro
-from mobilecal_cli.kinematics.urdf import parse_urdf, wheel_centres
+from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import (
     CalibratedRobot,
     Extraction,
@@ -119,7 +119,8 @@ def _urdf(path: Path) -> None:
     wheels = ("wheel_left_joint", "wheel_right_joint")
     if urdf.joints.keys() >= set(wheels):
         with suppress(MobilecalError):
-            wheel_centres(urdf, urdf.root, *wheels)
+            for name in wheels:
+                urdf.position_m(urdf.root, urdf.joints[name].child)
     patched_urdf(path.read_bytes(), ROBOT, {"left": wheels[0], "right": wheels[1]})
 
 
@@ -128,7 +129,7 @@ def _manifest(path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    extraction, _ = load([path], load_rig(None))
+    extraction = load([path], load_rig(None)).extraction
     require_stations(extraction)
     motion_gaps(extraction)
 

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import head_jacobian, head_pose
-from mobilecal_cli.kinematics.urdf import head_chain, parse_urdf, vehicle_frame, wheel_centres
+from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf, vehicle_frame
 from mobilecal_cli.model import FixedLink, HeadChain, JointLink
 
 PAN_TILT = HeadChain(
@@ -67,7 +67,7 @@ URDF = """<?xml version="1.0"?>
 
 def test_urdf_chain_and_what_it_lacks():
     urdf = parse_urdf(URDF)
-    chain = head_chain(urdf, "base_link", "head", "pan", "")
+    chain = HeadChain("base_link", "head", chain_links(urdf, "base_link", "head"), "pan")
     assert chain.joints == ("pan",)
     T = head_pose(chain, np.array([0.0]))
     assert T[:3, 3] == pytest.approx([0, 0, 1])
@@ -82,10 +82,11 @@ def test_urdf_chain_and_what_it_lacks():
 
 def test_vehicle_frame_is_midway_between_the_wheels():
     urdf = parse_urdf(URDF)
-    T_base_v = vehicle_frame(*wheel_centres(urdf, "base_link", "wl", "wr"))
+    T_base_v = vehicle_frame(*(urdf.position_m("base_link", link) for link in ("wheel_l", "wheel_r")))
     assert T_base_v[:3, 3] == pytest.approx([-0.1, 0.05, 0])
     assert T_base_v[:3, :3] == pytest.approx(np.eye(3))
-    chain = head_chain(urdf, "base_link", "head", "pan", "", T_base_v)
+    links = (FixedLink(se3.inverse(T_base_v)), *chain_links(urdf, "base_link", "head"))
+    chain = HeadChain("base_link", "head", links, "pan")
     assert head_pose(chain, np.array([0.0]))[:3, 3] == pytest.approx([0.1, -0.05, 1])
 
 
@@ -120,10 +121,11 @@ STRETCH = "urdf/stretch/stretch_urdf/SE3/stretch_description_SE3_eoa_wrist_dw3_t
 )
 def test_real_urdfs_give_their_heads(shared_data, path, base, head, joints):
     urdf = parse_urdf((shared_data / path).read_text())
-    chain = head_chain(urdf, base, head, "", "")
+    chain = HeadChain(base, head, chain_links(urdf, base, head))
     if path == STRETCH:
         assert chain.joints == joints
-        left, right = wheel_centres(urdf, "base_link", "joint_left_wheel", "joint_right_wheel")
+        wheels = ("joint_left_wheel", "joint_right_wheel")
+        left, right = (urdf.position_m("base_link", urdf.joints[name].child) for name in wheels)
         assert np.linalg.norm(left - right) == pytest.approx(0.3407, abs=1e-4)  # as published
     assert any("pan" in name for name in chain.joints)
     assert np.isfinite(head_pose(chain, np.zeros(len(chain.joints)))).all()

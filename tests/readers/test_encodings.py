@@ -2,6 +2,7 @@
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.resolve import resolve_rig
+from mobilecal_cli.rig.resolve import complete_rig, survey_rig
 from tests.readers.recordings import START_NS
 
 from . import recordings as r
@@ -92,8 +93,9 @@ def other(request, original, tmp_path_factory):
 
 
 def test_it_says_the_same_as_the_ros_recording(original, other):
-    urdf = next(iter(read_description(original).urdfs.values()))
-    rigs = [resolve_rig(RigConfig(), read_description(recording), urdf)[0] for recording in (original, other)]
+    urdfs = read_description(original).urdfs
+    logs = [replace(read_description(recording), urdfs=urdfs) for recording in (original, other)]
+    rigs = [complete_rig(survey_rig(RigConfig(), log)) for log in logs]
     for side in ("left", "right"):
         ours, theirs = (rig.cameras.each[side == "right"] for rig in rigs)
         assert np.array_equal(ours.K, theirs.K)

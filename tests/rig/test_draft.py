@@ -16,8 +16,12 @@ from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig, likely_square_m
 from mobilecal_cli.rig.names import may_be_a_reading
-from mobilecal_cli.rig.resolve import resolve_rig
-from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description
+from mobilecal_cli.rig.resolve import survey_rig
+from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description, resolve_rig
+
+
+def drafted(log, name="log", **given):
+    return draft_rig(survey_rig(RigConfig(), log), name, **given)
 
 
 def loaded(draft):
@@ -39,7 +43,7 @@ def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
 
 def test_a_draft_loads_and_settles_the_same_rig():
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
-    draft = draft_rig(description(urdf=urdf), "some log.mcap", board=board())
+    draft = drafted(description(urdf=urdf), "some log.mcap", board=board())
     again, first = (resolve_rig(config, description(urdf=urdf))[0] for config in (loaded(draft), RigConfig()))
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
@@ -58,7 +62,7 @@ def test_a_draft_loads_and_settles_the_same_rig():
 
 def test_a_draft_of_a_poor_log_asks_with_templates_that_can_be_uncommented():
     images = ("/camera/image: #odd\n", "/other/image")
-    draft = draft_rig(description(images=images, urdf=None, joint_names={}), "log")
+    draft = drafted(description(images=images, urdf=None, joint_names={}))
     assert set(todo(draft)) == {"cameras", "wheels", "head"}
     assert "# TODO cameras: several cameras" in draft.text
     assert draft.filled == []
@@ -81,7 +85,7 @@ def test_a_draft_of_a_poor_log_asks_with_templates_that_can_be_uncommented():
     ],
 )
 def test_every_camera_of_several_is_in_the_draft(topics, names):
-    draft = draft_rig(description(images=topics, urdf=None, joint_names={}), "log")
+    draft = drafted(description(images=topics, urdf=None, joint_names={}))
     block = draft.text[draft.text.index("\n# cameras:\n") + 1 :].split("\n\n")[0]
     uncommented = "\n".join(line.removeprefix("# ") for line in block.splitlines())
     cameras = RigConfig.model_validate(YAML(typ="safe").load(uncommented)).cameras
@@ -91,7 +95,7 @@ def test_every_camera_of_several_is_in_the_draft(topics, names):
 def test_the_joint_positions_are_those_of_the_urdf():
     """The chain that is listed as a comment is the chain of the URDF."""
     urdf = URDF.format(x=-0.2)
-    draft = draft_rig(description(urdf=urdf), "log")
+    draft = drafted(description(urdf=urdf))
     links = [line.strip(" #-") for line in draft.text.splitlines() if line.startswith("  #   - ")]
     chain = [YAML(typ="safe").load(link) for link in links]
     given = RigConfig.model_validate(
@@ -112,7 +116,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     ],
 )
 def test_a_board_that_is_not_certain_is_asked_for(seen, words):
-    draft = draft_rig(description(), "log", board=seen)
+    draft = drafted(description(), board=seen)
     asked = todo(draft, needed=seen.size is None)
     assert words in asked["board"]
     assert loaded(draft).board.columns is None
@@ -125,11 +129,11 @@ def test_a_board_that_is_not_certain_is_asked_for(seen, words):
 def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     assert likely_square_m(measured_m) == (None if likely_m is None else pytest.approx(likely_m))
     sides = (measured_m, measured_m * 1.001, measured_m * 0.999)
-    draft = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
+    draft = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
     assert f"# square_m: {likely_m or round(measured_m, 4):g}\n" in draft.text
     assert loaded(draft).board.square_m is None
     sides = (measured_m, measured_m * 1.05, measured_m)
-    scattered = draft_rig(description(), "log", board=board(square_m=measured_m, squares_m=sides))
+    scattered = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
     assert "Suggestion" not in scattered.text
 
 
@@ -149,7 +153,7 @@ def bare(**changes):
 def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
     """The file cannot be used before the user states the steps per turn."""
     fields = [counter(side, bits, wraps=wraps) for side in ("left", "right")]
-    draft = draft_rig(bare(numbers=tuple(fields)), "log")
+    draft = drafted(bare(numbers=tuple(fields)))
     assert set(todo(draft)) == {"wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution"}
     wheels = YAML(typ="safe").load(draft.text)["wheels"]
     expected = {"topic": "/ticks/left", "field": "data", "ticks_per_revolution": "TODO"}
@@ -172,7 +176,7 @@ def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
     ],
 )
 def test_counters_with_two_answers_are_asked_for(fields):
-    draft = draft_rig(bare(numbers=tuple(fields)), "log")
+    draft = drafted(bare(numbers=tuple(fields)))
     assert re.search("several numbers|unknown unit|look like tick counters", todo(draft)["wheels"])
     assert not any(one.key.startswith("wheels") for one in draft.filled)
     assert len(re.findall("# candidate: topic", draft.text)) == (len(fields) if len(fields) > 1 else 0)
@@ -182,7 +186,7 @@ def test_counters_with_two_answers_are_asked_for(fields):
 def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
     names = {"/joint_states": ("wheel_left_joint", "wheel_right_joint", "head_pan_joint")}
     numbers = (NumberField("/tilt_servo", "angle", False),)
-    draft = draft_rig(description(joint_names=names, numbers=numbers), "log")
+    draft = drafted(description(joint_names=names, numbers=numbers))
     assert "no joint state for 'head_tilt_joint'" in todo(draft)["joints.fields"]
     assert '# candidate: topic "/tilt_servo", field "angle" (number, unit unknown)' in draft.text
     loaded(draft)
@@ -190,13 +194,15 @@ def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
 
 def test_nominal_values_that_the_urdf_lacks_are_asked_for():
     meshes = AT_BASE.replace('<cylinder radius="0.2" length="0.1"/>', "<mesh/>")
-    draft = draft_rig(description(urdf=meshes), "log")
+    draft = drafted(description(urdf=meshes))
     assert "wheel joints are 0.5 m apart, radii are not in it" in todo(draft, needed=False)["nominal.wheels"]
     assert loaded(draft).nominal.wheels is None
 
 
-def test_a_given_urdf_replaces_that_of_the_recording():
-    draft = draft_rig(description(urdf=None), "log", urdf_text=AT_BASE, urdf_path="robots/mine.urdf")
+def test_a_given_urdf_replaces_that_of_the_recording(tmp_path):
+    (tmp_path / "mine.urdf").write_text(AT_BASE)
+    given = RigConfig.model_validate({"head": {"urdf": tmp_path / "mine.urdf"}})
+    draft = draft_rig(survey_rig(given, description(urdf=None)), "log", "robots/mine.urdf")
     assert keys(draft)["head.urdf"] == "robots/mine.urdf"
     assert str(loaded(draft).head.urdf) == "robots/mine.urdf"
     assert loaded(draft).nominal.wheels.separation_m == 0.5
@@ -217,7 +223,7 @@ def test_a_chain_of_transforms_is_drafted():
     fixed = np.stack([se3.transform(np.eye(3), np.array([0, 0.06, 0.1]))] * 5)
     transforms = {("base_link", "neck"): T, ("neck", "stereo_left_optical"): fixed}
     log = replace(description(urdf=None, extra=(TF,)), transforms=transforms)
-    draft = draft_rig(log, "log")
+    draft = drafted(log)
     assert keys(draft)["head.head_frame"] == "neck"
     again, first = (resolve_rig(config, log)[0] for config in (loaded(draft), RigConfig()))
     assert again.chain.joints == first.chain.joints == ("neck",)
@@ -230,14 +236,14 @@ def test_a_chain_of_transforms_is_drafted():
 def test_names_with_control_characters(odd):
     """Some stood in comments, where YAML refuses them; characters beyond 16 bits came back as two."""
     names = ("wheel_left_joint", "wheel_right_joint", f"head_pan_joint{odd}", f"head{odd}")
-    draft = draft_rig(description(joint_names={"/joint_states": names}), f"log{odd}")
+    draft = drafted(description(joint_names={"/joint_states": names}), f"log{odd}")
     assert "joints.fields" in todo(draft)
     assert all(line.isprintable() for line in draft.text.splitlines())
     assert "\n".join(draft.text.splitlines()) + "\n" == draft.text
     loaded(draft)
 
     wheels = (f"wheel_left_joint{odd}", f"wheel_right_joint{odd}", "head_pan_joint", "head_tilt_joint")
-    draft = draft_rig(description(urdf=None, joint_names={"/joint_states": wheels}), "log")
+    draft = drafted(description(urdf=None, joint_names={"/joint_states": wheels}))
     assert loaded(draft).wheels.left.joint == wheels[0]
     assert load_yaml(draft.text)["wheels"]["right"]["joint"] == wheels[1]
 
@@ -247,6 +253,6 @@ def test_a_draft_of_very_many_and_very_long_names_can_be_read_again():
     names = [*HEAD_ONLY["/joint_states"], "wheel_left_joint", "wheel_right_joint"]
     for more in ([f"finger_{k}_joint" for k in range(10_000)], ["x" * 10**6]):
         for kept in (names, names[1:]):
-            draft = draft_rig(description(joint_names={"/joint_states": (*kept, *more)}), "log")
+            draft = drafted(description(joint_names={"/joint_states": (*kept, *more)}))
             assert len(draft.text) < 20_000
             load_yaml(draft.text)

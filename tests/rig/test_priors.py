@@ -9,10 +9,10 @@ from mobilecal_cli.likelihood.nuisance import KINDS, OF_RECORDINGS, table
 from mobilecal_cli.model import HeadChain, JointLink
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
-from mobilecal_cli.rig.resolve import resolve_rig, survey_rig
+from mobilecal_cli.rig.resolve import survey_rig
 from mobilecal_cli.rig.settings import prior_sigmas, shown_priors
 from mobilecal_cli.simulate.robot import ROBOTS
-from tests.rig.test_resolve import AT_BASE, config, description
+from tests.rig.test_resolve import AT_BASE, config, description, resolve_rig
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
 CHAIN = HeadChain(
@@ -91,7 +91,7 @@ def test_a_rig_has_them_and_an_inspection_names_unknown_ones():
 
 
 def test_the_draft_lists_every_kind_with_its_default():
-    text = draft_rig(description(), "log.mcap").text
+    text = draft_rig(survey_rig(RigConfig(), description()), "log.mcap").text
     section = text[text.index("# priors:") :]
     active = "\n".join(line.removeprefix("# ") for line in section.splitlines())
     priors = RigConfig.model_validate(yaml.safe_load(active)).priors

@@ -21,7 +21,7 @@ from mobilecal_cli.rig.config import RigConfig, load_rig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.head import fixed_pose, urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
-from mobilecal_cli.rig.resolve import resolve_rig
+from mobilecal_cli.rig.resolve import complete_rig, survey_rig
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -76,6 +76,12 @@ def description(
 
 def config(**sections):
     return RigConfig.model_validate(sections)
+
+
+def resolve_rig(made, log):
+    """The rig, and the notes for the report."""
+    survey = survey_rig(made, log)
+    return complete_rig(survey), survey.notes
 
 
 def test_a_log_tells_everything():
@@ -355,7 +361,7 @@ def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     with pytest.raises(RecordingError, match="unknown distortion model 'double_sphere'") as told:
         resolve_rig(RigConfig(), poor)
     assert "calibrate the camera" in told.value.hint
-    draft = draft_rig(poor, "log")
+    draft = draft_rig(survey_rig(RigConfig(), poor), "log")
     assert [(todo.key, todo.why.split(";")[0]) for todo in draft.todo if todo.needed] == [
         ("cameras", why.split(";")[0])
     ]

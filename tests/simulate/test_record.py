@@ -18,7 +18,7 @@ from mobilecal_cli.readers import open_recording, read_description, read_images,
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate.messages import START_NS, World
 from mobilecal_cli.simulate.record import simulate, truth_path
-from mobilecal_cli.simulate.robot import ROBOTS
+from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.targets import Container
@@ -103,8 +103,8 @@ def test_readings_are_the_truth_within_the_stated_noise(reference):
     for i, name in enumerate(robot.joint_names):
         track = signals.joints[name]
         error = track.value - route.joints((track.time_ns - START_NS) / 1e9)[:, i]
-        assert np.std(error) == pytest.approx(robot.joint_noise_rad, rel=0.15)
-        assert abs(np.mean(error)) < 4 * robot.joint_noise_rad / np.sqrt(len(error))
+        assert np.std(error) == pytest.approx(JOINT_NOISE_RAD, rel=0.15)
+        assert abs(np.mean(error)) < 4 * JOINT_NOISE_RAD / np.sqrt(len(error))
     for side, column in wheels_of.items():
         track = signals.wheels[side]
         steps = track.value / robot.encoder_step_rad
@@ -235,8 +235,8 @@ def test_an_imperfect_robot_is_recorded_with_its_stated_description(tmp_path, re
     true = route.joints((pan.time_ns - START_NS) / 1e9)[:, 2]
     expected = (true - constants["pan_zero"]) / (1 + constants["pan_scale"])
     play = abs(constants["backlash_pan"]) / 2
-    assert np.abs(pan.value - expected).max() < play + 6 * robot.joint_noise_rad
-    assert abs(np.mean(pan.value - true)) > play + robot.joint_noise_rad  # another zero is seen
+    assert np.abs(pan.value - expected).max() < play + 6 * JOINT_NOISE_RAD
+    assert abs(np.mean(pan.value - true)) > play + JOINT_NOISE_RAD  # another zero is seen
 
 
 def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(tmp_path):
@@ -281,7 +281,7 @@ def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
     at_s = np.clip((tilt.time_ns - START_NS) / 1e9 - constants["time_joints"], 0, route.duration_s)
     expected = route.joints(at_s)[:, 1] / (1 + constants["tilt_scale"])
     play = abs(constants["backlash_tilt"]) / 2
-    assert np.abs(tilt.value - expected).max() < play + 6 * robot.joint_noise_rad
+    assert np.abs(tilt.value - expected).max() < play + 6 * JOINT_NOISE_RAD
 
 
 def test_what_is_there_is_refused_before_any_work(tmp_path):
