@@ -6,7 +6,7 @@ A new plot is a function with the decorator `plot`. `path_picture` and `budget_b
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
 #: An SVG element ("" for none), and its caption: what this plot shows, from its numbers.
 Drawn: TypeAlias = tuple[str, str]
@@ -88,24 +88,6 @@ class Thumbnail(NamedTuple):
     reason: str
 
 
-class Drawings(NamedTuple):
-    """What the page shows beside values.
-
-    Attributes:
-        plots: in the order of their definition.
-        views: images of legs, the worst first.
-        thumbnails: stations with a small image, in order of time.
-        path: small picture of the path, for the first screen.
-        limits: what limits the result, for the first screen; None if unknown.
-    """
-
-    plots: tuple[Plot, ...]
-    views: list[LegView]
-    thumbnails: list[Thumbnail]
-    path: str
-    limits: Bar | None
-
-
 class Bar(NamedTuple):
     """One bar with its title and its legend: (style, label) each."""
 
@@ -152,22 +134,10 @@ def plot(
     return registered
 
 
-def draw_all(
-    solution: Solution,
-    extraction: Extraction,
-    snapshots: Sequence[Snapshot] = (),
-    limits: Mapping[str, float] | None = None,
-) -> Drawings:
-    """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
-    drawn = [each(solution, extraction) for each in _PLOTS] if extraction.observations else []
-    worst = worst_error(solution, limits or {})
-    return Drawings(
-        tuple(each for each in drawn if each.parts),
-        leg_views(solution, extraction, snapshots),
-        thumbnails(solution, extraction, snapshots),
-        path_picture(solution, extraction),
-        None if worst is None else budget_bar(worst),
-    )
+def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
+    """All plots that have something to show, in the order of their definition."""
+    drawn = (each(solution, extraction) for each in _PLOTS) if extraction.observations else ()
+    return [each for each in drawn if each.parts]
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
