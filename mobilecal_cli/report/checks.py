@@ -7,7 +7,7 @@ A new criterion is a function with the decorator `criterion`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,6 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     below_limits,
-    limiting_sentence,
     missing_motion,
     next_step_of,
     small_motion,
@@ -627,13 +626,10 @@ def square_size(made: Calibration) -> Iterator[Check]:
 
 
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
+_HEIGHT = Metric("noise.height", "mm")
 #: Noise level → the largest usual level, the limit, its name, and what to check.
-_FLOOR_HEIGHT = {
-    Metric("noise.height", "mm"): (
-        4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move",
-    ),
-}  # fmt: skip
 _NOISE = {
+    _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
     Metric("noise.joint", "degrees"): (0.2, 0.4, *_PLAY),
     Metric("noise.sliding_joint", "mm"): (0.35, 0.7, *_PLAY),
     Metric("noise.wheel", "rad per sqrt(rad)"): (0.015, 0.03, "wheels", "the wheels for slip"),
@@ -647,11 +643,10 @@ _NOISE = {
         2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
 }  # fmt: skip
+_OTHER_NOISE = [metric for metric in _NOISE if metric != _HEIGHT]
 
 
-def _noise_checks(
-    made: Calibration, levels: Mapping[Metric, tuple[float, float, str, str]]
-) -> Iterator[Check]:
+def _noise_checks(made: Calibration, levels: Iterable[Metric]) -> Iterator[Check]:
     """Noise levels that are not zero; the estimate allows for them, so the limits are wide."""
     uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
     if uncertainty is None:
@@ -667,8 +662,8 @@ def _noise_checks(
         "noise.floor": math.degrees(noise.floor_rad),
         "noise.stamp": 1e3 * noise.stamp_s if moving else 0.0,
     }
-    for metric, (usual, bad, name, cause) in levels.items():
-        level = measured[metric.name]
+    for metric in levels:
+        (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         text = f"{level:.2g} {metric.unit}"
         yield Check(
             metric.name, level, bad, graded(level, bad),
@@ -680,10 +675,10 @@ def _noise_checks(
         )  # fmt: skip
 
 
-@criterion(*_FLOOR_HEIGHT, section="limits")
+@criterion(_HEIGHT, section="limits")
 def height_noise(made: Calibration) -> Iterator[Check]:
     """Noise of the floor's height."""
-    yield from _noise_checks(made, _FLOOR_HEIGHT)
+    yield from _noise_checks(made, [_HEIGHT])
 
 
 def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
@@ -851,10 +846,10 @@ def outliers_as_noise(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(*_NOISE, section="limits")
+@criterion(*_OTHER_NOISE, section="limits")
 def noise(made: Calibration) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves."""
-    yield from _noise_checks(made, _NOISE)
+    yield from _noise_checks(made, _OTHER_NOISE)
 
 
 @criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES), section="limits")
@@ -871,7 +866,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             value,
             f"at most {use.limit:g} {figure.unit}",
             f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
-            f"{limiting_sentence(use.shares, figure.meaning)}",
+            f"{use.limiting}",
             " ".join(small_motion(made.solution, figure))
             or next_step_of(use, made.solution, made.extraction),
         )  # fmt: skip

@@ -274,10 +274,11 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
     return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 
-def image_coverage(pixels: FloatArray, width: int, height: int) -> float:
-    """Share of the cells of a coarse image grid (8 across, 6 down) that contain a corner: (n, 2) → 0..1."""
-    cells = (8, 6)
-    at = np.floor(pixels / [width, height] * cells).astype(int)
+def image_coverage(extraction: Extraction, k: int) -> float:
+    """Share of the cells of a coarse grid (8 across, 6 down) over a camera's images that contain a corner, 0 to 1."""
+    camera, cells = extraction.rig.cameras.each[k], (8, 6)
+    pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in extraction.observations])
+    at = np.floor(pixels / [camera.width, camera.height] * cells).astype(int)
     inside = np.all((at >= 0) & (at < cells), axis=-1)
     return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
 

@@ -362,7 +362,7 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
     detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
     if not len(detected):
         return "", ""
-    camera, of_camera = extraction.rig.cameras.each[k], camera_words(extraction.rig.cameras.names[k])
+    of_camera = camera_words(extraction.rig.cameras.names[k])
     canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
     longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
@@ -375,8 +375,8 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
         lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
         axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {name}")
     canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    share = image_coverage(detected, camera.width, camera.height)
-    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
+    share = 100 * image_coverage(extraction, k)
+    return canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}."
 
 
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:

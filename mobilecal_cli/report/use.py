@@ -113,6 +113,15 @@ class Error:
         """Error over limit."""
         return self.value / self.limit if self.limit > 0 else math.inf if self.value > 0 else 0.0
 
+    @property
+    def limiting(self) -> str:
+        """Which group of sources contributes most to it, as a sentence; "" where that is unknown."""
+        for share, family in family_shares(self.shares):
+            return (
+                f"{FAMILIES[family].limits} the {self.figure.meaning}: {100 * share:.0f} % of its variance."
+            )
+        return ""
+
 
 def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     """All expected errors that have a limit, the default or that of a gate in `limits`; none without deviations."""
@@ -240,17 +249,6 @@ def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None
 
 #: Families that more stops of the same kind do not reduce.
 _NOT_NOISE = frozenset({"nominal values", "other"})
-
-
-def recommendation(
-    solution: Solution, extraction: Extraction, limits: Mapping[str, float]
-) -> tuple[str, str]:
-    """What limits the expected error nearest to its limit, and the cheapest cure; "" where nothing is known."""
-    error = worst_error(solution, limits)
-    if error is None:
-        return "", ""
-    cure = next_step_of(error, solution, extraction)
-    return limiting_sentence(error.shares, error.figure.meaning), cure
 
 
 def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
@@ -419,13 +417,6 @@ def family_shares(shares: Sequence[tuple[float, str]]) -> list[tuple[float, str]
     for share, name in shares:
         sums[source(name).family] += share
     return sorted(((share, name) for name, share in sums.items() if share), key=lambda pair: -pair[0])
-
-
-def limiting_sentence(shares: Sequence[tuple[float, str]], meaning: str) -> str:
-    """Which group of sources contributes most to an expected error with these (share, source); "" without any."""
-    for share, family in family_shares(shares):
-        return f"{FAMILIES[family].limits} the {meaning}: {100 * share:.0f} % of its variance."
-    return ""
 
 
 def advice(shares: Sequence[tuple[float, str]]) -> str:

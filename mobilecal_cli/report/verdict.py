@@ -130,14 +130,14 @@ def gates_of(
             raise _unknown(f"gates.{name}", name, sorted(every))
     limits = {name: limit for name, limit in config.items() if name in known or not evaluating}
     for text in flags:
-        name, equals, stated = text.partition("=")
+        name, _, stated = text.partition("=")
         if name not in known:
             raise _unknown(f"--gate {text}", name, known)
         try:
             limits[name] = float(stated)
         except ValueError:
             limits[name] = math.nan
-        if not equals or not math.isfinite(limits[name]):
+        if not math.isfinite(limits[name]):
             raise ConfigError(
                 f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
             )
@@ -146,11 +146,10 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    gates = {name: number_of(f"gate {name}", limit) for name, limit in limits.items()}
-    for name, limit in gates.items():
-        if not math.isfinite(limit):
+    for name, limit in limits.items():
+        if not math.isfinite(number_of(f"gate {name}", limit)):
             raise ConfigError(f"gate {name}: the limit is {limit}", "give a finite number")
-    return gates
+    return {name: float(limit) for name, limit in limits.items()}
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:

@@ -12,12 +12,13 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.export import parameters_from_yaml, params_yaml
-from mobilecal_cli.model import Nominal
+from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.comparison import change_from_nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, evaluate, solve
+from tests.pairs import with_views
 from tests.report.example import (
     HOSTILE,
     ROBOT,
@@ -99,7 +100,10 @@ def test_the_files_hold_budget_and_constants():
 
 def test_coverage_counts_cells():
     corners = np.array([[0, 0], [639, 479], [10, 10], [-5, 3], [700, 3]], dtype=np.float64)
-    assert image_coverage(corners, 640, 480) == pytest.approx(2 / 48)
+    extraction = make_extraction()
+    view = Corners(corners, 0.1, 1)
+    seen = [with_views(o, right=view) for o in extraction.observations]
+    assert image_coverage(replace(extraction, observations=tuple(seen)), 1) == pytest.approx(2 / 48)
 
 
 @cache
