@@ -53,12 +53,17 @@ from mobilecal_cli.report.use import (
 MIN_STATIONS = 8
 #: Stations that show whether a camera is where the description says: its pose has six unknowns.
 FEWEST_OF_A_CAMERA = 4
-#: Reprojection error as an angle: depth noise does not affect it, so the limit is the same share as that of the point
-#: error.
-PIXEL_ERROR_BAD = 0.015
+#: Largest point error as a share of the distance, and reprojection error as an angle (depth noise does not affect it).
+ERROR_BAD = 0.015
+#: Priors that are taken wider by a smaller factor do not show it in two digits.
 _SHOWN_WIDER = 1.05
-#: Ratios to the nominal values that are the same factor.
+#: Ratios to the nominal values that are the same factor, as wheels can be measured to a few percent only.
 _ALIKE = 0.1
+#: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
+#: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
+_SIZE_BAD = 25.0
+#: Standard deviations by which something may move the result.
+_SHIFT_BAD = 2.0
 
 
 def rms(values: FloatArray) -> float:
@@ -221,7 +226,7 @@ def jump(made: Calibration) -> Iterator[Check]:
     only warns, unless a noise level is beyond its limit: it is the likeliest cause. A recording that differs makes the
     standard deviations wider, and only warns if all expected errors are within their limits all the same.
     """
-    names, limit = station_names(made.extraction), 2.0
+    names, limit = station_names(made.extraction), _SHIFT_BAD
     usual = all(check.outcome != "fail" for check in (*height_noise(made), *noise(made)))
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
@@ -272,18 +277,16 @@ def observable(made: Calibration) -> Iterator[Check]:
         return
     known = uncertainty.observable | uncertainty.fixed | uncertainty.described
     missing = [name for name, ok in zip(NINE, known, strict=True) if not ok]
-    if not missing and not uncertainty.described.any():
-        yield Check("observable", float(np.sum(uncertainty.observable | uncertainty.fixed)))
-    elif not missing:
+    if not missing and uncertainty.described.any():  # no joint tilts the camera: its height is not measured
         shown = int(uncertainty.observable.sum())
         yield Check(
             "observable", shown, shown, "pass",
             "observable parameters",
             f"{shown} of {shown} that the motion of this robot can show",
             f"{shown} of {shown}",
-            "No joint tilts the camera: its height above the floor is from the robot description, not measured.",
-            "",
         )  # fmt: skip
+    elif not missing:
+        yield Check("observable", float(len(known)))
     if not missing:
         return
     between = made.solution.between
@@ -366,12 +369,12 @@ _CONTRADICTION_SIGMAS = 4.0
 @criterion(Metric("prior", "sigma"), gated=False, section="description")
 def prior(made: Calibration) -> Iterator[Check]:
     """Priors of the user that the data contradict; those that move the result fail."""
-    uncertainty, shift_limit = made.solution.uncertainty, 2.0
+    uncertainty = made.solution.uncertainty
     for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
         if sigmas > _CONTRADICTION_SIGMAS:
             yield Check(
                 f"prior.{name}", sigmas, _CONTRADICTION_SIGMAS,
-                "fail" if shift > shift_limit else "warning",
+                "fail" if shift > _SHIFT_BAD else "warning",
                 f"--prior {name}",
                 f"{sigmas:.1f} sigma from the data",
                 f"at most {_CONTRADICTION_SIGMAS:g} sigma",
@@ -384,7 +387,7 @@ def prior(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("contradiction", "sigma"), gated=False, section="description")
 def contradiction(made: Calibration) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail."""
-    solution, shift_limit = made.solution, 2.0
+    solution = made.solution
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for evidence in solution.contradictions:
         what, cure = contradiction_sentences(evidence, solution, made.extraction)
@@ -393,7 +396,7 @@ def contradiction(made: Calibration) -> Iterator[Check]:
             f"contradiction.{evidence.kind}.{evidence.part}",
             evidence.sigmas,
             _CONTRADICTION_SIGMAS,
-            "fail" if evidence.shift_sigmas > shift_limit else "warning",
+            "fail" if evidence.shift_sigmas > _SHIFT_BAD else "warning",
             f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}",
             f"{evidence.sigmas:.1f} sigma from the stated values",
             f"at most {_CONTRADICTION_SIGMAS:g} sigma",
@@ -447,8 +450,7 @@ def second_solution(made: Calibration) -> Iterator[Check]:
 
 @criterion(Metric("wheel_difference", "%"))
 def wheel_difference(made: Calibration) -> Iterator[Check]:
-    """Relative difference between the wheel radii. Tires and load make a difference of a few percent."""
-    bad = 25.0
+    """Relative difference between the wheel radii."""
     wheels = made.solution.parameters.wheels
     right, left = wheels.radius_right_m, wheels.radius_left_m
     apart = 100 * (max(right, left) / min(right, left) - 1)
@@ -458,10 +460,10 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
         right, left = right / assumed.radius_right_m, left / assumed.radius_left_m
         sizes = f"right {right:.4f}, left {left:.4f} times those of the driver"
     yield Check(
-        "wheel_difference", apart, bad, graded(apart, bad),
+        "wheel_difference", apart, _SIZE_BAD, graded(apart, _SIZE_BAD),
         "difference between the wheel radii",
         f"{apart:.1f} % ({sizes})",
-        f"under {bad:g} %",
+        f"under {_SIZE_BAD:g} %",
         f"The wheel radii differ by {apart:.1f} %: {sizes}.",
         "Measure both wheels, and check ticks_per_revolution or the gear ratio of each."
         if any(wheel.ticks_per_revolution for wheel in made.extraction.rig.sources.wheels.values())
@@ -471,11 +473,7 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
 
 @criterion(*(Metric(f"nominal.{size}", "%") for size in NINE[6:]))
 def nominal(made: Calibration) -> Iterator[Check]:
-    """Each size of the wheels against its nominal value.
-
-    A tape measure is good to a few percent; an error above 25 % is a wrong factor (ticks, gear, diameter).
-    """
-    bad = 25.0
+    """Each size of the wheels against its nominal value."""
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
     sources = made.extraction.rig.sources
     if sources.assumed_odometry is not None:
@@ -491,12 +489,12 @@ def nominal(made: Calibration) -> Iterator[Check]:
             continue
         off = 100 * (ratio - 1)
         usual = {"about half of": 0.5, "about twice": 2.0}
-        times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
+        times = next((said for said, r in usual.items() if abs(ratio / r - 1) < _ALIKE), f"{ratio:.2f} times")
         yield Check(
-            f"nominal.{parameter.name}", off, bad, graded(abs(off), bad),
+            f"nominal.{parameter.name}", off, _SIZE_BAD, graded(abs(off), _SIZE_BAD),
             f"{parameter.label} against its nominal value",
             f"{found_m:.4f} m, {off:+.1f} %",
-            f"within {bad:g} % of {stated_m:.4f} m",
+            f"within {_SIZE_BAD:g} % of {stated_m:.4f} m",
             f"The {parameter.label} is {found_m:.4f} m, {times} the nominal {stated_m:.4f} m.",
             _nominal_cure(parameter.name, ratios, made.extraction),
         )  # fmt: skip
@@ -567,16 +565,15 @@ def _effective_separation(found_m: float, nominal_m: float, ratio: float) -> Che
 
 def _factors(made: Calibration, assumed: AssumedOdometry) -> Iterator[Check]:
     """Factors of odometry against 1. That of the separation is larger on bases that turn with slip."""
-    bad = 0.25
     values = assumed.factors(made.solution.parameters.wheels)
     for parameter, name, value in zip(PARAMETERS[6:], FACTORS, values.tolist(), strict=False):
-        off = abs(value - 1)
+        off = 100 * (value - 1)
         ok = parameter.name == "separation" and 1 <= value <= _MOST_EFFECTIVE
         yield Check(
-            f"nominal.{parameter.name}", 100 * (value - 1), 100 * bad, "pass" if ok else graded(off, bad),
+            f"nominal.{parameter.name}", off, _SIZE_BAD, "pass" if ok else graded(abs(off), _SIZE_BAD),
             f"{name.replace('_', ' ')} against 1",
-            f"{value:.4f}, {100 * (value - 1):+.1f} %",
-            f"within {100 * bad:g} %",
+            f"{value:.4f}, {off:+.1f} %",
+            f"within {_SIZE_BAD:g} %",
             f"The {name.replace('_', ' ')} of the odometry on {assumed.topic} is {value:.3f}.",
             "Check the wheel radius and the wheel separation in the driver, and board.square_m in rig.yaml.",
         )  # fmt: skip
@@ -742,7 +739,7 @@ def errors(made: Calibration) -> Iterator[Check]:
     steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a
     wheel without slip loses on one leg.
     """
-    solution, bad, sigmas = made.solution, 1.5, 3.0
+    solution, bad, sigmas = made.solution, 100 * ERROR_BAD, 3.0
     if not len(solution.residuals.legs):
         return
     error, distance = solution.point_rms_m, board_distance_m(made.extraction)
@@ -766,7 +763,7 @@ def errors(made: Calibration) -> Iterator[Check]:
         f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
         cure,
     )  # fmt: skip
-    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
+    error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])
     px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0))
     yield Check(
         "reprojection_error", px, limit, graded(px, limit),

@@ -32,6 +32,8 @@ from mobilecal_cli.report.formats import JsonValue
 _MOST_DECIMALS = 6
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
 _MOST_REASONS = 3
+#: Cells across and down an image, in which coverage and projection errors are shown.
+CELLS = (8, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -275,12 +277,12 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
 
 
 def image_coverage(extraction: Extraction, k: int) -> float:
-    """Share of the cells of a coarse grid (8 across, 6 down) over a camera's images that contain a corner, 0 to 1."""
-    camera, cells = extraction.rig.cameras.each[k], (8, 6)
+    """Share of the cells of a camera's images that contain a corner, 0 to 1."""
+    camera = extraction.rig.cameras.each[k]
     pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in extraction.observations])
-    at = np.floor(pixels / [camera.width, camera.height] * cells).astype(int)
-    inside = np.all((at >= 0) & (at < cells), axis=-1)
-    return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
+    at = np.floor(pixels / [camera.width, camera.height] * CELLS).astype(int)
+    inside = np.all((at >= 0) & (at < CELLS), axis=-1)
+    return len(np.unique(at[inside], axis=0)) / math.prod(CELLS)
 
 
 def plain_names(names: Sequence[str], extraction: Extraction) -> str:

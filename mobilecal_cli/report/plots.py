@@ -27,7 +27,7 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import image_coverage, station_names, std_text
+from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
@@ -143,7 +143,6 @@ def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
-_CELLS = (8, 6)  # of the map of projection errors
 _FARTHEST_M = 5.0
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150
@@ -394,7 +393,7 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     if solution.uncertainty is None:
         return "", ""
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
-    (across, down) = _CELLS
+    (across, down) = CELLS
     u = (np.arange(across) + 0.5) * camera.width / across - 0.5
     v = (np.arange(down) + 0.5) * camera.height / down - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

@@ -7,6 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
@@ -70,6 +72,11 @@ class Figure:
     def limit(self) -> float | None:
         """Default limit in this unit; None for no limit."""
         return ACCURACY.get(self.name)
+
+    @property
+    def of_camera(self) -> bool:
+        """Whether it is of the camera, and not of dead reckoning."""
+        return self.field in ("camera_m", "camera_rad", "point_m")
 
     def of(self, expected: AtWork) -> float:
         """The figure in its unit."""
@@ -138,10 +145,10 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
 
 def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
     """Motion of which the recording has little, and which this figure depends on: what to do, as sentences."""
-    of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
-    fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
-    head = (of_camera or of_point) and not all(fixed[:6])
-    base = not of_camera and not all(fixed[6:])
+    fixed = np.zeros(9, bool) if solution.uncertainty is None else solution.uncertainty.fixed
+    of_camera_alone = figure.of_camera and figure.field != "point_m"
+    head = figure.of_camera and not fixed[:6].all()
+    base = not of_camera_alone and not fixed[6:].all()
     yield from small_extents(solution.motion, head, base)
 
 
@@ -266,7 +273,7 @@ def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
     groups: dict[str, list[str]] = {"camera": [], "dead reckoning": []}
     for figure in FIGURES:
         if limits.get(figure.name, figure.limit) is not None and figure.of(expected):
-            group = "camera" if figure.name in _OF_CAMERA else "dead reckoning"
+            group = "camera" if figure.of_camera else "dead reckoning"
             turn = " per turn" if figure.name.endswith("_per_turn") else ""
             groups[group].append(f"{std_text(figure.of(expected))} {figure.unit}{turn}")
     said = "; ".join(
@@ -275,9 +282,6 @@ def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
     )
     whose = "your limits" if any(figure.name in limits for figure in FIGURES) else "the default limits"
     return f"Expected errors (1 sigma): {said}. All are within {whose}."
-
-
-_OF_CAMERA = frozenset({"predicted.camera_mm", "predicted.camera_deg", "predicted.point_mm"})
 
 
 @dataclass(frozen=True, slots=True)
