@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
+from mobilecal_cli.export import params_yaml
 from mobilecal_cli.model import (
     Board,
     CalibratedRobot,
@@ -94,6 +95,11 @@ def make_provenance(extraction: Extraction) -> Provenance:
             "cameras": {"left": {"image": "/stereo/left/image_raw"}},
         },
     )
+
+
+def params_of(solution: Solution, extraction: Extraction, *verdict, **provenance) -> str:
+    """params.yaml of a solution; further arguments replace what the provenance says."""
+    return params_yaml(solution, extraction, replace(make_provenance(extraction), **provenance), *verdict)
 
 
 def case_of(

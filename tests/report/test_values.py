@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.comparison import change_from_nominal
 from mobilecal_cli.report.formats import json_text
@@ -29,9 +29,9 @@ from tests.report.example import (
     made,
     make_extraction,
     make_hostile,
-    make_provenance,
     make_solution,
     page_of,
+    params_of,
     recorded,
     robot,
     solved,
@@ -123,7 +123,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     T_c_r = extraction.rig.cameras.T_c_each[1].copy()
     T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
     truth = robot.T_h_c @ T_c_r
-    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    written = parameters_from_yaml(params_of(solution, extraction))
     data = json.loads(json_text(made(solution, extraction)))
     shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
     for R in (written.T_parent_child[:3, :3], shown):
@@ -138,8 +138,7 @@ def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
     extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
     solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
     assert not np.allclose(solution.parameters.T_h_c, tick_robot().T_h_c, atol=5e-3)
-    provenance = make_provenance(extraction)
-    written = parameters_from_yaml(params_yaml(solution, extraction, provenance))
+    written = parameters_from_yaml(params_of(solution, extraction))
     data = json.loads(json_text(made(solution, extraction)))["parameters"]
     shown = se3.transform(
         se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
@@ -167,7 +166,7 @@ def test_the_right_camera_has_its_own_covariance_and_jackknife():
 def test_params_yaml_keeps_all_noise_levels():
     solution, extraction = drawn()
     noise = solution.uncertainty.noise
-    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    written = parameters_from_yaml(params_of(solution, extraction))
     for level in ("pixel_px", "joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share"):
         assert written.knowledge.noise[level] == pytest.approx(getattr(noise, level), rel=1e-8)
 
