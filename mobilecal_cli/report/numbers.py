@@ -76,14 +76,10 @@ PARAMETERS = (
 )
 
 
-def parameters_of(rig: Rig) -> tuple[Parameter, ...]:
-    """The nine parameters of a robot: of one with odometry alone, the last three are factors of assumed wheels."""
-    assumed = rig.sources.assumed_wheels
-    return PARAMETERS if assumed is None else factors_of(assumed)
-
-
-def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
-    """The nine parameters, with factors of assumed wheels."""
+def parameters_of(assumed: WheelGeometry | None) -> tuple[Parameter, ...]:
+    """The nine parameters; with assumed wheels (odometry alone), the last three are factors of these."""
+    if assumed is None:
+        return PARAMETERS
     return (
         *PARAMETERS[:6],
         *(
@@ -252,17 +248,15 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
 
 
 def board_distance_m(extraction: Extraction) -> float:
-    """Median distance from the camera to the corners, m; 0 without observations."""
-    distances_m = [np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]
-    return float(np.median(distances_m)) if distances_m else 0.0
+    """Median distance from the camera to the corners, m."""
+    return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
 
 
-def square_size_mm(extraction: Extraction) -> float | None:
-    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
+def square_size_mm(extraction: Extraction) -> float:
+    """Square size, mm: as stated, otherwise the median that the stereo pair measures."""
     if extraction.board.square_m is not None:
         return extraction.board.square_m * 1e3
-    sizes = [o.square_m * 1e3 for o in extraction.observations]
-    return float(np.median(sizes)) if sizes else None
+    return float(np.median([o.square_m * 1e3 for o in extraction.observations]))
 
 
 def stations_looked_at(extraction: Extraction) -> int:
@@ -289,7 +283,7 @@ def plain_names(names: Sequence[str], extraction: Extraction) -> str:
     """Some of the nine parameters in plain words, with the verb: "the camera's height is"."""
     joints = np.stack([o.joints for o in extraction.observations])
     parts = head_eye_words(names, extraction.rig.chain, joints)
-    wheels = zip(NINE[6:], parameters_of(extraction.rig)[6:], strict=True)
+    wheels = zip(NINE[6:], parameters_of(extraction.rig.sources.assumed_wheels)[6:], strict=True)
     parts += [f"the {parameter.label}" for name, parameter in wheels if name in names]
     said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{said} {'is' if len(parts) == 1 else 'are'}"

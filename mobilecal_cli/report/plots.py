@@ -136,8 +136,7 @@ def plot(
 
 def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
     """All plots that have something to show, in the order of their definition."""
-    drawn = (each(solution, extraction) for each in _PLOTS) if extraction.observations else ()
-    return [each for each in drawn if each.parts]
+    return [each for each in (drawn(solution, extraction) for drawn in _PLOTS) if each.parts]
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
@@ -191,9 +190,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
 
 def path_picture(solution: Solution, extraction: Extraction) -> str:
     """Small top view of the first recording: the path, the mean board, and a scale bar."""
-    log = min((o.log for o in extraction.observations), default=None)
-    if log is None:
-        return ""
+    log = min(o.log for o in extraction.observations)
     picked, boards, path, everything = _from_above(solution, extraction, log)
     canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
     left, low = 10.0, canvas.height - 22.0

@@ -54,7 +54,8 @@ def change(case: Case) -> Rows:
     def shown(value: float, digits: int) -> str:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
 
-    parameters, stds = parameters_of(case.extraction.rig), reference_std(case.solution) or (None,) * len(NINE)
+    parameters = parameters_of(case.extraction.rig.sources.assumed_wheels)
+    stds = reference_std(case.solution) or (None,) * len(NINE)
     columns = (each.tolist() for each in (difference.value, difference.sigmas, difference.percent))
     return [
         (
@@ -130,7 +131,7 @@ def separately(case: Case) -> Rows:
     if between is None or uncertainty is None:
         return ()
     present = sorted({o.log for o in case.extraction.observations})
-    per_unit = [parameter.per_unit for parameter in parameters_of(case.extraction.rig)]
+    per_unit = [each.per_unit for each in parameters_of(case.extraction.rig.sources.assumed_wheels)]
     without = ["fixed" if by_user else "unobservable" for by_user in uncertainty.fixed]
 
     rows = [
@@ -245,10 +246,10 @@ def inputs(case: Case) -> Rows:
         if wheel.sign < 0:
             parts.append("sign reversed")
         rows.append((f"{side} wheel", ", ".join(parts)))
-    size, square_mm = "square size unknown", square_size_mm(case.extraction)
-    if square_mm is not None:
-        measured = f"square size {square_mm:.2f} mm, measured by the stereo pair"
-        size = measured if board.square_m is None else f"stated square size {square_mm:g} mm"
+    square_mm = square_size_mm(case.extraction)
+    size = f"stated square size {square_mm:g} mm"
+    if board.square_m is None:
+        size = f"square size {square_mm:.2f} mm, measured by the stereo pair"
     rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"

@@ -74,8 +74,8 @@ def _details(report: ReportData) -> list[str]:
 
 
 def notebook_html(report: ReportData, path: str) -> str:
-    """Verdict, numbers, and the picture of the path (an SVG element, "" for none) for a notebook."""
-    picture = base64.b64encode(standalone(path).encode()).decode("ascii") if path else ""
+    """Verdict, numbers, and the picture of the path (an SVG element) for a notebook."""
+    picture = base64.b64encode(standalone(path).encode()).decode("ascii")
     return template("card.html.jinja").render(
         report=report,
         rows=numbers_table(report.numbers),

@@ -501,9 +501,7 @@ def build_report(case: Case) -> ReportData:
             for log in sorted({o.log for o in extraction.observations})
         ),
         image_coverage={
-            name: image_coverage(extraction, k)
-            for k, name in enumerate(extraction.rig.cameras.names)
-            if extraction.observations
+            name: image_coverage(extraction, k) for k, name in enumerate(extraction.rig.cameras.names)
         },
         board=like(
             BoardData,
