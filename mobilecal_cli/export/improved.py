@@ -213,12 +213,10 @@ def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray
     T_r_c = se3.inverse(cameras.T_c_each[1])
     R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
     left, right = cameras.each
-    size = (left.width, left.height)
+    pair = (left.K, left.D, right.K, right.D, (left.width, left.height), R, t)
     if left.distortion == "equidistant":
-        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
-            left.K, left.D, right.K, right.D, size, R, t, cv2.CALIB_ZERO_DISPARITY
-        )
+        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
     else:
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
-    as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
-    return dict(zip(cameras.names, ((as_float[0], as_float[2]), (as_float[1], as_float[3])), strict=True))
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
+    of_left, of_right = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
+    return dict(zip(cameras.names, (of_left, of_right), strict=True))

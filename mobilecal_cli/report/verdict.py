@@ -32,8 +32,6 @@ from mobilecal_cli.report.use import (
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
 LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
-#: Name of a figure → its value, None if unknown.
-Figures = Mapping[str, float | None]
 _GATE = "gate."  # how the ids of the user's limits begin
 
 
@@ -169,8 +167,8 @@ def figures_of(made: Calibration) -> dict[str, float | None]:
     return {name: values.get(name) for name in names}
 
 
-def evaluated_figures(evaluation: Evaluation) -> Figures:
-    """Every figure of an evaluation that a gate can limit."""
+def evaluated_figures(evaluation: Evaluation) -> dict[str, float | None]:
+    """Every figure of an evaluation that a gate can limit, None if unknown."""
     return {metric.name: of(evaluation) for metric, of in EVALUATED.items()}
 
 
@@ -190,7 +188,9 @@ def _gate_cure(made: Calibration, name: str, limit: float) -> str:
 
 
 def gate_checks(
-    gates: Mapping[str, float], figures: Figures, cure: Callable[[str, float], str] = lambda *_: ""
+    gates: Mapping[str, float],
+    figures: Mapping[str, float | None],
+    cure: Callable[[str, float], str] = lambda *_: "",
 ) -> Iterator[Check]:
     """Each gate as a criterion of the verdict, with its cure; an unknown figure fails.
 
