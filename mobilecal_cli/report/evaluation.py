@@ -13,14 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    CameraRig,
-    Evaluation,
-    Extraction,
-    Parameters,
-    Solution,
-)
+from mobilecal_cli.model import CalibratedRobot, CameraRig, Evaluation, Extraction, Parameters, Solution
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough

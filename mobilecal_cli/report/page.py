@@ -78,9 +78,8 @@ def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = 
             style=Markup(style),
         )
     )
-    data = json_text(report)
-    for character in "<>&":  # nothing in the data can end its element
-        data = data.replace(character, f"\\u{ord(character):04x}")
+    # Nothing in the data can end its element.
+    data = json_text(report).translate({ord(character): f"\\u{ord(character):04x}" for character in "<>&"})
     json_block = f'<script type="application/json" id="data">{data}</script>'
     return text.replace("<!--scripts-->", f"{json_block}\n<script>{script}</script>")
 

@@ -12,13 +12,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.formats import Table
-from mobilecal_cli.report.numbers import (
-    parameters_of,
-    reference_std,
-    square_size_mm,
-    std_text,
-    value_text,
-)
+from mobilecal_cli.report.numbers import parameters_of, reference_std, square_size_mm, std_text, value_text
 from mobilecal_cli.report.verdict import Case
 
 Rows = Sequence[tuple[str, ...]]

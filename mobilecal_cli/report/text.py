@@ -121,7 +121,4 @@ def _change(change: Change, k: int, number: NumberData) -> str:
 
 def _cell(text: str) -> str:
     """Text of a recording for Markdown: no markup, no new column."""
-    escaped = visible(text).replace("\\", "\\\\")
-    for character in "|*_`<>[]":
-        escaped = escaped.replace(character, f"\\{character}")
-    return escaped
+    return visible(text).translate({ord(character): f"\\{character}" for character in "\\|*_`<>[]"})

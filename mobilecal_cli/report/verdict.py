@@ -20,14 +20,7 @@ from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, reference_std
-from mobilecal_cli.report.use import (
-    FIGURES,
-    Error,
-    Figure,
-    next_step_of,
-    shares_of,
-    use_sentence,
-)
+from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
