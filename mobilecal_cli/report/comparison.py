@@ -19,8 +19,8 @@ from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
 #: Significance level.
 _UNLIKELY = 0.01
-_MOST_LABELS = 20
-_WIDE, _HIGH = 300.0, 210.0
+_MOST_LABELS = 20  # names of calibrations below a plot
+_WIDE, _HIGH = 300.0, 210.0  # of the plot of one parameter
 
 
 _UNKNOWN: FloatArray = np.full(len(NINE), np.nan)

@@ -29,9 +29,10 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import JsonValue
 
-_MOST_DECIMALS = 6
+_MOST_DECIMALS = 6  # of rad and m: one digit of the smallest standard deviations
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
-_MOST_REASONS = 3
+_MOST_REASONS = 3  # why stations were rejected, in one line
+DEG = 180 / math.pi  # degrees per rad
 #: Cells across and down an image, in which coverage and projection errors are shown.
 CELLS = (8, 6)
 
@@ -68,7 +69,7 @@ class Parameter:
         return self.factor if self.unit == "1" else 1.0
 
 
-_ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
+_ANGLE, _LENGTH = ("rad", "deg", DEG, 3), ("m", "mm", 1e3, 2)
 PARAMETERS = (
     *(Parameter(f"r_{axis}", f"rotation {axis}", *_ANGLE) for axis in "xyz"),
     *(Parameter(f"t_{axis}", f"translation {axis}", *_LENGTH) for axis in "xyz"),

@@ -40,7 +40,7 @@ CONTENTS = {
     "description": "Robot description",
     "record": "Input",
 }
-_MOST_STOPS = 3
+_MOST_STOPS = 3  # that the page suggests
 _LEAST_PROBABILITY = 1e-6  # worth a digit
 
 

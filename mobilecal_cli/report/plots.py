@@ -142,15 +142,15 @@ def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
-_FARTHEST_M = 5.0
+_FARTHEST_M = 5.0  # most heads look at things that are nearer
 _MOST_LABELS = 40  # more labels than this are not readable
-_MOST_OUTLINES = 150
-_TRAIL_POINTS = 400
+_MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
+_TRAIL_POINTS = 400  # of a path: more are finer than a pixel
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 _MARK_BYTES = 160  # of a detected and a predicted corner in the page
-_LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
+_LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08  # of a bar: less is no pixel wide, or too narrow for a label
 
 
 @plot("stations", each="log")

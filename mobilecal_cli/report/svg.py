@@ -18,8 +18,8 @@ from mobilecal_cli.model import FloatArray
 from mobilecal_cli.model.text import visible
 
 _Value = TypeVar("_Value", float, FloatArray)
-WIDE, HALF = 640.0, 320.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0
+WIDE, HALF = 640.0, 320.0  # widths of plots; two halves are side by side
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0  # around the axes, for labels and title
 _CHARACTER = 6.2  # width of a character of a small label
 #: Style of a plot; the page's own variables are the colors.
 STYLE = """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 
@@ -12,7 +11,14 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.formats import Table
-from mobilecal_cli.report.numbers import parameters_of, reference_std, square_size_mm, std_text, value_text
+from mobilecal_cli.report.numbers import (
+    DEG,
+    parameters_of,
+    reference_std,
+    square_size_mm,
+    std_text,
+    value_text,
+)
 from mobilecal_cli.report.verdict import Case
 
 Rows = Sequence[tuple[str, ...]]
@@ -69,10 +75,10 @@ _LEVELS = {
     "pixel_px": ("corner coordinate", "px", 1.0),
     "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad", 1.0),
     "encoder_rad": ("encoder reading", "rad", 1.0),
-    "joint_rad": ("joint reading", "deg", 180 / math.pi),
-    "floor_rad": ("floor: roll and pitch under the base", "deg", 180 / math.pi),
+    "joint_rad": ("joint reading", "deg", DEG),
+    "floor_rad": ("floor: roll and pitch under the base", "deg", DEG),
     "floor_m": ("floor: height under the base", "mm", 1e3),
-    "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", 180 / math.pi),
+    "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", DEG),
     "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
     "wheel_share": ("scale of a wheel", "%", 100.0),
@@ -111,7 +117,7 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
     units = dict(zip(chain.joints, chain.joint_units, strict=True))
     both = 0 < len(chain.prismatic) < len(units)
     revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
-    kinds = [(revolute, 180 / math.pi, "deg")] if len(chain.prismatic) < len(units) else []
+    kinds = [(revolute, DEG, "deg")] if len(chain.prismatic) < len(units) else []
     return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 

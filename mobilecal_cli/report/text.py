@@ -17,7 +17,7 @@ from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
 _wrapped = functools.partial(wrapped, indent="  ", width=80)
-_LABEL = 22
+_LABEL = 22  # characters of the longest label, and two
 _MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
 

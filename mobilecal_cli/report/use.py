@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
-from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.numbers import DEG, std_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,20 +83,19 @@ class Figure:
         return float(getattr(expected, self.field)) * self.factor
 
 
-_DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
     Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", DEG),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "point", "mm", 1e3),
     Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight",
            "distance per meter", "mm/m", 1e3),
     Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
            "lateral position per meter", "mm/m", 1e3),
     Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight",
-           "heading per meter", "deg/m", _DEG),
+           "heading per meter", "deg/m", DEG),
     Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn",
-           "heading per turn", "deg", _DEG),
+           "heading per turn", "deg", DEG),
 )
 # fmt: on
 
@@ -186,7 +185,7 @@ def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
 LEAST_GAIN = 0.05
 #: Stated values are taken to be measured this many times better, if the user measures them again.
 _BETTER = 2.0
-_MOST_STOPS = 4  # times as many; more are not practical
+_MOST_TIMES = 4  # times as many; more are not practical
 
 
 class Cure(NamedTuple):
@@ -229,7 +228,7 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
     alone = (error.limit / error.value) ** 2 - (1 - noise) if error.value > 0 else 1.0
     with_others = alone + sum(cure.removed for cure in cures)
     needed = (math.ceil(noise / room) for room in (alone, with_others) if room > 0)
-    times = next((max(2, times) for times in needed if times <= _MOST_STOPS), _MOST_STOPS)
+    times = next((max(2, times) for times in needed if times <= _MOST_TIMES), _MOST_TIMES)
     words = {2: "twice", 3: "three times", 4: "four times"}
     cures.append(Cure(f"Record {words[times]} as many stops", noise * (1 - 1 / times)))
     return tuple(cure for cure in cures if 1 - cure.left >= LEAST_GAIN)
