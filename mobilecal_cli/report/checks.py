@@ -16,7 +16,9 @@ from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    CONTRADICTION_SIGMAS,
     FACTORS,
+    MATERIAL_SIGMAS,
     NINE,
     NO_IMAGES,
     AssumedOdometry,
@@ -62,8 +64,6 @@ _ALIKE = 0.1
 #: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
 #: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
 _SIZE_BAD = 25.0
-#: Standard deviations by which something may move the result.
-_SHIFT_BAD = 2.0
 
 
 def rms(values: FloatArray) -> float:
@@ -226,7 +226,7 @@ def jump(made: Calibration) -> Iterator[Check]:
     only warns, unless a noise level is beyond its limit: it is the likeliest cause. A recording that differs makes the
     standard deviations wider, and only warns if all expected errors are within their limits all the same.
     """
-    names, limit = station_names(made.extraction), _SHIFT_BAD
+    names, limit = station_names(made.extraction), MATERIAL_SIGMAS
     usual = all(check.outcome != "fail" for check in (*height_noise(made), *noise(made)))
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
@@ -362,22 +362,18 @@ def camera_info(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-#: Evidence beyond this is a contradiction: the solver's own limit.
-_CONTRADICTION_SIGMAS = 4.0
-
-
 @criterion(Metric("prior", "sigma"), gated=False, section="description")
 def prior(made: Calibration) -> Iterator[Check]:
     """Priors of the user that the data contradict; those that move the result fail."""
     uncertainty = made.solution.uncertainty
     for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
-        if sigmas > _CONTRADICTION_SIGMAS:
+        if sigmas > CONTRADICTION_SIGMAS:
             yield Check(
-                f"prior.{name}", sigmas, _CONTRADICTION_SIGMAS,
-                "fail" if shift > _SHIFT_BAD else "warning",
+                f"prior.{name}", sigmas, CONTRADICTION_SIGMAS,
+                "fail" if shift > MATERIAL_SIGMAS else "warning",
                 f"--prior {name}",
                 f"{sigmas:.1f} sigma from the data",
-                f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+                f"at most {CONTRADICTION_SIGMAS:g} sigma",
                 f"The value of --prior {name} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
                 f"{shift:.1f} standard deviations.",
                 f"Correct --prior {name} (m, rad), or leave it out.",
@@ -395,11 +391,11 @@ def contradiction(made: Calibration) -> Iterator[Check]:
         yield Check(
             f"contradiction.{evidence.kind}.{evidence.part}",
             evidence.sigmas,
-            _CONTRADICTION_SIGMAS,
-            "fail" if evidence.shift_sigmas > _SHIFT_BAD else "warning",
+            CONTRADICTION_SIGMAS,
+            "fail" if evidence.shift_sigmas > MATERIAL_SIGMAS else "warning",
             f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}",
             f"{evidence.sigmas:.1f} sigma from the stated values",
-            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+            f"at most {CONTRADICTION_SIGMAS:g} sigma",
             f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
             + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else ""),
             cure,
@@ -413,10 +409,10 @@ def description(made: Calibration) -> Iterator[Check]:
     if solution.uncertainty is not None and not solution.contradictions:
         most = max((evidence.sigmas for evidence in solution.evidence), default=0.0)
         yield Check(
-            "description", most, _CONTRADICTION_SIGMAS, "pass",
+            "description", most, CONTRADICTION_SIGMAS, "pass",
             "robot description",
             f"at most {most:.1f} sigma from the stated values",
-            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+            f"at most {CONTRADICTION_SIGMAS:g} sigma",
         )  # fmt: skip
 
 
