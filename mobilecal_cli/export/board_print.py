@@ -226,10 +226,11 @@ def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
         if np.all(np.array(_needed(board, size[0])) <= size)
     }
     names = _AUTOMATIC if paper == "auto" else (paper,)
-    for name in (name for name in names if name in fitting):
-        width, height = fitting[name]
-        shown = name.upper() if name in _AUTOMATIC else name
-        return f"{shown} ({width:g} x {height:g} mm)", (width, height)
+    for name in names:
+        if name in fitting:
+            width, height = fitting[name]
+            shown = name.upper() if name in _AUTOMATIC else name
+            return f"{shown} ({width:g} x {height:g} mm)", (width, height)
     largest, larger = names[-1], next(iter(fitting), "exact")
     (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
     raise ConfigError(
