@@ -40,7 +40,6 @@ CONTENTS = {
     "description": "Robot description",
     "record": "Input",
 }
-_MOST_STOPS = 3  # that the page suggests
 _LEAST_PROBABILITY = 1e-6  # worth a digit
 
 
@@ -71,7 +70,7 @@ def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = 
             limits=None if worst is None else budget_bar(worst),
             contents=list(CONTENTS.items()),
             opened=opened_section(report),
-            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
+            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
             change="" if report.change is None else _change(report.change),
             orientation=report.parameters.orientation,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
