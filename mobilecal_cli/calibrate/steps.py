@@ -43,7 +43,7 @@ from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
-from mobilecal_cli.report.plots import draw_all, path_picture
+from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
 from mobilecal_cli.report.verdict import Case, gates_of, judge, reasons_of
@@ -280,21 +280,13 @@ class Report:
             earlier = read_params(path_of("last", last))
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(robot, earlier, name)
-        self.verdict = judge(solution, extraction, limits, fit.trial, self.change)
+        made = (solution, extraction, limits, fit.trial, self.change)
+        self.verdict = judge(*made)
         level, reasons = self.verdict.level, reasons_of(self.verdict)
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
-        case = Case(
-            solution,
-            extraction,
-            limits,
-            fit.trial,
-            self.change,
-            provenance=self.provenance,
-            verdict=self.verdict,
-        )
-        self.values = build_report(case)
-        self._limits = limits
+        self._case = Case(*made, provenance=self.provenance, verdict=self.verdict)
+        self.values = build_report(self._case)
 
     def __repr__(self) -> str:
         """One line."""
@@ -314,9 +306,7 @@ class Report:
     @cached_property
     def html(self) -> str:
         """Text of report.html."""
-        fit = self.fit
-        drawn = draw_all(fit.solution, fit.extraction, self.data.snapshots, self._limits)
-        return report_html(self.values, drawn)
+        return report_html(self.values, self._case, self.data.snapshots)
 
     def _repr_html_(self) -> str:
         """Verdict, numbers and path, for notebooks; `html` is the whole page."""

@@ -15,11 +15,9 @@ from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.targets import Paper
 
-#: Width of a character of the font, in shares of its size.
-CHARACTER = 0.6
-POINTS_PER_MM = 72 / 25.4
-#: Largest side of a page that readers accept: 14,400 points.
-LARGEST_MM = 14_400 / POINTS_PER_MM
+_CHARACTER = 0.6  # width of a character of Courier, in shares of its size
+_POINTS_PER_MM = 72 / 25.4  # a point is 1/72 inch
+_LARGEST_MM = 14_400 / _POINTS_PER_MM  # side of a page: 14,400 points are the limit of PDF
 
 
 def one_page(
@@ -31,13 +29,13 @@ def one_page(
     """A PDF of one page. It asks the reader to print without scaling.
 
     Args:
-        size_mm: width and height of the page, at most `LARGEST_MM`.
+        size_mm: width and height of the page, at most `_LARGEST_MM`.
         rectangles_mm: (n, 4) x and y of the top left corner from that of the page, width and height. They are filled
             in black as one path, so that adjacent ones have no seam.
         lines: ASCII text in Courier, and x and y of the start of its baseline from the top left corner, mm.
         title: title of the document, ASCII.
     """
-    scale, (width, height) = _number(POINTS_PER_MM), (_number(side * POINTS_PER_MM) for side in size_mm)
+    scale, (width, height) = _number(_POINTS_PER_MM), (_number(side * _POINTS_PER_MM) for side in size_mm)
     drawing = [f"{scale} 0 0 -{scale} 0 {height} cm"]  # y down
     drawing += [" ".join(_number(value) for value in row) + " re" for row in rectangles_mm]
     drawing += ["f" if len(rectangles_mm) else "", "BT"]
@@ -92,7 +90,7 @@ _PAGES_MM = {
 }
 _AUTOMATIC = ("a4", "a3", "a2", "a1", "a0")
 _MARGIN_MM = 8.0  # white around the board, and what printers leave blank
-_GAP_MM, _BOTTOM_MM = 6.0, 6.0  # above and below the text
+_GAP_MM = 6.0  # above and below the text
 _TEXT_MM, _PITCH_MM = 2.5, 3.2
 _BAR_MM, _TICK_MM = 1.0, 3.0
 _BARS_MM = (1000.0, 500.0, 200.0, 100.0, 50.0)
@@ -196,7 +194,7 @@ def _words(board: Board, page: str, bar_mm: float) -> list[str]:
 
 
 def _wrapped(texts: list[str], page_width_mm: float) -> list[str]:
-    width = int((page_width_mm - 2 * _MARGIN_MM) / (CHARACTER * _TEXT_MM))
+    width = int((page_width_mm - 2 * _MARGIN_MM) / (_CHARACTER * _TEXT_MM))
     return [line for text in texts for line in textwrap.wrap(text, width)]
 
 
@@ -207,7 +205,7 @@ def _needed(board: Board, page_width_mm: float) -> tuple[float, float]:
     page_width_mm = max(page_width_mm, width)
     longest = _words(board, "tabloid (0000.0 x 0000.0 mm)", 1000.0)
     count = len(_wrapped([*longest, board_setting(board)], page_width_mm))
-    height = board_mm[1] + _MARGIN_MM + _GAP_MM + _TICK_MM + (count + 0.2) * _PITCH_MM + _BOTTOM_MM
+    height = board_mm[1] + _MARGIN_MM + _GAP_MM + _TICK_MM + (count + 0.2) * _PITCH_MM + _GAP_MM
     return float(np.ceil(width)), float(np.ceil(height))
 
 
@@ -215,35 +213,31 @@ def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
     """Description and size (mm) of the page to use, portrait or landscape."""
     if paper == "exact":
         size = _needed(board, 0.0)
-        if max(size) > LARGEST_MM:
+        if max(size) > _LARGEST_MM:
             raise ConfigError(
-                f"the board needs a page of {size[0]:.0f} x {size[1]:.0f} mm (limit of a PDF: {LARGEST_MM:.0f} mm)",
+                f"the board needs a page of {size[0]:.0f} x {size[1]:.0f} mm (limit of a PDF: {_LARGEST_MM:.0f} mm)",
                 "use smaller or fewer squares",
             )
         return f"a page of {size[0]:g} x {size[1]:g} mm", size
-    for name in _AUTOMATIC if paper == "auto" else (paper,):
-        fitting = _placed(board, name)
-        if fitting is not None:
+    fitting = {
+        name: size
+        for name, portrait in _PAGES_MM.items()
+        for size in (portrait[::-1], portrait)  # portrait if both fit
+        if np.all(np.array(_needed(board, size[0])) <= size)
+    }
+    names = _AUTOMATIC if paper == "auto" else (paper,)
+    for name in names:
+        if name in fitting:
+            width, height = fitting[name]
             shown = name.upper() if name in _AUTOMATIC else name
-            return f"{shown} ({fitting[0]:g} x {fitting[1]:g} mm)", fitting
-    largest = _AUTOMATIC[-1] if paper == "auto" else paper
+            return f"{shown} ({width:g} x {height:g} mm)", (width, height)
+    largest, larger = names[-1], next(iter(fitting), "exact")
     (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
-    larger = next((other for other in _PAGES_MM if _placed(board, other)), "exact")
     raise ConfigError(
         f"the board of {board_mm[0]:g} x {board_mm[1]:g} mm does not fit on {largest} "
         f"({width:g} x {height:g} mm) with {_MARGIN_MM:g} mm around it and the text below",
         f"use --paper {larger}, or smaller squares",
     )
-
-
-def _placed(board: Board, paper: str) -> tuple[float, float] | None:
-    """A standard page, portrait or landscape, mm; None if the board does not fit."""
-    portrait = _PAGES_MM[paper]
-    for size in (portrait, portrait[::-1]):
-        needed = _needed(board, size[0])
-        if needed[0] <= size[0] and needed[1] <= size[1]:
-            return size
-    return None
 
 
 def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:

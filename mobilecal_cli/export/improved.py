@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -12,13 +13,8 @@ from scipy.optimize import least_squares
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint
-from mobilecal_cli.likelihood.effects import (
-    CameraEffect,
-    ChainChange,
-    ChainEffect,
-    JointReading,
-)
+from mobilecal_cli.kinematics.urdf import Urdf, chain_links
+from mobilecal_cli.likelihood.effects import CameraEffect, ChainChange, ChainEffect, JointReading
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import Camera, CameraRig, FixedLink, FloatArray, HeadChain, JointLink, Rig
 
@@ -144,7 +140,9 @@ def improved_chain(rig: Rig, constants: Mapping[str, float]) -> ImprovedChain:
     return ImprovedChain(rig.chain, change.apply(rig.chain), zeros, tuple(others))
 
 
-_SAME = 1e-6  # m, and the elements of rotation matrices
+#: Larger differences are those of another robot: of lengths in m, of the elements of rotation matrices and axes.
+_SAME = 1e-6
+_COMPARED = ("kind", "joint", "multiplier", "offset")  # fields of a joint's link, beside its axis
 _HINT = "give the URDF that the calibration read"
 
 
@@ -160,10 +158,9 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
         ConfigError: the chain of the URDF is not the one that the calibration read.
     """
     path = urdf.path(chain.stated.base_frame, chain.stated.head_frame)
-    _check(path, chain.stated)
     moving = [joint for joint in path if joint.kind != "fixed"]
-    links = [link for link in chain.improved.links if isinstance(link, JointLink)]
-    for joint, link in zip(moving, links, strict=True):
+    _check([joint.name for joint in moving], chain_links(path, urdf.joints), chain.stated)
+    for joint, (_, link) in zip(moving, _joints(chain.improved.links), strict=True):
         offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
         if link.kind == "revolute":
             change = se3.transform(se3.exp_so3(offset), link.shift_m)
@@ -172,22 +169,17 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
         yield joint.name, joint.T_parent_child @ change, link.axis
 
 
-def _check(path: tuple[UrdfJoint, ...], chain: HeadChain) -> None:
-    """Compare the moving joints with those of the chain, and the transforms between them.
+def _check(names: Sequence[str], links: _Links, chain: HeadChain) -> None:
+    """Compare the joints of a URDF with those of the chain, and the transforms between them.
 
     The first transform may differ: the chain starts between the wheels, the URDF at its base link.
     """
-    drawn = _parts([FixedLink(joint.T_parent_child) if joint.kind == "fixed" else joint for joint in path])
-    known = _parts(chain.links)
-    for number, ((T, joint), (T_known, link)) in enumerate(zip(drawn, known, strict=False)):
-        assert isinstance(joint, UrdfJoint)
-        assert isinstance(link, JointLink)
-        kind = "prismatic" if joint.kind == "prismatic" else "revolute"
-        read, multiplier, offset = joint.mimic or (joint.name, 1.0, 0.0)
-        same = (kind, read, multiplier, offset) == (link.kind, link.joint, link.multiplier, link.offset)
-        same = same and np.allclose(joint.axis, link.axis, rtol=0, atol=_SAME)
+    drawn, known = _joints(links), _joints(chain.links)
+    for number, (joint, (T, link), (T_known, other)) in enumerate(zip(names, drawn, known, strict=False)):
+        same = all(getattr(link, name) == getattr(other, name) for name in _COMPARED)
+        same = same and np.allclose(link.axis, other.axis, rtol=0, atol=_SAME)
         if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=_SAME)):
-            raise ConfigError(f"URDF: joint {joint.name!r} is not as in the calibrated robot's chain", _HINT)
+            raise ConfigError(f"URDF: joint {joint!r} is not as in the calibrated robot's chain", _HINT)
     if len(drawn) != len(known):
         raise ConfigError(
             f"URDF: {len(drawn)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "
@@ -196,21 +188,20 @@ def _check(path: tuple[UrdfJoint, ...], chain: HeadChain) -> None:
         )
 
 
-def _parts(
-    links: tuple[FixedLink | JointLink, ...] | list[FixedLink | UrdfJoint],
-) -> list[tuple[FloatArray, JointLink | UrdfJoint]]:
+_Links: TypeAlias = tuple[FixedLink | JointLink, ...]
+
+
+def _joints(links: _Links) -> list[tuple[FloatArray, JointLink]]:
     """Each moving joint, with the transform from the frame of the joint before it to its own, (4, 4)."""
-    parts: list[tuple[FloatArray, JointLink | UrdfJoint]] = []
+    joints: list[tuple[FloatArray, JointLink]] = []
     T = np.eye(4)
     for link in links:
         if isinstance(link, FixedLink):
             T = T @ link.T_parent_child
-            continue
-        if isinstance(link, UrdfJoint):
-            T = T @ link.T_parent_child
-        parts.append((T, link))
-        T = np.eye(4)
-    return parts
+        else:
+            joints.append((T, link))
+            T = np.eye(4)
+    return joints
 
 
 def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -222,12 +213,10 @@ def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray
     T_r_c = se3.inverse(cameras.T_c_each[1])
     R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
     left, right = cameras.each
-    size = (left.width, left.height)
+    pair = (left.K, left.D, right.K, right.D, (left.width, left.height), R, t)
     if left.distortion == "equidistant":
-        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(
-            left.K, left.D, right.K, right.D, size, R, t, cv2.CALIB_ZERO_DISPARITY
-        )
+        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
     else:
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(left.K, left.D, right.K, right.D, size, R, t, alpha=0)
-    as_float = [np.asarray(matrix, dtype=np.float64) for matrix in (R1, R2, P1, P2)]
-    return dict(zip(cameras.names, ((as_float[0], as_float[2]), (as_float[1], as_float[3])), strict=True))
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
+    of_left, of_right = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
+    return dict(zip(cameras.names, (of_left, of_right), strict=True))

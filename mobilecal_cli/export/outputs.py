@@ -26,9 +26,8 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
         OutputError: the file exists and `force` is not set, is not a regular file, is an input or in one, or cannot be
             created.
     """
-    check_parent(path)
+    check_appendable(path)
     if os.path.lexists(path):
-        recognized_file(path)
         if not force:
             raise already_exists(path)
         real = path.resolve()

@@ -3,6 +3,8 @@
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
 from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, Knowledge, Parameters
 from mobilecal_cli.model.findings import (
+    CONTRADICTION_SIGMAS,
+    MATERIAL_SIGMAS,
     AtWork,
     BetweenLogs,
     Budget,

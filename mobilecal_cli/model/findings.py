@@ -8,6 +8,11 @@ from typing import Annotated
 
 from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 
+#: Data that contradict stated constants by more than this are evidence of a wrong description.
+CONTRADICTION_SIGMAS = 4.0
+#: What moves the result by less does not matter: for example the cameras of a pair that warms up.
+MATERIAL_SIGMAS = 2.0
+
 
 @dataclass(frozen=True, slots=True)
 class EstimatedConstant:

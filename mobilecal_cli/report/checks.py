@@ -7,7 +7,7 @@ A new criterion is a function with the decorator `criterion`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +16,9 @@ from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    CONTRADICTION_SIGMAS,
     FACTORS,
+    MATERIAL_SIGMAS,
     NINE,
     NO_IMAGES,
     AssumedOdometry,
@@ -43,7 +45,6 @@ from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
     below_limits,
-    limiting_sentence,
     missing_motion,
     next_step_of,
     small_motion,
@@ -54,12 +55,15 @@ from mobilecal_cli.report.use import (
 MIN_STATIONS = 8
 #: Stations that show whether a camera is where the description says: its pose has six unknowns.
 FEWEST_OF_A_CAMERA = 4
-#: Reprojection error as an angle: depth noise does not affect it, so the limit is the same share as that of the point
-#: error.
-PIXEL_ERROR_BAD = 0.015
+#: Largest point error as a share of the distance, and reprojection error as an angle (depth noise does not affect it).
+ERROR_BAD = 0.015
+#: Priors that are taken wider by a smaller factor do not show it in two digits.
 _SHOWN_WIDER = 1.05
-#: Ratios to the nominal values that are the same factor.
+#: Ratios to the nominal values that are the same factor, as wheels can be measured to a few percent only.
 _ALIKE = 0.1
+#: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
+#: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
+_SIZE_BAD = 25.0
 
 
 def rms(values: FloatArray) -> float:
@@ -222,7 +226,7 @@ def jump(made: Calibration) -> Iterator[Check]:
     only warns, unless a noise level is beyond its limit: it is the likeliest cause. A recording that differs makes the
     standard deviations wider, and only warns if all expected errors are within their limits all the same.
     """
-    names, limit = station_names(made.extraction), 2.0
+    names, limit = station_names(made.extraction), MATERIAL_SIGMAS
     usual = all(check.outcome != "fail" for check in (*height_noise(made), *noise(made)))
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
@@ -273,18 +277,16 @@ def observable(made: Calibration) -> Iterator[Check]:
         return
     known = uncertainty.observable | uncertainty.fixed | uncertainty.described
     missing = [name for name, ok in zip(NINE, known, strict=True) if not ok]
-    if not missing and not uncertainty.described.any():
-        yield Check("observable", float(np.sum(uncertainty.observable | uncertainty.fixed)))
-    elif not missing:
+    if not missing and uncertainty.described.any():  # no joint tilts the camera: its height is not measured
         shown = int(uncertainty.observable.sum())
         yield Check(
             "observable", shown, shown, "pass",
             "observable parameters",
             f"{shown} of {shown} that the motion of this robot can show",
             f"{shown} of {shown}",
-            "No joint tilts the camera: its height above the floor is from the robot description, not measured.",
-            "",
         )  # fmt: skip
+    elif not missing:
+        yield Check("observable", float(len(known)))
     if not missing:
         return
     between = made.solution.between
@@ -360,22 +362,18 @@ def camera_info(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-#: Evidence beyond this is a contradiction: the solver's own limit.
-_CONTRADICTION_SIGMAS = 4.0
-
-
 @criterion(Metric("prior", "sigma"), gated=False, section="description")
 def prior(made: Calibration) -> Iterator[Check]:
     """Priors of the user that the data contradict; those that move the result fail."""
-    uncertainty, shift_limit = made.solution.uncertainty, 2.0
+    uncertainty = made.solution.uncertainty
     for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
-        if sigmas > _CONTRADICTION_SIGMAS:
+        if sigmas > CONTRADICTION_SIGMAS:
             yield Check(
-                f"prior.{name}", sigmas, _CONTRADICTION_SIGMAS,
-                "fail" if shift > shift_limit else "warning",
+                f"prior.{name}", sigmas, CONTRADICTION_SIGMAS,
+                "fail" if shift > MATERIAL_SIGMAS else "warning",
                 f"--prior {name}",
                 f"{sigmas:.1f} sigma from the data",
-                f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+                f"at most {CONTRADICTION_SIGMAS:g} sigma",
                 f"The value of --prior {name} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
                 f"{shift:.1f} standard deviations.",
                 f"Correct --prior {name} (m, rad), or leave it out.",
@@ -385,8 +383,8 @@ def prior(made: Calibration) -> Iterator[Check]:
 @criterion(Metric("contradiction", "sigma"), gated=False, section="description")
 def contradiction(made: Calibration) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
-    solution, shift_limit = made.solution, 2.0
-    some_fail = any(evidence.shift_sigmas > shift_limit for evidence in solution.contradictions)
+    solution = made.solution
+    some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for evidence in solution.contradictions:
         what, cure = contradiction_sentences(evidence, solution, made.extraction)
@@ -395,11 +393,11 @@ def contradiction(made: Calibration) -> Iterator[Check]:
         yield Check(
             f"contradiction.{evidence.kind}.{evidence.part}",
             evidence.sigmas,
-            _CONTRADICTION_SIGMAS,
-            "fail" if evidence.shift_sigmas > shift_limit or is_cause else "warning",
+            CONTRADICTION_SIGMAS,
+            "fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
             f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}",
             f"{evidence.sigmas:.1f} sigma from the stated values",
-            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+            f"at most {CONTRADICTION_SIGMAS:g} sigma",
             f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
             + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else "")
             + (" Other stated values that differ may follow from it." if is_cause else ""),
@@ -414,10 +412,10 @@ def description(made: Calibration) -> Iterator[Check]:
     if solution.uncertainty is not None and not solution.contradictions:
         most = max((evidence.sigmas for evidence in solution.evidence), default=0.0)
         yield Check(
-            "description", most, _CONTRADICTION_SIGMAS, "pass",
+            "description", most, CONTRADICTION_SIGMAS, "pass",
             "robot description",
             f"at most {most:.1f} sigma from the stated values",
-            f"at most {_CONTRADICTION_SIGMAS:g} sigma",
+            f"at most {CONTRADICTION_SIGMAS:g} sigma",
         )  # fmt: skip
 
 
@@ -451,8 +449,7 @@ def second_solution(made: Calibration) -> Iterator[Check]:
 
 @criterion(Metric("wheel_difference", "%"))
 def wheel_difference(made: Calibration) -> Iterator[Check]:
-    """Relative difference between the wheel radii. Tires and load make a difference of a few percent."""
-    bad = 25.0
+    """Relative difference between the wheel radii."""
     wheels = made.solution.parameters.wheels
     right, left = wheels.radius_right_m, wheels.radius_left_m
     apart = 100 * (max(right, left) / min(right, left) - 1)
@@ -462,10 +459,10 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
         right, left = right / assumed.radius_right_m, left / assumed.radius_left_m
         sizes = f"right {right:.4f}, left {left:.4f} times those of the driver"
     yield Check(
-        "wheel_difference", apart, bad, graded(apart, bad),
+        "wheel_difference", apart, _SIZE_BAD, graded(apart, _SIZE_BAD),
         "difference between the wheel radii",
         f"{apart:.1f} % ({sizes})",
-        f"under {bad:g} %",
+        f"under {_SIZE_BAD:g} %",
         f"The wheel radii differ by {apart:.1f} %: {sizes}.",
         "Measure both wheels, and check ticks_per_revolution or the gear ratio of each."
         if any(wheel.ticks_per_revolution for wheel in made.extraction.rig.sources.wheels.values())
@@ -475,11 +472,7 @@ def wheel_difference(made: Calibration) -> Iterator[Check]:
 
 @criterion(*(Metric(f"nominal.{size}", "%") for size in NINE[6:]))
 def nominal(made: Calibration) -> Iterator[Check]:
-    """Each size of the wheels against its nominal value.
-
-    A tape measure is good to a few percent; an error above 25 % is a wrong factor (ticks, gear, diameter).
-    """
-    bad = 25.0
+    """Each size of the wheels against its nominal value."""
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
     sources = made.extraction.rig.sources
     if sources.assumed_odometry is not None:
@@ -495,12 +488,12 @@ def nominal(made: Calibration) -> Iterator[Check]:
             continue
         off = 100 * (ratio - 1)
         usual = {"about half of": 0.5, "about twice": 2.0}
-        times = next((said for said, r in usual.items() if abs(ratio / r - 1) < 0.1), f"{ratio:.2f} times")
+        times = next((said for said, r in usual.items() if abs(ratio / r - 1) < _ALIKE), f"{ratio:.2f} times")
         yield Check(
-            f"nominal.{parameter.name}", off, bad, graded(abs(off), bad),
+            f"nominal.{parameter.name}", off, _SIZE_BAD, graded(abs(off), _SIZE_BAD),
             f"{parameter.label} against its nominal value",
             f"{found_m:.4f} m, {off:+.1f} %",
-            f"within {bad:g} % of {stated_m:.4f} m",
+            f"within {_SIZE_BAD:g} % of {stated_m:.4f} m",
             f"The {parameter.label} is {found_m:.4f} m, {times} the nominal {stated_m:.4f} m.",
             _nominal_cure(parameter.name, ratios, made.extraction),
         )  # fmt: skip
@@ -571,16 +564,15 @@ def _effective_separation(found_m: float, nominal_m: float, ratio: float) -> Che
 
 def _factors(made: Calibration, assumed: AssumedOdometry) -> Iterator[Check]:
     """Factors of odometry against 1. That of the separation is larger on bases that turn with slip."""
-    bad = 0.25
     values = assumed.factors(made.solution.parameters.wheels)
     for parameter, name, value in zip(PARAMETERS[6:], FACTORS, values.tolist(), strict=False):
-        off = abs(value - 1)
+        off = 100 * (value - 1)
         ok = parameter.name == "separation" and 1 <= value <= _MOST_EFFECTIVE
         yield Check(
-            f"nominal.{parameter.name}", 100 * (value - 1), 100 * bad, "pass" if ok else graded(off, bad),
+            f"nominal.{parameter.name}", off, _SIZE_BAD, "pass" if ok else graded(abs(off), _SIZE_BAD),
             f"{name.replace('_', ' ')} against 1",
-            f"{value:.4f}, {100 * (value - 1):+.1f} %",
-            f"within {100 * bad:g} %",
+            f"{value:.4f}, {off:+.1f} %",
+            f"within {_SIZE_BAD:g} %",
             f"The {name.replace('_', ' ')} of the odometry on {assumed.topic} is {value:.3f}.",
             "Check the wheel radius and the wheel separation in the driver, and board.square_m in rig.yaml.",
         )  # fmt: skip
@@ -630,13 +622,10 @@ def square_size(made: Calibration) -> Iterator[Check]:
 
 
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
+_HEIGHT = Metric("noise.height", "mm")
 #: Noise level → the largest usual level, the limit, its name, and what to check.
-_FLOOR_HEIGHT = {
-    Metric("noise.height", "mm"): (
-        4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move",
-    ),
-}  # fmt: skip
 _NOISE = {
+    _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
     Metric("noise.joint", "degrees"): (0.2, 0.4, *_PLAY),
     Metric("noise.sliding_joint", "mm"): (0.35, 0.7, *_PLAY),
     Metric("noise.wheel", "rad per sqrt(rad)"): (0.015, 0.03, "wheels", "the wheels for slip"),
@@ -650,11 +639,10 @@ _NOISE = {
         2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
 }  # fmt: skip
+_OTHER_NOISE = [metric for metric in _NOISE if metric != _HEIGHT]
 
 
-def _noise_checks(
-    made: Calibration, levels: Mapping[Metric, tuple[float, float, str, str]]
-) -> Iterator[Check]:
+def _noise_checks(made: Calibration, levels: Iterable[Metric]) -> Iterator[Check]:
     """Noise levels that are not zero; the estimate allows for them, so the limits are wide."""
     uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
     if uncertainty is None:
@@ -670,8 +658,8 @@ def _noise_checks(
         "noise.floor": math.degrees(noise.floor_rad),
         "noise.stamp": 1e3 * noise.stamp_s if moving else 0.0,
     }
-    for metric, (usual, bad, name, cause) in levels.items():
-        level = measured[metric.name]
+    for metric in levels:
+        (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         text = f"{level:.2g} {metric.unit}"
         yield Check(
             metric.name, level, bad, graded(level, bad),
@@ -683,10 +671,10 @@ def _noise_checks(
         )  # fmt: skip
 
 
-@criterion(*_FLOOR_HEIGHT, section="limits")
+@criterion(_HEIGHT, section="limits")
 def height_noise(made: Calibration) -> Iterator[Check]:
     """Noise of the floor's height."""
-    yield from _noise_checks(made, _FLOOR_HEIGHT)
+    yield from _noise_checks(made, [_HEIGHT])
 
 
 def _at_most(made: Calibration, outcome: Outcome) -> Outcome:
@@ -750,7 +738,7 @@ def errors(made: Calibration) -> Iterator[Check]:
     steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a
     wheel without slip loses on one leg.
     """
-    solution, bad, sigmas = made.solution, 1.5, 3.0
+    solution, bad, sigmas = made.solution, 100 * ERROR_BAD, 3.0
     if not len(solution.residuals.legs):
         return
     error, distance = solution.point_rms_m, board_distance_m(made.extraction)
@@ -774,7 +762,7 @@ def errors(made: Calibration) -> Iterator[Check]:
         f"The point error is {error_mm:.1f} mm at {distance:.1f} m {depth}.",
         cure,
     )  # fmt: skip
-    error_px, limit = solution.reprojection_rms_px, PIXEL_ERROR_BAD * float(solution.cameras.first.K[0, 0])
+    error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])
     px = math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0))
     yield Check(
         "reprojection_error", px, limit, graded(px, limit),
@@ -854,10 +842,10 @@ def outliers_as_noise(made: Calibration) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(*_NOISE, section="limits")
+@criterion(*_OTHER_NOISE, section="limits")
 def noise(made: Calibration) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves."""
-    yield from _noise_checks(made, _NOISE)
+    yield from _noise_checks(made, _OTHER_NOISE)
 
 
 @criterion(*(Metric(figure.name, figure.unit) for figure in FIGURES), section="limits")
@@ -874,7 +862,7 @@ def expected_errors(made: Calibration) -> Iterator[Check]:
             value,
             f"at most {use.limit:g} {figure.unit}",
             f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
-            f"{limiting_sentence(use.shares, figure.meaning)}",
+            f"{use.limiting}",
             " ".join(small_motion(made.solution, figure))
             or next_step_of(use, made.solution, made.extraction),
         )  # fmt: skip

@@ -14,13 +14,13 @@ from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
-from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, factors_of, percent_text, std_text
+from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
 
 #: Significance level.
 _UNLIKELY = 0.01
-_MOST_LABELS = 20
-_WIDE, _HIGH = 300.0, 210.0
+_MOST_LABELS = 20  # names of calibrations below a plot
+_WIDE, _HIGH = 300.0, 210.0  # of the plot of one parameter
 
 
 _UNKNOWN: FloatArray = np.full(len(NINE), np.nan)
@@ -103,8 +103,7 @@ def comparison_text(comparison: Comparison) -> str:
     for other, each in pairs:
         lines += [f"Change from {first} to {other}", ""]
         rows = []
-        nine = PARAMETERS if each.assumed is None else factors_of(each.assumed)
-        for k, parameter in enumerate(nine):
+        for k, parameter in enumerate(parameters_of(each.assumed)):
             change, s = each.change[k] * parameter.factor, each.std[k] * parameter.factor
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"

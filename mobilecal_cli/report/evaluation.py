@@ -13,16 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    CameraRig,
-    Evaluation,
-    Extraction,
-    Parameters,
-    Solution,
-)
+from mobilecal_cli.model import CalibratedRobot, CameraRig, Evaluation, Extraction, Parameters, Solution
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.checks import MIN_STATIONS, PIXEL_ERROR_BAD, rms
+from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
 from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
@@ -114,7 +107,7 @@ def judge_evaluation(
 
 def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | MobilecalError) -> Check:
     """A gross error of the calibration, or of a recording that no calibration explains."""
-    limit_px = PIXEL_ERROR_BAD * float(cameras.first.K[0, 0])
+    limit_px = ERROR_BAD * float(cameras.first.K[0, 0])
     px = float(np.median(evaluation.reprojection_px))
     best_px, best = limit_px, ""
     if not isinstance(own, MobilecalError):
@@ -274,7 +267,7 @@ def evaluation_json(result: Evaluated) -> str:
     return json_text(
         {
             "schema_version": 2,
-            "logs": [{"path": log.path, "sha256": log.sha256} for log in result.extraction.logs],
+            "logs": result.extraction.logs,
             "used_for_calibration": result.used,
             "notes": [*result.notes, *result.extraction.notes],
             **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},

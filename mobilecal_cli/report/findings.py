@@ -152,9 +152,9 @@ def _path(suggestion: Suggestion) -> str:
 def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[str, ...]:
     """What to record next, most useful first: base motion, head angles and expected standard deviation."""
     names, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
-    sentences = []
+    parameters, sentences = parameters_of(extraction.rig.sources.assumed_wheels), []
     for suggestion in solution.suggestions:
-        shown = parameters_of(extraction.rig)[NINE.index(suggestion.worst)]
+        shown = parameters[NINE.index(suggestion.worst)]
         head = ", ".join(
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
             for name, at in zip(names, suggestion.joints, strict=True)

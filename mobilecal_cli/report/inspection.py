@@ -156,30 +156,21 @@ def inspection_json(inspection: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
     rig, board = inspection.rig, inspection.board
     columns, rows = (board.size if board is not None else None) or (None, None)
+    recording = _fields(inspection, "name", "containers", "size_bytes", "start_ns", "end_ns")
     data = {
-        "recording": {
-            "name": inspection.name,
-            "containers": inspection.containers,
-            "size_bytes": inspection.size_bytes,
-            "start_ns": inspection.start_ns,
-            "end_ns": inspection.end_ns,
-            "duration_s": _duration_s(inspection),
-        },
+        "recording": {**recording, "duration_s": _duration_s(inspection)},
         "topics": inspection.topics,
         "roles": rig and rig.setting_sources,
         "head": rig
         and {
-            "base_frame": rig.chain.base_frame,
-            "head_frame": rig.chain.head_frame,
-            "joints": rig.chain.joints,
+            **_fields(rig.chain, "base_frame", "head_frame", "joints"),
             "pan": rig.chain.pan or None,
             "tilt": rig.chain.tilt or None,
         },
         "cameras": rig and _cameras(rig.cameras),
         "board": board
         and {
-            "pictures": board.pictures,
-            "seen": board.seen,
+            **_fields(board, "pictures", "seen"),
             "columns": columns,
             "rows": rows,
             "square_m": board.square_m,
@@ -188,12 +179,13 @@ def inspection_json(inspection: Inspection) -> str:
         "motion": inspection.motion,
         "time": inspection.covered
         and {"images_covered": inspection.covered[0], "images": inspection.covered[1]},
-        "missing": inspection.missing,
-        "weak": inspection.weak,
-        "exit_code": inspection.exit_code,
-        "notes": inspection.notes,
+        **_fields(inspection, "missing", "weak", "exit_code", "notes"),
     }
     return json_text(data, sort_keys=False)
+
+
+def _fields(value: object, *names: str) -> dict[str, Any]:
+    return {name: getattr(value, name) for name in names}
 
 
 def _duration_s(inspection: Inspection) -> float | None:
@@ -206,14 +198,13 @@ def _cameras(cameras: CameraRig) -> dict[str, Any]:
     each: dict[str, Any] = {
         name: {
             "frame": camera.frame_id,
-            "width": camera.width,
-            "height": camera.height,
+            **_fields(camera, "width", "height"),
             "focal_px": camera.K.diagonal()[:2],
             "distortion": camera.distortion,
         }
         for name, camera in zip(cameras.names, cameras.each, strict=True)
     }
-    return {**each, "baseline_m": cameras.baseline_m, "rectified": cameras.rectified}
+    return {**each, **_fields(cameras, "baseline_m", "rectified")}
 
 
 def inspection_text(inspection: Inspection) -> str:
@@ -226,7 +217,7 @@ def inspection_text(inspection: Inspection) -> str:
     lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
     sources = {} if inspection.rig is None else inspection.rig.setting_sources
     roles = (f"{role}: {_WHY.get(origin, origin)}" for role, origin in sources.items())
-    lines += _section("Used for a calibration", _paragraphs(roles))
+    lines += _section("Used for a calibration", roles)
     lines += ["", *_criteria(inspection)]
     conclusion = f"can be calibrated{', with limits' if inspection.weak else ''}"
     if inspection.missing:
@@ -234,15 +225,10 @@ def inspection_text(inspection: Inspection) -> str:
     return "\n".join([*lines, "", f"This recording {conclusion}."]) + "\n"
 
 
-def _section(title: str, lines: Iterable[str]) -> list[str]:
-    """An empty line, the title and the lines; nothing without lines."""
-    shown = list(lines)
-    return ["", title, *shown] if shown else []
-
-
-def _paragraphs(texts: Iterable[object]) -> Iterator[str]:
-    for text in texts:
-        yield from wrapped(str(text))
+def _section(title: str, texts: Iterable[object]) -> list[str]:
+    """An empty line, the title and the paragraphs; nothing without paragraphs."""
+    lines = [line for text in texts for line in wrapped(str(text))]
+    return ["", title, *lines] if lines else []
 
 
 def _topics(inspection: Inspection) -> list[str]:
@@ -285,9 +271,12 @@ def checklist(inspection: Inspection) -> tuple[Line, ...]:
 
     A configuration that is invalid, or a recording that cannot be read, is the only line.
     """
-    lacks: list[tuple[State, Lack]] = [("problem", lack) for lack in inspection.missing]
-    lacks += [("limit", lack) for lack in inspection.weak]
-    bad = [Line(lack.about, state, lack.what, lack.cure, lack.exit_code) for state, lack in lacks]
+    lacks: dict[State, tuple[Lack, ...]] = {"problem": inspection.missing, "limit": inspection.weak}
+    bad = [
+        Line(lack.about, state, lack.what, lack.cure, lack.exit_code)
+        for state in lacks
+        for lack in lacks[state]
+    ]
     opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
     if opened:
         return opened
@@ -405,6 +394,6 @@ def draft_text(draft: Draft) -> str:
     for entry in draft.filled:
         lines += wrapped(f"{entry.value} ({entry.source})", f"  {entry.key:<{width}}  ")
     for title, needed in (("TODO: needed for a calibration", True), ("TODO: optional", False)):
-        lines += _section(title, _paragraphs(entry for entry in draft.todo if entry.needed == needed))
-    lines += _section("Notes", _paragraphs(draft.notes))
+        lines += _section(title, (entry for entry in draft.todo if entry.needed == needed))
+    lines += _section("Notes", draft.notes)
     return "\n".join(lines).lstrip("\n") + "\n"

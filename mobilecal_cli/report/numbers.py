@@ -29,9 +29,12 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.formats import JsonValue
 
-_MOST_DECIMALS = 6
+_MOST_DECIMALS = 6  # of rad and m: one digit of the smallest standard deviations
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
-_MOST_REASONS = 3
+_MOST_REASONS = 3  # why stations were rejected, in one line
+DEG = 180 / math.pi  # degrees per rad
+#: Cells across and down an image, in which coverage and projection errors are shown.
+CELLS = (8, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +69,7 @@ class Parameter:
         return self.factor if self.unit == "1" else 1.0
 
 
-_ANGLE, _LENGTH = ("rad", "deg", 180 / math.pi, 3), ("m", "mm", 1e3, 2)
+_ANGLE, _LENGTH = ("rad", "deg", DEG, 3), ("m", "mm", 1e3, 2)
 PARAMETERS = (
     *(Parameter(f"r_{axis}", f"rotation {axis}", *_ANGLE) for axis in "xyz"),
     *(Parameter(f"t_{axis}", f"translation {axis}", *_LENGTH) for axis in "xyz"),
@@ -74,14 +77,10 @@ PARAMETERS = (
 )
 
 
-def parameters_of(rig: Rig) -> tuple[Parameter, ...]:
-    """The nine parameters of a robot: of one with odometry alone, the last three are factors of assumed wheels."""
-    assumed = rig.sources.assumed_wheels
-    return PARAMETERS if assumed is None else factors_of(assumed)
-
-
-def factors_of(assumed: WheelGeometry) -> tuple[Parameter, ...]:
-    """The nine parameters, with factors of assumed wheels."""
+def parameters_of(assumed: WheelGeometry | None) -> tuple[Parameter, ...]:
+    """The nine parameters; with assumed wheels (odometry alone), the last three are factors of these."""
+    if assumed is None:
+        return PARAMETERS
     return (
         *PARAMETERS[:6],
         *(
@@ -250,17 +249,15 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
 
 
 def board_distance_m(extraction: Extraction) -> float:
-    """Median distance from the camera to the corners, m; 0 without observations."""
-    distances_m = [np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]
-    return float(np.median(distances_m)) if distances_m else 0.0
+    """Median distance from the camera to the corners, m."""
+    return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
 
 
-def square_size_mm(extraction: Extraction) -> float | None:
-    """Square size, mm: as stated, otherwise the median that the stereo pair measures; None without either."""
+def square_size_mm(extraction: Extraction) -> float:
+    """Square size, mm: as stated, otherwise the median that the stereo pair measures."""
     if extraction.board.square_m is not None:
         return extraction.board.square_m * 1e3
-    sizes = [o.square_m * 1e3 for o in extraction.observations]
-    return float(np.median(sizes)) if sizes else None
+    return float(np.median([o.square_m * 1e3 for o in extraction.observations]))
 
 
 def stations_looked_at(extraction: Extraction) -> int:
@@ -274,19 +271,20 @@ def rejection_counts(extraction: Extraction) -> dict[tuple[str, str], int]:
     return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))
 
 
-def image_coverage(pixels: FloatArray, width: int, height: int) -> float:
-    """Share of the cells of a coarse image grid (8 across, 6 down) that contain a corner: (n, 2) → 0..1."""
-    cells = (8, 6)
-    at = np.floor(pixels / [width, height] * cells).astype(int)
-    inside = np.all((at >= 0) & (at < cells), axis=-1)
-    return len(np.unique(at[inside], axis=0)) / (cells[0] * cells[1])
+def image_coverage(extraction: Extraction, k: int) -> float:
+    """Share of the cells of a camera's images that contain a corner, 0 to 1."""
+    camera = extraction.rig.cameras.each[k]
+    pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in extraction.observations])
+    at = np.floor(pixels / [camera.width, camera.height] * CELLS).astype(int)
+    inside = np.all((at >= 0) & (at < CELLS), axis=-1)
+    return len(np.unique(at[inside], axis=0)) / math.prod(CELLS)
 
 
 def plain_names(names: Sequence[str], extraction: Extraction) -> str:
     """Some of the nine parameters in plain words, with the verb: "the camera's height is"."""
     joints = np.stack([o.joints for o in extraction.observations])
     parts = head_eye_words(names, extraction.rig.chain, joints)
-    wheels = zip(NINE[6:], parameters_of(extraction.rig)[6:], strict=True)
+    wheels = zip(NINE[6:], parameters_of(extraction.rig.sources.assumed_wheels)[6:], strict=True)
     parts += [f"the {parameter.label}" for name, parameter in wheels if name in names]
     said = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
     return f"{said} {'is' if len(parts) == 1 else 'are'}"

@@ -9,22 +9,24 @@ import base64
 import functools
 import hashlib
 import re
+from collections.abc import Sequence
 from html import escape
 from importlib.resources import files
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mobilecal_cli.model import Snapshot
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import section_of
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import percent_text
-from mobilecal_cli.report.plots import Drawings
+from mobilecal_cli.report.plots import budget_bar, leg_views, path_picture, plots, thumbnails
 from mobilecal_cli.report.svg import STYLE
-from mobilecal_cli.report.use import LEAST_GAIN
+from mobilecal_cli.report.use import LEAST_GAIN, worst_error
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import LEVELS
+from mobilecal_cli.report.verdict import LEVELS, Case
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -38,7 +40,6 @@ CONTENTS = {
     "description": "Robot description",
     "record": "Input",
 }
-_MOST_STOPS = 3
 _LEAST_PROBABILITY = 1e-6  # worth a digit
 
 
@@ -48,31 +49,36 @@ def opened_section(report: ReportData) -> str:
     return next((section_of(check) for check in failed if check.why == report.verdict.reason), "")
 
 
-def report_html(report: ReportData, drawings: Drawings) -> str:
+def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = ()) -> str:
     """The report as one HTML page: no network, one script, the same bytes for the same values.
 
     The first screen has the verdict, the numbers and what limits them; the rest is collapsed. The script links plots
-    and images by station, and draws the view in space from the report's JSON, which is in the page.
+    and images by station, and draws the view in space from the report's JSON, which is in the page. It has images of
+    the legs whose first station has a snapshot.
     """
     from markupsafe import Markup
 
+    solution, extraction, worst = case.solution, case.extraction, worst_error(case.solution, case.gates)
     script, style = _asset("page.js"), _asset("page.css") + STYLE
     text = link_terms(
         template("report.html.jinja").render(
             report=report,
-            drawn=drawings,
+            plots=plots(solution, extraction),
+            views=leg_views(solution, extraction, snapshots),
+            thumbnails=thumbnails(solution, extraction, snapshots),
+            path=path_picture(solution, extraction),
+            limits=None if worst is None else budget_bar(worst),
             contents=list(CONTENTS.items()),
             opened=opened_section(report),
-            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN][:_MOST_STOPS],
+            stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
             change="" if report.change is None else _change(report.change),
             orientation=report.parameters.orientation,
             policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
             style=Markup(style),
         )
     )
-    data = json_text(report)
-    for character in "<>&":  # nothing in the data can end its element
-        data = data.replace(character, f"\\u{ord(character):04x}")
+    # Nothing in the data can end its element.
+    data = json_text(report).translate({ord(character): f"\\u{ord(character):04x}" for character in "<>&"})
     json_block = f'<script type="application/json" id="data">{data}</script>'
     return text.replace("<!--scripts-->", f"{json_block}\n<script>{script}</script>")
 

@@ -6,7 +6,7 @@ A new plot is a function with the decorator `plot`. `path_picture` and `budget_b
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
@@ -27,9 +27,9 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.numbers import image_coverage, station_names, std_text
+from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, std_text
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
-from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of, worst_error
+from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
 #: An SVG element ("" for none), and its caption: what this plot shows, from its numbers.
 Drawn: TypeAlias = tuple[str, str]
@@ -88,24 +88,6 @@ class Thumbnail(NamedTuple):
     reason: str
 
 
-class Drawings(NamedTuple):
-    """What the page shows beside values.
-
-    Attributes:
-        plots: in the order of their definition.
-        views: images of legs, the worst first.
-        thumbnails: stations with a small image, in order of time.
-        path: small picture of the path, for the first screen.
-        limits: what limits the result, for the first screen; None if unknown.
-    """
-
-    plots: tuple[Plot, ...]
-    views: list[LegView]
-    thumbnails: list[Thumbnail]
-    path: str
-    limits: Bar | None
-
-
 class Bar(NamedTuple):
     """One bar with its title and its legend: (style, label) each."""
 
@@ -152,37 +134,23 @@ def plot(
     return registered
 
 
-def draw_all(
-    solution: Solution,
-    extraction: Extraction,
-    snapshots: Sequence[Snapshot] = (),
-    limits: Mapping[str, float] | None = None,
-) -> Drawings:
-    """All plots, and the images of those legs whose first station has a snapshot; limits as for `uses`."""
-    drawn = [each(solution, extraction) for each in _PLOTS] if extraction.observations else []
-    worst = worst_error(solution, limits or {})
-    return Drawings(
-        tuple(each for each in drawn if each.parts),
-        leg_views(solution, extraction, snapshots),
-        thumbnails(solution, extraction, snapshots),
-        path_picture(solution, extraction),
-        None if worst is None else budget_bar(worst),
-    )
+def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
+    """All plots that have something to show, in the order of their definition."""
+    return [each for each in (drawn(solution, extraction) for drawn in _PLOTS) if each.parts]
 
 
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
-_CELLS = (8, 6)  # of the map of projection errors
-_FARTHEST_M = 5.0
+_FARTHEST_M = 5.0  # most heads look at things that are nearer
 _MOST_LABELS = 40  # more labels than this are not readable
-_MOST_OUTLINES = 150
-_TRAIL_POINTS = 400
+_MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
+_TRAIL_POINTS = 400  # of a path: more are finer than a pixel
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
 _LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 _MARK_BYTES = 160  # of a detected and a predicted corner in the page
-_LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08
+_LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08  # of a bar: less is no pixel wide, or too narrow for a label
 
 
 @plot("stations", each="log")
@@ -222,9 +190,7 @@ def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Dra
 
 def path_picture(solution: Solution, extraction: Extraction) -> str:
     """Small top view of the first recording: the path, the mean board, and a scale bar."""
-    log = min((o.log for o in extraction.observations), default=None)
-    if log is None:
-        return ""
+    log = min(o.log for o in extraction.observations)
     picked, boards, path, everything = _from_above(solution, extraction, log)
     canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
     left, low = 10.0, canvas.height - 22.0
@@ -392,7 +358,7 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
     detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
     if not len(detected):
         return "", ""
-    camera, of_camera = extraction.rig.cameras.each[k], camera_words(extraction.rig.cameras.names[k])
+    of_camera = camera_words(extraction.rig.cameras.names[k])
     canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
     longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
     scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
@@ -405,8 +371,8 @@ def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
         lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
         axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {name}")
     canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    share = image_coverage(detected, camera.width, camera.height)
-    return canvas.svg, f"The board covers {100 * share:.0f} % of the images of the {of_camera}."
+    share = 100 * image_coverage(extraction, k)
+    return canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}."
 
 
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:
@@ -424,7 +390,7 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
     if solution.uncertainty is None:
         return "", ""
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
-    (across, down) = _CELLS
+    (across, down) = CELLS
     u = (np.arange(across) + 0.5) * camera.width / across - 0.5
     v = (np.arange(down) + 0.5) * camera.height / down - 0.5
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)

@@ -18,8 +18,8 @@ from mobilecal_cli.model import FloatArray
 from mobilecal_cli.model.text import visible
 
 _Value = TypeVar("_Value", float, FloatArray)
-WIDE, HALF = 640.0, 320.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0
+WIDE, HALF = 640.0, 320.0  # widths of plots; two halves are side by side
+_LEFT, _RIGHT, _TOP, _BOTTOM = 52.0, 10.0, 30.0, 40.0  # around the axes, for labels and title
 _CHARACTER = 6.2  # width of a character of a small label
 #: Style of a plot; the page's own variables are the colors.
 STYLE = """
@@ -63,14 +63,12 @@ class Scale:
 
     def __call__(self, value: _Value) -> _Value:
         """Coordinate of a value, or of each of an array."""
-        return self.start + (value - self.low) / ((self.high - self.low) or 1.0) * (self.end - self.start)
+        return self.start + (value - self.low) / (self.high - self.low) * (self.end - self.start)
 
     @property
     def ticks(self) -> list[float]:
         """Round values to label, in steps of 1, 2, 2.5 or 5 times a power of ten."""
         span, most = self.high - self.low, max(4, min(7, int(abs(self.end - self.start) / 55)))
-        if not span > 0:
-            return [self.low]
         power = 10.0 ** math.floor(math.log10(span / most))
         step = next(power * k for k in (1, 2, 2.5, 5, 10, 20) if span / (power * k) <= most)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 
@@ -13,6 +12,7 @@ from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
 from mobilecal_cli.report.formats import Table
 from mobilecal_cli.report.numbers import (
+    DEG,
     parameters_of,
     reference_std,
     square_size_mm,
@@ -54,7 +54,8 @@ def change(case: Case) -> Rows:
     def shown(value: float, digits: int) -> str:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
 
-    parameters, stds = parameters_of(case.extraction.rig), reference_std(case.solution) or (None,) * len(NINE)
+    parameters = parameters_of(case.extraction.rig.sources.assumed_wheels)
+    stds = reference_std(case.solution) or (None,) * len(NINE)
     columns = (each.tolist() for each in (difference.value, difference.sigmas, difference.percent))
     return [
         (
@@ -74,10 +75,10 @@ _LEVELS = {
     "pixel_px": ("corner coordinate", "px", 1.0),
     "wheel_rad_per_sqrt_rad": ("wheel rotation", "rad per √rad", 1.0),
     "encoder_rad": ("encoder reading", "rad", 1.0),
-    "joint_rad": ("joint reading", "deg", 180 / math.pi),
-    "floor_rad": ("floor: roll and pitch under the base", "deg", 180 / math.pi),
+    "joint_rad": ("joint reading", "deg", DEG),
+    "floor_rad": ("floor: roll and pitch under the base", "deg", DEG),
     "floor_m": ("floor: height under the base", "mm", 1e3),
-    "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", 180 / math.pi),
+    "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", DEG),
     "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
     "wheel_share": ("scale of a wheel", "%", 100.0),
@@ -116,7 +117,7 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
     units = dict(zip(chain.joints, chain.joint_units, strict=True))
     both = 0 < len(chain.prismatic) < len(units)
     revolute, prismatic = (", revolute", ", prismatic") if both else ("", "")
-    kinds = [(revolute, 180 / math.pi, "deg")] if len(chain.prismatic) < len(units) else []
+    kinds = [(revolute, DEG, "deg")] if len(chain.prismatic) < len(units) else []
     return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 
@@ -130,7 +131,7 @@ def separately(case: Case) -> Rows:
     if between is None or uncertainty is None:
         return ()
     present = sorted({o.log for o in case.extraction.observations})
-    per_unit = [parameter.per_unit for parameter in parameters_of(case.extraction.rig)]
+    per_unit = [each.per_unit for each in parameters_of(case.extraction.rig.sources.assumed_wheels)]
     without = ["fixed" if by_user else "unobservable" for by_user in uncertainty.fixed]
 
     rows = [
@@ -245,10 +246,10 @@ def inputs(case: Case) -> Rows:
         if wheel.sign < 0:
             parts.append("sign reversed")
         rows.append((f"{side} wheel", ", ".join(parts)))
-    size, square_mm = "square size unknown", square_size_mm(case.extraction)
-    if square_mm is not None:
-        measured = f"square size {square_mm:.2f} mm, measured by the stereo pair"
-        size = measured if board.square_m is None else f"stated square size {square_mm:g} mm"
+    square_mm = square_size_mm(case.extraction)
+    size = f"stated square size {square_mm:g} mm"
+    if board.square_m is None:
+        size = f"square size {square_mm:.2f} mm, measured by the stereo pair"
     rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"

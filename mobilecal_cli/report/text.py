@@ -17,7 +17,7 @@ from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
 _wrapped = functools.partial(wrapped, indent="  ", width=80)
-_LABEL = 22
+_LABEL = 22  # characters of the longest label, and two
 _MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
 
@@ -74,8 +74,8 @@ def _details(report: ReportData) -> list[str]:
 
 
 def notebook_html(report: ReportData, path: str) -> str:
-    """Verdict, numbers, and the picture of the path (an SVG element, "" for none) for a notebook."""
-    picture = base64.b64encode(standalone(path).encode()).decode("ascii") if path else ""
+    """Verdict, numbers, and the picture of the path (an SVG element) for a notebook."""
+    picture = base64.b64encode(standalone(path).encode()).decode("ascii")
     return template("card.html.jinja").render(
         report=report,
         rows=numbers_table(report.numbers),
@@ -121,7 +121,4 @@ def _change(change: Change, k: int, number: NumberData) -> str:
 
 def _cell(text: str) -> str:
     """Text of a recording for Markdown: no markup, no new column."""
-    escaped = visible(text).replace("\\", "\\\\")
-    for character in "|*_`<>[]":
-        escaped = escaped.replace(character, f"\\{character}")
-    return escaped
+    return visible(text).translate({ord(character): f"\\{character}" for character in "\\|*_`<>[]"})

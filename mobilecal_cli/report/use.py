@@ -7,10 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
 from mobilecal_cli.ranges import ACCURACY
-from mobilecal_cli.report.numbers import std_text
+from mobilecal_cli.report.numbers import DEG, std_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,25 +73,29 @@ class Figure:
         """Default limit in this unit; None for no limit."""
         return ACCURACY.get(self.name)
 
+    @property
+    def of_camera(self) -> bool:
+        """Whether it is of the camera, and not of dead reckoning."""
+        return self.field in ("camera_m", "camera_rad", "point_m")
+
     def of(self, expected: AtWork) -> float:
         """The figure in its unit."""
         return float(getattr(expected, self.field)) * self.factor
 
 
-_DEG = 180 / math.pi
 # fmt: off
 FIGURES = (
     Figure("camera_m", "predicted.camera_mm", "camera position in the base", "camera position", "mm", 1e3),
-    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", _DEG),
+    Figure("camera_rad", "predicted.camera_deg", "camera rotation in the base", "camera rotation", "deg", DEG),
     Figure("point_m", "predicted.point_mm", "point 2 m in front of the camera", "point", "mm", 1e3),
     Figure("along_m_per_m", "predicted.along_mm_per_m", "distance by dead reckoning, driving straight",
            "distance per meter", "mm/m", 1e3),
     Figure("sideways_m_per_m", "predicted.sideways_mm_per_m", "lateral position by dead reckoning after one meter",
            "lateral position per meter", "mm/m", 1e3),
     Figure("heading_rad_per_m", "predicted.heading_deg_per_m", "heading by dead reckoning, driving straight",
-           "heading per meter", "deg/m", _DEG),
+           "heading per meter", "deg/m", DEG),
     Figure("heading_rad_per_turn", "predicted.heading_deg_per_turn", "heading by dead reckoning per full turn",
-           "heading per turn", "deg", _DEG),
+           "heading per turn", "deg", DEG),
 )
 # fmt: on
 
@@ -113,6 +119,15 @@ class Error:
         """Error over limit."""
         return self.value / self.limit if self.limit > 0 else math.inf if self.value > 0 else 0.0
 
+    @property
+    def limiting(self) -> str:
+        """Which group of sources contributes most to it, as a sentence; "" where that is unknown."""
+        for share, family in family_shares(self.shares):
+            return (
+                f"{FAMILIES[family].limits} the {self.figure.meaning}: {100 * share:.0f} % of its variance."
+            )
+        return ""
+
 
 def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     """All expected errors that have a limit, the default or that of a gate in `limits`; none without deviations."""
@@ -129,10 +144,10 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
 
 def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
     """Motion of which the recording has little, and which this figure depends on: what to do, as sentences."""
-    of_camera, of_point = figure.field in {"camera_m", "camera_rad"}, figure.field == "point_m"
-    fixed = [False] * 9 if solution.uncertainty is None else solution.uncertainty.fixed.tolist()
-    head = (of_camera or of_point) and not all(fixed[:6])
-    base = not of_camera and not all(fixed[6:])
+    fixed = np.zeros(9, bool) if solution.uncertainty is None else solution.uncertainty.fixed
+    of_camera_alone = figure.of_camera and figure.field != "point_m"
+    head = figure.of_camera and not fixed[:6].all()
+    base = not of_camera_alone and not fixed[6:].all()
     yield from small_extents(solution.motion, head, base)
 
 
@@ -170,7 +185,7 @@ def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
 LEAST_GAIN = 0.05
 #: Stated values are taken to be measured this many times better, if the user measures them again.
 _BETTER = 2.0
-_MOST_STOPS = 4  # times as many; more are not practical
+_MOST_TIMES = 4  # times as many; more are not practical
 
 
 class Cure(NamedTuple):
@@ -213,7 +228,7 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
     alone = (error.limit / error.value) ** 2 - (1 - noise) if error.value > 0 else 1.0
     with_others = alone + sum(cure.removed for cure in cures)
     needed = (math.ceil(noise / room) for room in (alone, with_others) if room > 0)
-    times = next((max(2, times) for times in needed if times <= _MOST_STOPS), _MOST_STOPS)
+    times = next((max(2, times) for times in needed if times <= _MOST_TIMES), _MOST_TIMES)
     words = {2: "twice", 3: "three times", 4: "four times"}
     cures.append(Cure(f"Record {words[times]} as many stops", noise * (1 - 1 / times)))
     return tuple(cure for cure in cures if 1 - cure.left >= LEAST_GAIN)
@@ -242,17 +257,6 @@ def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None
 _NOT_NOISE = frozenset({"nominal values", "other"})
 
 
-def recommendation(
-    solution: Solution, extraction: Extraction, limits: Mapping[str, float]
-) -> tuple[str, str]:
-    """What limits the expected error nearest to its limit, and the cheapest cure; "" where nothing is known."""
-    error = worst_error(solution, limits)
-    if error is None:
-        return "", ""
-    cure = next_step_of(error, solution, extraction)
-    return limiting_sentence(error.shares, error.figure.meaning), cure
-
-
 def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
     """(share, source) of a parameter, or of an expected error (field of `AtWork`), largest first; empty if unknown."""
     uncertainty = solution.uncertainty
@@ -268,7 +272,7 @@ def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
     groups: dict[str, list[str]] = {"camera": [], "dead reckoning": []}
     for figure in FIGURES:
         if limits.get(figure.name, figure.limit) is not None and figure.of(expected):
-            group = "camera" if figure.name in _OF_CAMERA else "dead reckoning"
+            group = "camera" if figure.of_camera else "dead reckoning"
             turn = " per turn" if figure.name.endswith("_per_turn") else ""
             groups[group].append(f"{std_text(figure.of(expected))} {figure.unit}{turn}")
     said = "; ".join(
@@ -277,9 +281,6 @@ def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
     )
     whose = "your limits" if any(figure.name in limits for figure in FIGURES) else "the default limits"
     return f"Expected errors (1 sigma): {said}. All are within {whose}."
-
-
-_OF_CAMERA = frozenset({"predicted.camera_mm", "predicted.camera_deg", "predicted.point_mm"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -419,13 +420,6 @@ def family_shares(shares: Sequence[tuple[float, str]]) -> list[tuple[float, str]
     for share, name in shares:
         sums[source(name).family] += share
     return sorted(((share, name) for name, share in sums.items() if share), key=lambda pair: -pair[0])
-
-
-def limiting_sentence(shares: Sequence[tuple[float, str]], meaning: str) -> str:
-    """Which group of sources contributes most to an expected error with these (share, source); "" without any."""
-    for share, family in family_shares(shares):
-        return f"{FAMILIES[family].limits} the {meaning}: {100 * share:.0f} % of its variance."
-    return ""
 
 
 def advice(shares: Sequence[tuple[float, str]]) -> str:

@@ -71,7 +71,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import LEAST_GAIN, cures_of, recommendation, worst_error
+from mobilecal_cli.report.use import LEAST_GAIN, cures_of, next_step_of, worst_error
 from mobilecal_cli.report.verdict import Case, Verdict, figures_of
 
 
@@ -403,7 +403,7 @@ def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, f
     """What limits a solution, its cures from the cheapest on, and the stops that improve it; limits as for `uses`."""
     error = worst_error(solution, limits)
     return Advice(
-        limiting=recommendation(solution, extraction, limits)[0],
+        limiting="" if error is None else error.limiting,
         cures=() if error is None else tuple(c.text(error) for c in cures_of(error, solution, extraction)),
         stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
     )
@@ -500,7 +500,9 @@ def build_report(case: Case) -> ReportData:
             PathData(log=log, points_m=np.round(trail(extraction, log, solution.parameters.wheels), 4))
             for log in sorted({o.log for o in extraction.observations})
         ),
-        image_coverage=_coverage(extraction),
+        image_coverage={
+            name: image_coverage(extraction, k) for k, name in enumerate(extraction.rig.cameras.names)
+        },
         board=like(
             BoardData,
             extraction.board,
@@ -614,13 +616,18 @@ def _budget(case: Case) -> BudgetData | None:
     solution = case.solution
     if solution.uncertainty is None:
         return None
-    limiting, cure = recommendation(solution, case.extraction, case.gates)
-    budget = solution.uncertainty.budget
+    error, budget = worst_error(solution, case.gates), solution.uncertainty.budget
     nine, at_work = (
         {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
         for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
     )
-    return BudgetData(sources=budget.sources, nine=nine, at_work=at_work, limiting=limiting, advice=cure)
+    return BudgetData(
+        sources=budget.sources,
+        nine=nine,
+        at_work=at_work,
+        limiting="" if error is None else error.limiting,
+        advice="" if error is None else next_step_of(error, solution, case.extraction),
+    )
 
 
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
@@ -679,13 +686,3 @@ def _robot(solution: Solution, rig: Rig) -> RobotData:
         camera=reference_pose(solution.parameters, solution.cameras)[:3],
         nominal_camera=None if nominal is None else nominal[:3],
     )
-
-
-def _coverage(extraction: Extraction) -> dict[str, float]:
-    """Camera → share of its image in which corners were detected, 0 to 1."""
-    cameras, observations = extraction.rig.cameras, extraction.observations
-    shares = {}
-    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True) if observations else ()):
-        pixels = np.concatenate([o.views[k].pixels[o.views[k].seen] for o in observations])
-        shares[name] = image_coverage(pixels, camera.width, camera.height)
-    return shares

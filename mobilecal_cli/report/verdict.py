@@ -20,20 +20,11 @@ from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, reference_std
-from mobilecal_cli.report.use import (
-    FIGURES,
-    Error,
-    Figure,
-    next_step_of,
-    shares_of,
-    use_sentence,
-)
+from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
 #: Outcome of a check → the verdict that it alone decides.
 LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
-#: Name of a figure → its value, None if unknown.
-Figures = Mapping[str, float | None]
 _GATE = "gate."  # how the ids of the user's limits begin
 
 
@@ -130,14 +121,14 @@ def gates_of(
             raise _unknown(f"gates.{name}", name, sorted(every))
     limits = {name: limit for name, limit in config.items() if name in known or not evaluating}
     for text in flags:
-        name, equals, stated = text.partition("=")
+        name, _, stated = text.partition("=")
         if name not in known:
             raise _unknown(f"--gate {text}", name, known)
         try:
             limits[name] = float(stated)
         except ValueError:
             limits[name] = math.nan
-        if not equals or not math.isfinite(limits[name]):
+        if not math.isfinite(limits[name]):
             raise ConfigError(
                 f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
             )
@@ -146,11 +137,10 @@ def gates_of(
         raise ConfigError(
             f"gate {tested}: no stations are held out", "add --hold-out, for example --hold-out 0.3"
         )
-    gates = {name: number_of(f"gate {name}", limit) for name, limit in limits.items()}
-    for name, limit in gates.items():
-        if not math.isfinite(limit):
+    for name, limit in limits.items():
+        if not math.isfinite(number_of(f"gate {name}", limit)):
             raise ConfigError(f"gate {name}: the limit is {limit}", "give a finite number")
-    return gates
+    return {name: float(limit) for name, limit in limits.items()}
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
@@ -170,8 +160,8 @@ def figures_of(made: Calibration) -> dict[str, float | None]:
     return {name: values.get(name) for name in names}
 
 
-def evaluated_figures(evaluation: Evaluation) -> Figures:
-    """Every figure of an evaluation that a gate can limit."""
+def evaluated_figures(evaluation: Evaluation) -> dict[str, float | None]:
+    """Every figure of an evaluation that a gate can limit, None if unknown."""
     return {metric.name: of(evaluation) for metric, of in EVALUATED.items()}
 
 
@@ -191,7 +181,9 @@ def _gate_cure(made: Calibration, name: str, limit: float) -> str:
 
 
 def gate_checks(
-    gates: Mapping[str, float], figures: Figures, cure: Callable[[str, float], str] = lambda *_: ""
+    gates: Mapping[str, float],
+    figures: Mapping[str, float | None],
+    cure: Callable[[str, float], str] = lambda *_: "",
 ) -> Iterator[Check]:
     """Each gate as a criterion of the verdict, with its cure; an unknown figure fails.
 

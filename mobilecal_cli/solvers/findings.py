@@ -15,6 +15,8 @@ from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
+    CONTRADICTION_SIGMAS,
+    MATERIAL_SIGMAS,
     EstimatedConstant,
     Evidence,
     Extraction,
@@ -24,11 +26,8 @@ from mobilecal_cli.model import (
     ScaleCheck,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.inference import MATERIAL_SIGMAS
 from mobilecal_cli.solvers.outliers import longest_stretch
 
-#: Data that contradict stated constants by more than this are evidence of a wrong description.
-CONTRADICTION_SIGMAS = 4.0
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
 

@@ -19,6 +19,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
+    MATERIAL_SIGMAS,
     NINE,
     BoolArray,
     Diagnosis,
@@ -42,7 +43,7 @@ from mobilecal_cli.solvers.findings import (
     scale_of,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.inference import MATERIAL_SIGMAS, Inference
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit

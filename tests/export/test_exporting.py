@@ -16,19 +16,15 @@ import mobilecal_cli as mc
 from mobilecal_cli.calibrate.steps import Data
 from mobilecal_cli.errors import ConfigError, QualityError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
-from mobilecal_cli.export.formats import foxglove, with_verdict
-from mobilecal_cli.export.formats.camchain import camchain_yaml
-from mobilecal_cli.export.formats.camera_info import camera_info_yaml
+from mobilecal_cli.export.formats import with_verdict
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
-from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run
 from tests.extractions import Noise, simulated
-from tests.pairs import with_pair
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 ROBOT = ROBOTS["paper"]()
@@ -300,68 +296,3 @@ def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
 def test_the_joint_of_a_wheel_is_not_that_of_the_head_or_of_the_other_wheel(passed, joints, said):
     with pytest.raises(ConfigError, match=said):
         mc.export_to(passed, "ros2_control", wheel_joints=joints)
-
-
-# -- the readers' own rules -----------------------------------------------------------------------
-
-
-def kalibr_camera(entry):
-    """A camera of a camchain by the rules of Kalibr's reader; the number of coefficients is that of its model."""
-    assert entry["camera_model"] == "pinhole"
-    assert len(entry["intrinsics"]) == 4
-    assert all(isinstance(value, float) and value >= 0 for value in entry["intrinsics"])
-    coefficients = {"radtan": 4, "equidistant": 4, "fov": 1}[entry["distortion_model"]]
-    assert len(entry["distortion_coeffs"]) == coefficients
-    assert [type(size) for size in entry["resolution"]] == [int, int]
-    assert isinstance(entry["rostopic"], str)
-
-
-#: Model in a recording → number of its coefficients, and both in an export for ROS.
-MODELS = {
-    "none": (0, "plumb_bob", 5),
-    "plumb_bob": (5, "plumb_bob", 5),
-    "rational_polynomial": (8, "rational_polynomial", 8),
-    "equidistant": (4, "equidistant", 4),
-}
-
-
-def cameras_of(model):
-    """The robot's pair with lenses of a model."""
-    lens = {"distortion": model, "D": np.zeros(MODELS[model][0])}
-    left, right = (replace(camera, **lens) for camera in ROBOT.rig_cameras.each)
-    return with_pair(ROBOT.rig_cameras, left=left, right=right)
-
-
-@pytest.mark.parametrize("model", ["none", "plumb_bob", "equidistant"])
-def test_kalibr_reads_the_camchain(model):
-    data = yaml.safe_load(camchain_yaml(cameras_of(model), {"left": "/l", "right": "/r"}))
-    assert list(data) == ["cam0", "cam1"]
-    for entry in data.values():
-        kalibr_camera(entry)
-    T = np.array(data["cam1"]["T_cn_cnm1"])
-    assert T.shape == (4, 4)
-    assert T[:3, :3] @ T[:3, :3].T == pytest.approx(np.eye(3))
-    assert T[3].tolist() == [0, 0, 0, 1]
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_ros_and_foxglove_read_the_cameras(model):
-    """Matrices of fixed sizes, as many values as rows times columns, and the coefficients of sensor_msgs' models."""
-    cameras, (_, named, read) = cameras_of(model), MODELS[model]
-    left = cameras.first
-    data = yaml.safe_load(camera_info_yaml(left, *rectified_pair(cameras)["left"]))
-    sizes = {
-        "camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4),
-        "distortion_coefficients": (1, read),
-    }  # fmt: skip
-    for name, (rows, columns) in sizes.items():
-        found = data[name]
-        assert (found["rows"], found["cols"], len(found["data"])) == (rows, columns, rows * columns)
-    assert data["distortion_model"] == named
-    assert (data["image_width"], data["image_height"]) == (left.width, left.height)
-    # Models and numbers of coefficients as in Foxglove's schema, which has a name of its own for one of them.
-    _, named, read = MODELS[model]
-    made = foxglove._calibration(cameras_of(model).first, "camera", 0)
-    foxglove_name = "kannala_brandt" if named == "equidistant" else named
-    assert (made.distortion_model, len(made.D)) == (foxglove_name, read)
-    assert (len(made.K), len(made.R), len(made.P)) == (9, 9, 12)

@@ -17,6 +17,7 @@ from pytransform3d.rotations import matrix_from_quaternion
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.formats import foxglove
 from mobilecal_cli.export.formats.camchain import camchain_yaml
 from mobilecal_cli.export.formats.camera_info import camera_info_yaml
 from mobilecal_cli.export.formats.json import Json
@@ -142,59 +143,87 @@ def test_ros2_control(nominal):
     assert list(names) == [["l"], ["c", "d"]]  # a joint that the user names stands for its whole side
 
 
-def test_camchain_projects_as_the_cameras_do():
-    text = camchain_yaml(CAMERAS, {"left": "/left", "right": "/right"})
+#: Model of the lenses → coefficients, and the model in exports for ROS and for Kalibr with the number of coefficients.
+MODELS = {
+    "none": ([], ("plumb_bob", 5), ("radtan", 4)),
+    "plumb_bob": (CAMERAS.first.D, ("plumb_bob", 5), ("radtan", 4)),
+    "equidistant": ([0.01, -0.002, 0.001, 0.0], ("equidistant", 4), ("equidistant", 4)),
+    "rational_polynomial": ([0.05, -0.02, 0, 0, 0.01, 0.01, 0, 0], ("rational_polynomial", 8), None),
+}
+POINTS = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
+
+
+def cameras_of(model):
+    """The robot's pair with lenses of a model."""
+    lens = {"distortion": model, "D": np.array(MODELS[model][0], dtype=float)}
+    left, right = (replace(camera, **lens) for camera in CAMERAS.each)
+    return with_pair(CAMERAS, left=left, right=right)
+
+
+def seen_by(cameras):
+    """Pixels of the points in each image."""
+    poses = zip(cameras.each, cameras.T_c_each, strict=True)
+    return [project(camera, se3.act(se3.inverse(T_c), POINTS)) for camera, T_c in poses]
+
+
+@pytest.mark.parametrize("model", [model for model, (*_, kalibr) in MODELS.items() if kalibr])
+def test_camchain_projects_as_the_cameras_do(model):
+    """Each camera by the rules of Kalibr's reader, projected by OpenCV."""
+    cameras, (*_, named) = cameras_of(model), MODELS[model]
+    text = camchain_yaml(cameras, {"left": "/left", "right": "/right"})
     assert "x_cam1 = T_cn_cnm1 x_cam0" in text
     data = yaml.safe_load(text)
-    points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
-    pose = np.eye(4)
-    for name, camera, T_c in (
-        ("cam0", CAMERAS.each[0], np.eye(4)),
-        ("cam1", CAMERAS.each[1], CAMERAS.T_c_each[1]),
-    ):
-        chain = data[name]
+    assert list(data) == ["cam0", "cam1"]
+    pose, opencv = np.eye(4), cv2.fisheye if model == "equidistant" else cv2
+    for chain, camera, own in zip(data.values(), cameras.each, seen_by(cameras), strict=True):
+        assert chain["camera_model"] == "pinhole"
+        assert (chain["distortion_model"], len(chain["distortion_coeffs"])) == named
+        assert all(isinstance(value, float) and value >= 0 for value in chain["intrinsics"])
+        assert chain["resolution"] == [camera.width, camera.height]
+        assert isinstance(chain["rostopic"], str)
         pose = np.array(chain.get("T_cn_cnm1", np.eye(4))) @ pose
         fu, fv, pu, pv = chain["intrinsics"]
-        assert (chain["camera_model"], chain["distortion_model"]) == ("pinhole", "radtan")
-        found, _ = cv2.projectPoints(
-            points, cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3],
+        found, _ = opencv.projectPoints(
+            POINTS[:, None], cv2.Rodrigues(pose[:3, :3])[0], pose[:3, 3],
             np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(chain["distortion_coeffs"]),
         )  # fmt: skip
-        own = project(camera, se3.act(se3.inverse(T_c), points))
         assert found[:, 0] == pytest.approx(own, abs=1e-6)
-        assert chain["resolution"] == [camera.width, camera.height]
 
 
-@pytest.mark.parametrize("distortion", ["plumb_bob", "equidistant"])
-def test_camera_info_makes_rows_of_one_height(distortion):
-    """OpenCV's undistortion with the written numbers: a point's two pictures are in one row, as far apart as P says."""
-    cameras = CAMERAS
-    if distortion == "equidistant":
-        D = np.array([0.01, -0.002, 0.001, 0.0])
-        left, right = (replace(c, distortion="equidistant", D=D) for c in (cameras.each[0], cameras.each[1]))
-        cameras = with_pair(cameras, left=left, right=right)
-    pair = rectified_pair(cameras)
-    points = np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 2], (20, 3))
-    rows, P = {}, {}
-    for side, camera, T_c in (
-        ("left", cameras.each[0], np.eye(4)),
-        ("right", cameras.each[1], cameras.T_c_each[1]),
-    ):
+@pytest.mark.parametrize("model", MODELS)
+def test_camera_info_makes_rows_of_one_height(model):
+    """OpenCV's undistortion with the written numbers: a point's two pictures are in one row, as far apart as P says.
+
+    Matrices have fixed sizes, and coefficients are those of the models of sensor_msgs. Foxglove has a name of its own
+    for one of them.
+    """
+    cameras, (_, named, _) = cameras_of(model), MODELS[model]
+    pair, rows, P = rectified_pair(cameras), {}, {}
+    for side, camera, seen in zip(("left", "right"), cameras.each, seen_by(cameras), strict=True):
         data = yaml.safe_load(camera_info_yaml(camera, *pair[side]))
         read = {
             name: np.array(entry["data"]).reshape(entry["rows"], entry["cols"])
             for name, entry in data.items()
             if name.endswith(("matrix", "coefficients"))
         }
-        assert data["distortion_model"] == distortion
-        seen = project(camera, se3.act(se3.inverse(T_c), points))[:, None]
-        undistort = cv2.fisheye.undistortPoints if distortion == "equidistant" else cv2.undistortPoints
+        assert [read[f"{name}_matrix"].shape for name in ("camera", "rectification", "projection")] == [
+            (3, 3), (3, 3), (3, 4),
+        ]  # fmt: skip
+        assert (data["distortion_model"], read["distortion_coefficients"].shape) == (named[0], (1, named[1]))
+        assert (data["image_width"], data["image_height"]) == (camera.width, camera.height)
+        undistort = cv2.fisheye.undistortPoints if model == "equidistant" else cv2.undistortPoints
         rectified = undistort(
-            seen, read["camera_matrix"], read["distortion_coefficients"],
+            seen[:, None], read["camera_matrix"], read["distortion_coefficients"],
             R=read["rectification_matrix"], P=read["projection_matrix"][:, :3],
         )  # fmt: skip
         rows[side], P[side] = rectified[:, 0], read["projection_matrix"]
     assert rows["left"][:, 1] == pytest.approx(rows["right"][:, 1], abs=1e-3)
-    depth = points @ pair["left"][0][2]
+    depth = POINTS @ pair["left"][0][2]
     assert rows["left"][:, 0] - rows["right"][:, 0] == pytest.approx(-P["right"][0, 3] / depth, abs=1e-2)
     assert -P["right"][0, 3] / P["right"][0, 0] == pytest.approx(CAMERAS.baseline_m, rel=1e-6)
+    shown = foxglove._calibration(cameras.first, "camera", 0)
+    assert (shown.distortion_model, len(shown.D)) == (
+        named[0].replace("equidistant", "kannala_brandt"),
+        named[1],
+    )
+    assert (len(shown.K), len(shown.R), len(shown.P)) == (9, 9, 12)

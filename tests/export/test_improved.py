@@ -12,7 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml
+from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import improved_chain, without_correction
 from mobilecal_cli.kinematics import head_pose
@@ -26,7 +26,7 @@ from mobilecal_cli.targets import Target
 from tests.actual import draw
 from tests.export.test_urdf_patch import robot
 from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
-from tests.report.example import make_provenance
+from tests.report.example import params_of
 
 K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])
 CENTER = np.array([320.0, 240.0])
@@ -42,7 +42,7 @@ def calibrated(request, tmp_path_factory):
     extraction = replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))
     solution = solve(extraction)
     directory = tmp_path_factory.mktemp(request.param)
-    text = params_yaml(solution, extraction, make_provenance(extraction), "PASS")
+    text = params_of(solution, extraction, "PASS")
     (directory / "params.yaml").write_text(text, encoding="utf-8")
     (directory / "extraction.npz").write_bytes(extraction_to_npz(extraction))
     (directory / "robot.urdf").write_text(urdf_text(described), encoding="utf-8")

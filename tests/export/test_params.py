@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import parameters_from_yaml, params_yaml
+from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.export.text import decimal, dump, quoted
 from mobilecal_cli.model import (
     AtWork,
@@ -26,13 +26,7 @@ from mobilecal_cli.model import (
     Parameters,
     Uncertainty,
 )
-from tests.report.example import (
-    HOSTILE,
-    make_extraction,
-    make_hostile,
-    make_provenance,
-    make_solution,
-)
+from tests.report.example import HOSTILE, make_extraction, make_hostile, make_solution, params_of
 
 GOLDEN = Path(__file__).parent / "golden"
 # What PyYAML takes for a float (its resolver's pattern, YAML 1.1): the exponent needs a point and a sign.
@@ -69,34 +63,17 @@ def rounded(text):
 
 
 def test_the_whole_file_against_its_golden_copy(extraction, solution):
-    text = rounded(params_yaml(solution, extraction, make_provenance(extraction)))
-    assert text == (GOLDEN / "params.yaml").read_text(encoding="utf-8")
-
-
-def test_the_contract_of_keys(extraction, solution):
-    data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
-    assert list(data) == ["schema_version", "head_eye", "wheels", "quality", "provenance"]
-    assert data["schema_version"] == 3
-    assert list(data["head_eye"]) == [
-        "parent_frame", "child_frame", "translation_m", "quaternion_xyzw", "euler_zyx_deg",
-    ]  # fmt: skip
-    assert list(data["head_eye"]["euler_zyx_deg"]) == ["x", "y", "z"]
-    assert set(data["wheels"]) == {"radius_left_m", "radius_right_m", "separation_m"}
-    assert data["quality"] == {
-        "stations": 12,
-        "point_rms_mm": pytest.approx(solution.point_rms_m * 1000, rel=1e-12),
-        "reprojection_rms_px": pytest.approx(solution.reprojection_rms_px, rel=1e-12),
-    }
-    assert list(data["provenance"]) == ["tool", "version", "created", "method", "logs", "config"]
-    assert data["provenance"]["logs"] == [{"path": "robot_0.mcap", "sha256": "0" * 64}]
-    assert data["provenance"]["config"]["board"]["columns"] == 9
+    text = params_of(solution, extraction)
+    assert rounded(text) == (GOLDEN / "params.yaml").read_text(encoding="utf-8")
+    quality = both_versions(text)["quality"]
+    assert quality["point_rms_mm"] == pytest.approx(solution.point_rms_m * 1000, rel=1e-12)
+    assert quality["reprojection_rms_px"] == pytest.approx(solution.reprojection_rms_px, rel=1e-12)
 
 
 def test_every_number_is_a_float_for_pyyaml_too(extraction, solution):
     T = se3.transform(np.eye(3), np.array([1e-5, -2e-9, -0.0]))
-    tiny = Parameters(T, solution.parameters.wheels)
-    tiny_solution = dataclasses.replace(solution, parameters=tiny)
-    text = params_yaml(tiny_solution, extraction, make_provenance(extraction))
+    tiny = dataclasses.replace(solution, parameters=Parameters(T, solution.parameters.wheels))
+    text = params_of(tiny, extraction)
     lists = re.findall(r"(?:translation_m|quaternion_xyzw): \[(.*)\]", text)
     numbers = [number for group in lists for number in group.split(", ")]
     assert len(numbers) == 7
@@ -138,7 +115,7 @@ def test_head_eye_speaks_of_the_reference_camera(extraction, solution):
     stereo = dataclasses.replace(extraction.rig.cameras, reference="right")
     right = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=stereo))
     solution = dataclasses.replace(solution, cameras=stereo)
-    robot = parameters_from_yaml(params_yaml(solution, right, make_provenance(right)))
+    robot = parameters_from_yaml(params_of(solution, right))
     assert robot.child_frame == "stereo_right_optical"
     expected = solution.parameters.T_h_c @ stereo.T_c_each[1]
     np.testing.assert_allclose(robot.T_parent_child, expected, rtol=0, atol=1e-12)
@@ -150,7 +127,7 @@ def test_rectified_pictures_name_both_frames():
     cameras = dataclasses.replace(extraction.rig.cameras, rectified=True, R_rect=(R, R))
     extraction = dataclasses.replace(extraction, rig=dataclasses.replace(extraction.rig, cameras=cameras))
     solution = dataclasses.replace(make_solution(make_extraction()), cameras=cameras)
-    data = both_versions(params_yaml(solution, extraction, make_provenance(extraction)))
+    data = both_versions(params_of(solution, extraction))
     assert data["head_eye"]["child_frame"] == "stereo_left_optical"
     raw = data["head_eye_raw"]
     assert raw["child_frame"] == "stereo_left_optical_raw"
@@ -163,14 +140,11 @@ def test_rectified_pictures_name_both_frames():
 
 
 def test_a_note_near_gimbal_lock_only(extraction, solution):
-    text = params_yaml(solution, extraction, make_provenance(extraction))
+    text = params_of(solution, extraction)
     assert "gimbal" not in text
-    locked = Parameters(
-        se3.transform(se3.from_rpy(np.radians([-164.22, 89.38, -166.4])), np.zeros(3)),
-        solution.parameters.wheels,
-    )
-    locked_solution = dataclasses.replace(solution, parameters=locked)
-    text = params_yaml(locked_solution, extraction, make_provenance(extraction))
+    T = se3.transform(se3.from_rpy(np.radians([-164.22, 89.38, -166.4])), np.zeros(3))
+    locked = Parameters(T, solution.parameters.wheels)
+    text = params_of(dataclasses.replace(solution, parameters=locked), extraction)
     assert "# y is 0.6 degrees from gimbal lock" in text
     head_eye = both_versions(text)["head_eye"]
     assert head_eye["euler_zyx_deg"] is None
@@ -182,17 +156,15 @@ def test_a_note_near_gimbal_lock_only(extraction, solution):
 
 def test_strings_from_the_log_cannot_break_the_file(extraction, solution):
     hostile = make_hostile(extraction)
-    provenance = dataclasses.replace(
-        make_provenance(hostile), logs=(LogSource(HOSTILE, "0" * 64),), config={HOSTILE: [HOSTILE]}
-    )
-    data = both_versions(params_yaml(solution, hostile, provenance))
+    named = {"logs": (LogSource(HOSTILE, "0" * 64),), "config": {HOSTILE: [HOSTILE]}}
+    data = both_versions(params_of(solution, hostile, **named))
     assert data["head_eye"]["parent_frame"] == HOSTILE
     assert data["provenance"]["logs"][0]["path"] == HOSTILE
     assert data["provenance"]["config"] == {HOSTILE: [HOSTILE]}
 
 
 def test_read_back(extraction, solution):
-    robot = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    robot = parameters_from_yaml(params_of(solution, extraction))
     assert (robot.parent_frame, robot.child_frame) == ("head_link", "stereo_left_optical")
     np.testing.assert_allclose(robot.T_parent_child, solution.parameters.T_h_c, rtol=0, atol=1e-12)
     have, want = robot.wheels, solution.parameters.wheels
@@ -218,7 +190,7 @@ def test_read_back(extraction, solution):
     ],
 )
 def test_a_bad_file_is_a_config_error(extraction, solution, change, said):
-    text = params_yaml(solution, extraction, make_provenance(extraction))
+    text = params_of(solution, extraction)
     assert change[0] in text
     with pytest.raises(ConfigError, match=r"^calib\.yaml: ") as caught:
         parameters_from_yaml(text.replace(*change), "calib.yaml")
@@ -261,7 +233,7 @@ def with_constants(solution, extraction):
 
 def test_constants_are_listed_with_their_units(extraction, solution):
     found, lifted = with_constants(solution, extraction)
-    text = params_yaml(found, lifted, make_provenance(lifted))
+    text = params_of(found, lifted)
     constants = both_versions(text)["constants"]
     assert list(constants) == ["focal_left", "pan_zero", "lift # 1_zero", "board_bend_x"]
     assert constants["focal_left"] == {"value": 1.25e-3, "sigma": 4e-4, "prior": 2e-3, "unit": "share"}
@@ -272,14 +244,12 @@ def test_constants_are_listed_with_their_units(extraction, solution):
     numbers = re.findall(r"(?:value|sigma|prior): ([^,]*),", text)
     assert len(numbers) == 12
     assert all(PYYAML_FLOAT.fullmatch(number) for number in numbers)
-    text = params_yaml(dataclasses.replace(found, constants={}), lifted, make_provenance(lifted))
+    text = params_of(dataclasses.replace(found, constants={}), lifted)
     assert parameters_from_yaml(text).constants == {}
 
 
 def test_the_verdict_has_any_sentence_as_its_reason(extraction, solution):
-    text = params_yaml(
-        solution, extraction, make_provenance(extraction), "FAIL", ["a: 'b' # \u00b0", "line\nline"]
-    )
+    text = params_of(solution, extraction, "FAIL", ["a: 'b' # \u00b0", "line\nline"])
     assert both_versions(text)["verdict"]["level"] == "FAIL"
     robot = parameters_from_yaml(text)
     assert (robot.verdict, robot.reasons[0]) == ("FAIL", "a: 'b' # \u00b0")
@@ -288,7 +258,7 @@ def test_the_verdict_has_any_sentence_as_its_reason(extraction, solution):
 
 def test_an_uncertainty_that_contradicts_itself_is_refused(extraction, solution):
     found, lifted = with_constants(solution, extraction)
-    text = params_yaml(found, lifted, make_provenance(lifted))
+    text = params_of(found, lifted)
     assert parameters_from_yaml(text).knowledge is not None
     with pytest.raises(ConfigError, match=r"std.r_x is 0.01, but the covariance gives 0.001"):
         parameters_from_yaml(text.replace("std: {r_x: 1.0", "std: {r_x: 1.0e-02, unused: 1.0", 1))

@@ -143,7 +143,9 @@ def test_a_camera_that_is_a_frame_late_is_the_cause_of_all_else():
     verdict = judge(solve(extraction), extraction)
     assert verdict.level == "FAIL"
     assert re.match(r"Right camera: delay against the left camera differs by \+3[23]\.\d+ ± ", verdict.reason)
-    assert verdict.next_step.startswith("Trigger both cameras together, or stop for images, and record again.")
+    assert verdict.next_step.startswith(
+        "Trigger both cameras together, or stop for images, and record again."
+    )
 
 
 def test_a_camera_that_shakes_has_to_move_further(whole):

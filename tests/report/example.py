@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
+from mobilecal_cli.export import params_yaml
 from mobilecal_cli.model import (
     Board,
     CalibratedRobot,
@@ -26,7 +27,6 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.report.page import report_html
-from mobilecal_cli.report.plots import draw_all
 from mobilecal_cli.report.values import ReportData, build_report
 from mobilecal_cli.report.verdict import Case, judge
 from mobilecal_cli.simulate.robot import tick_robot
@@ -97,15 +97,23 @@ def make_provenance(extraction: Extraction) -> Provenance:
     )
 
 
-def made(
+def params_of(solution: Solution, extraction: Extraction, *verdict, **provenance) -> str:
+    """params.yaml of a solution; further arguments replace what the provenance says."""
+    return params_yaml(solution, extraction, replace(make_provenance(extraction), **provenance), *verdict)
+
+
+def case_of(
     solution: Solution, extraction: Extraction, trial=None, change=None, gates=None, **provenance
-) -> ReportData:
-    """The report on a solution; further arguments replace what the provenance says."""
+) -> Case:
+    """A solution with its verdict; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
-    verdict = judge(solution, extraction, gates, trial, change)
-    return build_report(
-        Case(solution, extraction, gates or {}, trial, change, provenance=origin, verdict=verdict)
-    )
+    given = (solution, extraction, gates or {}, trial, change)
+    return Case(*given, provenance=origin, verdict=judge(*given))
+
+
+def made(*args, **more) -> ReportData:
+    """The report on a solution; arguments as for `case_of`."""
+    return build_report(case_of(*args, **more))
 
 
 def rows_of(report: ReportData, section: str, title: str = "") -> dict[str, tuple[str, ...]]:
@@ -115,8 +123,9 @@ def rows_of(report: ReportData, section: str, title: str = "") -> dict[str, tupl
 
 
 def page_of(solution: Solution, extraction: Extraction, snapshots=(), **more) -> str:
-    """The page on a solution; further arguments as for `made`."""
-    return report_html(made(solution, extraction, **more), draw_all(solution, extraction, snapshots))
+    """The page on a solution; further arguments as for `case_of`."""
+    case = case_of(solution, extraction, **more)
+    return report_html(build_report(case), case, snapshots)
 
 
 def _picture(board: Board, corners: FloatArray, rng: np.random.Generator) -> bytes:

@@ -15,7 +15,7 @@ from tests.report.example import made, make_extraction, make_solution, page_of
 def case():
     extraction = make_extraction()
     solution = make_solution(extraction)
-    plots.draw_all(solution, extraction)  # all plots are registered
+    plots.plots(solution, extraction)  # all plots are registered
     return solution, extraction
 
 

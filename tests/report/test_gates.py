@@ -175,34 +175,21 @@ def test_junit():
 
 
 METRICS = gate_metrics() | gate_metrics(evaluating=True)
-
-
-#: End of a name → unit of the value.
-UNITS = {
-    "_mm": "mm",
-    "_m": "m",
-    "_rad": "rad",
-    "_deg": "deg",
-    "_px": "px",
-    "_mm_per_m": "mm/m",
-    "_deg_per_m": "deg/m",
-    "_deg_per_turn": "deg",
-}
-
-
-#: How many of a unit are one SI unit.
+#: Unit → how many of it are one SI unit.
 PER_SI = {
     "mm": 1e3,
     "m": 1.0,
     "rad": 1.0,
+    "px": 1.0,
     "deg": math.degrees(1),
+    "degrees": math.degrees(1),
     "mm/m": 1e3,
     "deg/m": math.degrees(1),
     "ms": 1e3,
+    "%": 100.0,
+    "rad per sqrt(rad)": 1.0,
+    "": 1.0,
 }
-
-
-PER_SI |= {"degrees": math.degrees(1), "%": 100.0, "rad per sqrt(rad)": 1.0}
 
 
 @pytest.fixture(scope="module")
@@ -216,10 +203,13 @@ def report(solution, extraction):
 
 
 def test_a_name_that_ends_in_a_unit_has_it():
+    units = sorted({unit for unit in PER_SI if unit}, key=len)
     for name, metric in METRICS.items():
-        ends = [end for end in UNITS if name.endswith(end)]
+        ends = [unit for unit in units if name.endswith("_" + unit.replace("/", "_per_"))]
+        if name.endswith("_per_turn"):
+            ends = ["deg"]
         if ends:
-            assert metric.unit.replace("degrees", "deg") == UNITS[max(ends, key=len)], name
+            assert metric.unit.replace("degrees", "deg") == ends[-1], name
 
 
 def test_the_metrics_of_the_report_are_the_gates(report):
@@ -227,25 +217,12 @@ def test_the_metrics_of_the_report_are_the_gates(report):
     assert all(list(gates_of([f"{name}=1"], {})) == [name] for name in report.metrics)
 
 
-@pytest.mark.parametrize("figure", FIGURES, ids=lambda figure: figure.name)
-def test_expected_errors_are_those_in_si_units(report, figure):
-    value = getattr(report.uncertainty.predicted, figure.field)
-    assert report.metrics[figure.name] == pytest.approx(value * PER_SI[figure.unit])
-    if figure.limit is not None:
-        check = next(check for check in report.verdict.checks if check.id == figure.name)
-        assert (check.value, check.unit) == (report.metrics[figure.name], figure.unit)
-
-
-def test_standard_deviations_are_those_in_si_units(report, solution):
-    std = np.sqrt(np.diag(solution.uncertainty.reference_covariance))
-    for parameter, sigma in zip(PARAMETERS, std, strict=True):
-        assert report.metrics[parameter.gate] == pytest.approx(sigma)
-        assert METRICS[parameter.gate].unit == parameter.unit
-
-
-def test_noise_levels_are_those_in_si_units(report, solution):
-    noise = solution.uncertainty.noise
+def test_metrics_are_the_numbers_in_si_units_in_theirs(report, solution):
+    uncertainty, wheels = solution.uncertainty, solution.parameters.wheels
+    noise, std = uncertainty.noise, np.sqrt(np.diag(uncertainty.reference_covariance))
     for name, value in {
+        **{figure.name: getattr(uncertainty.at_work, figure.field) for figure in FIGURES},
+        **{parameter.gate: sigma for parameter, sigma in zip(PARAMETERS, std, strict=True)},
         "noise.joint": noise.joint_rad,
         "noise.wheel": noise.wheel_rad_per_sqrt_rad,
         "noise.wheel_share": noise.wheel_share,
@@ -253,29 +230,25 @@ def test_noise_levels_are_those_in_si_units(report, solution):
         "noise.height": noise.floor_m,
         "noise.stamp": 0.0,  # of a robot that rests at every station
         "noise.sliding_joint": 0.0,
+        "point_rms_mm": solution.point_rms_m,
+        "reprojection_rms_px": solution.reprojection_rms_px,
+        "leg_outlier.point": solution.residuals.leg_point_rms_m.max(),
+        "stereo_error": noise.pixel_px,
+        "motion.driven_m": solution.motion["driven_m"],
+        "wheel_difference": abs(wheels.radius_right_m - wheels.radius_left_m) / min(wheels.vector[:2]),
+        "stations": 12,
+        "legs": 11,
+        "observable": 9,
+        "hold_out.rotation_rms_deg": np.sqrt(np.mean(EVALUATION.rotation_rad**2)),
+        "hold_out.translation_rms_mm": np.sqrt(np.mean(EVALUATION.translation_m**2)),
+        "hold_out.drift_mm_per_m": EVALUATION.after.m_per_m,
     }.items():
         assert report.metrics[name] == pytest.approx(value * PER_SI[METRICS[name].unit]), name
-
-
-def test_errors_are_those_in_si_units(report, solution, extraction):
-    found = report.metrics
-    assert found["point_rms_mm"] == pytest.approx(1e3 * solution.point_rms_m)
-    assert found["reprojection_rms_px"] == solution.reprojection_rms_px
-    assert found["leg_outlier.point"] == pytest.approx(1e3 * solution.residuals.leg_point_rms_m.max())
-    assert found["stereo_error"] == solution.uncertainty.noise.pixel_px
-    assert found["motion.driven_m"] == solution.motion["driven_m"]
-    wheels = solution.parameters.wheels
-    apart = abs(wheels.radius_right_m - wheels.radius_left_m) / min(wheels.vector[:2])
-    assert found["wheel_difference"] == pytest.approx(100 * apart)
-    assert (found["stations"], found["legs"], found["observable"]) == (12, 11, 9)
-    held_out = {name: found[f"hold_out.{name}"] for name in evaluated_figures(EVALUATION)}
-    assert held_out["rotation_rms_deg"] == pytest.approx(
-        math.degrees(np.sqrt(np.mean(EVALUATION.rotation_rad**2)))
-    )
-    assert held_out["translation_rms_mm"] == pytest.approx(
-        1e3 * np.sqrt(np.mean(EVALUATION.translation_m**2))
-    )
-    assert held_out["drift_mm_per_m"] == pytest.approx(1e3 * EVALUATION.after.m_per_m)
+    for parameter in PARAMETERS:
+        assert METRICS[parameter.gate].unit == parameter.unit
+    checks = {check.id: check for check in report.verdict.checks}
+    for figure in (figure for figure in FIGURES if figure.limit is not None):
+        assert checks[figure.name].value == report.metrics[figure.name]
 
 
 def test_every_criterion_has_the_unit_of_the_table(report):

@@ -11,12 +11,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.comparison import difference, history
-from mobilecal_cli.model import (
-    EstimatedConstant,
-    LogSource,
-    Parameters,
-    WheelGeometry,
-)
+from mobilecal_cli.model import EstimatedConstant, LogSource, Parameters, WheelGeometry
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text

@@ -15,11 +15,11 @@ from mobilecal_cli.report.use import (
     FIGURES,
     SOURCES,
     family_shares,
-    limiting_sentence,
     missing_motion,
-    recommendation,
+    next_step_of,
     shares_of,
     uses,
+    worst_error,
 )
 from mobilecal_cli.report.verdict import figures_of, gates_of, judge
 from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
@@ -128,20 +128,24 @@ def test_the_words_know_every_source():
 
 
 def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
-    solution, extraction = drawn()
+    solution, _ = drawn()
     worst = max(uses(solution, {}), key=lambda use: use.share)
-    limiting, _ = recommendation(with_share(solution, "pixel_px", 0.62), extraction, {})
-    assert limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
+    found = worst_error(with_share(solution, "pixel_px", 0.62), {})
+    assert found.limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
 
 
 def test_more_stations_do_not_help_against_stated_values():
     solution, extraction = drawn()
-    _, advice = recommendation(with_share(solution, "square_size", 0.8), extraction, {})
-    assert advice.startswith(
-        "Measure the board (ten squares, with a caliper), and state half of `priors: square_size`"
-    )
-    _, advice = recommendation(with_share(solution, "floor_rad", 0.9), extraction, {})
-    assert advice.startswith("Record twice as many stops: ")
+    for source, share, advice in (
+        (
+            "square_size",
+            0.8,
+            "Measure the board (ten squares, with a caliper), and state half of `priors: sq",
+        ),
+        ("floor_rad", 0.9, "Record twice as many stops: "),
+    ):
+        limited = with_share(solution, source, share)
+        assert next_step_of(worst_error(limited, {}), limited, extraction).startswith(advice)
 
 
 def test_the_sentence_names_the_largest_group_of_sources():
@@ -150,8 +154,11 @@ def test_the_sentence_names_the_largest_group_of_sources():
     for name, of_source in zip(budget.sources, budget.at_work["heading_rad_per_turn"], strict=True):
         share[SOURCES[name].family] += max(of_source, 0.0)
     family = max(share, key=share.get)
-    sentence = limiting_sentence(shares_of(solution, "heading_rad_per_turn"), "heading")
-    assert sentence == f"{FAMILIES[family].limits} the heading: {100 * share[family]:.0f} % of its variance."
+    (error,) = (use for use in uses(solution, {}) if use.figure.field == "heading_rad_per_turn")
+    said = (
+        f"{FAMILIES[family].limits} the {error.figure.meaning}: {100 * share[family]:.0f} % of its variance."
+    )
+    assert error.limiting == said
 
 
 def test_a_fixed_camera_is_not_known_to_zero_millimeters():

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.export import parameters_from_yaml, params_yaml
-from mobilecal_cli.model import Nominal
+from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.comparison import change_from_nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, evaluate, solve
+from tests.pairs import with_views
 from tests.report.example import (
     HOSTILE,
     ROBOT,
@@ -28,9 +29,9 @@ from tests.report.example import (
     made,
     make_extraction,
     make_hostile,
-    make_provenance,
     make_solution,
     page_of,
+    params_of,
     recorded,
     robot,
     solved,
@@ -99,7 +100,10 @@ def test_the_files_hold_budget_and_constants():
 
 def test_coverage_counts_cells():
     corners = np.array([[0, 0], [639, 479], [10, 10], [-5, 3], [700, 3]], dtype=np.float64)
-    assert image_coverage(corners, 640, 480) == pytest.approx(2 / 48)
+    extraction = make_extraction()
+    view = Corners(corners, 0.1, 1)
+    seen = [with_views(o, right=view) for o in extraction.observations]
+    assert image_coverage(replace(extraction, observations=tuple(seen)), 1) == pytest.approx(2 / 48)
 
 
 @cache
@@ -119,7 +123,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
     T_c_r = extraction.rig.cameras.T_c_each[1].copy()
     T_c_r[:3, :3] = turn[:3, :3] @ T_c_r[:3, :3]
     truth = robot.T_h_c @ T_c_r
-    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    written = parameters_from_yaml(params_of(solution, extraction))
     data = json.loads(json_text(made(solution, extraction)))
     shown = se3.from_quaternion_xyzw(np.array(data["parameters"]["quaternion_xyzw"]))
     for R in (written.T_parent_child[:3, :3], shown):
@@ -134,8 +138,7 @@ def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
     extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
     solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
     assert not np.allclose(solution.parameters.T_h_c, tick_robot().T_h_c, atol=5e-3)
-    provenance = make_provenance(extraction)
-    written = parameters_from_yaml(params_yaml(solution, extraction, provenance))
+    written = parameters_from_yaml(params_of(solution, extraction))
     data = json.loads(json_text(made(solution, extraction)))["parameters"]
     shown = se3.transform(
         se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
@@ -163,7 +166,7 @@ def test_the_right_camera_has_its_own_covariance_and_jackknife():
 def test_params_yaml_keeps_all_noise_levels():
     solution, extraction = drawn()
     noise = solution.uncertainty.noise
-    written = parameters_from_yaml(params_yaml(solution, extraction, make_provenance(extraction)))
+    written = parameters_from_yaml(params_of(solution, extraction))
     for level in ("pixel_px", "joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share"):
         assert written.knowledge.noise[level] == pytest.approx(getattr(noise, level), rel=1e-8)
 

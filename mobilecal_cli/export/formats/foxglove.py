@@ -71,7 +71,7 @@ class _Messages:
     """Messages of all topics, written in order of time."""
 
     def __init__(self) -> None:
-        self._messages: list[tuple[int, str, str, bytes]] = []
+        self._messages: list[tuple[int, str, bytes]] = []
         self._schemas: dict[str, tuple[str, str, bytes]] = {}
 
     def add(self, topic: str, time_ns: int, message: Any) -> None:  # noqa: ANN401  (any protobuf message)
@@ -79,7 +79,7 @@ class _Messages:
         name = message.DESCRIPTOR.full_name
         if topic not in self._schemas:
             self._schemas[topic] = (name, "protobuf", _with_dependencies(message.DESCRIPTOR.file))
-        self._messages.append((time_ns, topic, "protobuf", message.SerializeToString(deterministic=True)))
+        self._messages.append((time_ns, topic, message.SerializeToString(deterministic=True)))
 
     def add_json(self, topic: str, time_ns: int, **values: str | float) -> None:
         """A message with named texts and numbers."""
@@ -88,7 +88,7 @@ class _Messages:
         }
         schema = {"title": topic.strip("/"), "type": "object", "properties": properties}
         self._schemas[topic] = (f"mobilecal.{topic.strip('/')}", "jsonschema", json.dumps(schema).encode())
-        self._messages.append((time_ns, topic, "json", json.dumps(values, allow_nan=False).encode()))
+        self._messages.append((time_ns, topic, json.dumps(values, allow_nan=False).encode()))
 
     def written(self, metadata: dict[str, str]) -> bytes:
         """The file, with one metadata record of the name "mobilecal"."""
@@ -97,11 +97,10 @@ class _Messages:
         writer.start(profile="", library=f"mobilecal {__version__}")
         writer.add_metadata("mobilecal", metadata)
         channels = {}
-        encodings = {topic: encoding for _, topic, encoding, _ in self._messages}
         for topic, schema in self._schemas.items():
-            number = writer.register_schema(*schema)
-            channels[topic] = writer.register_channel(topic, encodings[topic], number)
-        for time_ns, topic, _, data in sorted(self._messages, key=lambda message: message[0]):
+            encoding = schema[1].removesuffix("schema")  # of the messages
+            channels[topic] = writer.register_channel(topic, encoding, writer.register_schema(*schema))
+        for time_ns, topic, data in sorted(self._messages, key=lambda message: message[0]):
             writer.add_message(channels[topic], log_time=time_ns, publish_time=time_ns, data=data)
         writer.finish()  # type: ignore[no-untyped-call]
         return stream.getvalue()
