@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -208,8 +208,8 @@ class Clock:
         ]
 
 
-def clock_notes(clocks: list[Clock]) -> list[str]:
-    """Notes of all topics, and on topics with stamps from different clocks."""
+def clock_notes(clocks: Collection[Clock]) -> list[str]:
+    """Notes of all topics, on topics with stamps from different clocks, and on messages that are not used."""
     notes = [note for clock in clocks for note in clock.notes()]
     # A topic without stamps uses the log time, so its lag is zero. What is published once may be older.
     lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
@@ -220,6 +220,11 @@ def clock_notes(clocks: list[Clock]) -> list[str]:
                 f"clocks differ: the stamps of {high} are {lags[high]:.3f} s before the log time, those of "
                 f"{low} {lags[low]:.3f} s"
             )
+    notes += (
+        f"{clock.topic}: {clock.broken} of {clock.broken + clock.messages} messages do not match their type; ignored"
+        for clock in clocks
+        if clock.broken
+    )
     return notes
 
 
