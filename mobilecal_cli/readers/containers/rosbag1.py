@@ -28,11 +28,6 @@ _TIME = struct.Struct("<II")
 
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
 _CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
-#: Header of nearly every message: these three fields once each, in any order, in 38 bytes.
-_MESSAGE_HEAD = re.compile(
-    rb"(?:\x04\x00\x00\x00op=\x02|\x09\x00\x00\x00conn=(.{4})|\x0d\x00\x00\x00time=(.{8})){3}", re.DOTALL
-)
-_MESSAGE_HEAD_SIZE = 38
 
 Fields = dict[bytes, bytes]
 
@@ -174,15 +169,6 @@ class BagStorage(BlockStorage):
         view = memoryview(data)
         at = 0
         while at < len(view):
-            head = at + _U32.size
-            usual = _MESSAGE_HEAD.fullmatch(data, head, head + _MESSAGE_HEAD_SIZE)
-            if usual and _U32.unpack_from(data, at) == (_MESSAGE_HEAD_SIZE,):
-                number, time = usual.groups()
-                body = head + _MESSAGE_HEAD_SIZE + _U32.size
-                at = _end(view, body)
-                seconds, nanoseconds = _TIME.unpack(time)
-                yield _U32.unpack(number)[0], seconds * 10**9 + nanoseconds, view[body:at]
-                continue
             fields, body, end = _split(view, at)
             kind = fields[b"op"][0]
             if kind == _MESSAGE:
