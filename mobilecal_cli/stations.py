@@ -23,7 +23,6 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
     camera_words,
-    sampled,
     shots_words,
 )
 
@@ -271,24 +270,8 @@ def _fewer(pairs: list[Shot]) -> list[Shot]:
     return [pairs[i] for i in np.linspace(0, len(pairs) - 1, SHOTS_PER_REST).round().astype(int)]
 
 
-def _stations(
-    moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
-) -> tuple[Station, ...]:
-    """Stations, in order of time, from groups of pairs, each with a flag for rest."""
-    tracks = [signals.joints[name] for name in joints]
-    moments = sorted(moments, key=lambda moment: moment[0][0].time_ns)
-    starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
-    at_start, still = sampled(tracks, starts), np.zeros(len(tracks))
-    return tuple(
-        Station(i, at_rest, tuple(pairs), pairs[0].time_ns, at_start[i], still)
-        if len(pairs) == 1
-        else _rest(i, pairs, tracks, at_rest)
-        for i, (pairs, at_rest) in enumerate(moments)
-    )
-
-
-def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
-    """A station from several pairs: mean readings from the first to the last pair."""
+def _station(index: int, pairs: list[Shot], at_rest: bool, tracks: Sequence[Track]) -> Station:
+    """A station with the mean readings from its first to its last pair."""
     times = np.array([pair.time_ns for pair in pairs])
     mean, scatter = [], []
     for track in tracks:
@@ -296,7 +279,7 @@ def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> 
         within = track.value[begin : int(np.searchsorted(track.time_ns, times[-1], side="right"))]
         readings = within if len(within) >= 3 else track.at(times)
         mean.append(float(readings.mean()))
-        scatter.append(float(readings.std(ddof=1)))
+        scatter.append(float(readings.std(ddof=1)) if len(pairs) > 1 else 0.0)
     time_ns = int(times[0]) + round(float(np.mean(times - times[0])))
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
@@ -515,8 +498,9 @@ def plan_stations(
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-        stations = _stations(moments, joints, log.signals)
         tracks = tuple(log.signals.joints[name] for name in joints)
+        moments.sort(key=lambda moment: moment[0][0].time_ns)
+        stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
