@@ -69,11 +69,7 @@ def read_signals(
     }
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
-    if extent is EVERYTHING:
-        read.run(extent, infos)
-    else:
-        read.run(extent)
-        infos.sample()
+    read.run(extent, infos)
 
     notes: list[str] = []
     for name, camera in images.items():

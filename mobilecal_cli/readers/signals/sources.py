@@ -158,13 +158,13 @@ class Subscriptions:
         self._takers.setdefault(topic, []).append(source.take)
         return source
 
-    def run(self, extent: Extent, infos: InfoChanges | None = None) -> None:
-        """Run the pass, which may also compare the cameras' calibrations."""
+    def run(self, extent: Extent, infos: InfoChanges) -> None:
+        """Run the pass, which also compares the cameras' calibrations."""
         topics = frozenset(self.clocks)
-        compared = infos.topics - topics if infos is not None else frozenset()
+        compared = infos.topics - topics
         for channel, log_ns, payload in self.recording.messages(topics | compared, extent):
             topic = channel.topic
-            if infos is not None and topic in compared:
+            if topic in compared:
                 infos.add(channel, log_ns, payload)
                 continue
             try:
