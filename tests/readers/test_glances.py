@@ -56,16 +56,6 @@ def test_a_part_is_read_where_blocks_are_large(recording):
         assert got == known
 
 
-def test_times_of_several_parts_are_joined(tmp_path):
-    half = len(ITEMS) // 2
-    parts = ITEMS[:half], ITEMS[half:]
-    paths = [r.write_mcap(tmp_path / f"{k}.mcap", part) for k, part in enumerate(parts)]
-    with open_recording(paths[::-1]) as recording:
-        times = recording.log_times()["/joint_states"]
-        assert times.tolist() == [item.log_ns for item in ITEMS if item.topic == "/joint_states"]
-        assert np.all(np.diff(times) > 0)
-
-
 def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatch):
     """Once the stamps are known, pictures are found where they were logged."""
     signals = r.one_log(recording, r.SOURCES, r.JOINTS)
