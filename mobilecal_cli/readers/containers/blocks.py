@@ -324,10 +324,8 @@ def _holds(block: Block, at_ns: IntArray) -> bool:
     return first < len(at_ns) and int(at_ns[first]) <= block.end_ns
 
 
-#: Messages outside chunks are grouped into blocks of about this many bytes.
-SPAN_BYTES = 4 * 2**20
-#: Bytes searched at once for the next record after damage.
-_WINDOW = 2**22
+#: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
+_SPAN_BYTES = 2**22
 
 
 class Reindex:
@@ -393,7 +391,7 @@ class Reindex:
         """Offset of the next chunk, or record of any kind, from byte `at` on; None if there is none."""
         storage = self._storage
         while at < storage.size:
-            window = storage.read_at(at, min(_WINDOW, storage.size - at))
+            window = storage.read_at(at, min(_SPAN_BYTES, storage.size - at))
             for place in storage.likely_records(window, chunks=chunks):
                 if storage.fits(at + place):
                     return at + place
@@ -411,7 +409,7 @@ class Reindex:
             or last.channels is None
             or block.channels is None
             or last.offset + last.size != block.offset
-            or last.size >= SPAN_BYTES
+            or last.size >= _SPAN_BYTES
         ):
             self._close()
             self._last = block
