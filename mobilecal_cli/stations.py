@@ -219,16 +219,20 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
     return joints + wheels
 
 
+def _still(channels: Sequence[_Channel], begin_ns: int, end_ns: int) -> bool:
+    """Whether nothing moves within a time interval."""
+    return all(channel.wander(begin_ns, end_ns) <= channel.tolerance for channel in channels)
+
+
 def _rests(pairs: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
     """Runs of pairs without motion; each pair is still within a window around itself."""
     half = int(REST_WINDOW_S / 2 * _NS)
     runs: list[list[Shot]] = []
     for pair in pairs:
-        if any(c.wander(pair.time_ns - half, pair.time_ns + half) > c.tolerance for c in channels):
+        if not _still(channels, pair.time_ns - half, pair.time_ns + half):
             continue
-        run = runs[-1] if runs else None
-        if run and all(c.wander(run[0].time_ns, pair.time_ns) <= c.tolerance for c in channels):
-            run.append(pair)
+        if runs and _still(channels, runs[-1][0].time_ns, pair.time_ns):
+            runs[-1].append(pair)
         else:
             runs.append([pair])
     return runs
@@ -250,7 +254,7 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
         return []
     times = np.array([pair.time_ns for pair in pairs])
     values = np.stack([c.track.at(times) for c in channels], axis=1)
-    half = int(0.05 * _NS)
+    half = int(0.05 * _NS)  # a few readings, over which the speed hardly changes
     rates = np.stack([c.track.at(times + half) - c.track.at(times - half) for c in channels], axis=1)
     speed = np.linalg.norm(rates, axis=1)
     # The slower half of every two seconds: sharp images from all parts of the recording.
@@ -294,8 +298,8 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     *others, longest = np.argsort(breaks, kind="stable").tolist()
     usual_ns = max((int(breaks[k]) for k in others), default=0)
     since, until = (int(at) for at in edges[longest : longest + 2])
-    moves = any(c.wander(since, until) > c.tolerance for c in channels)
-    if until - since > max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns) and moves:
+    long_ns = max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns)
+    if until - since > long_ns and not _still(channels, since, until):
         which = camera_words(*recorded_ns) if len(recorded_ns) == 1 else "cameras"
         yield (
             f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
@@ -375,19 +379,18 @@ class _Shown:
     """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
     def __init__(self, images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> None:
-        self._names = tuple(images)
-        self._since = [
-            dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
-            for index in images.values()
-        ]
+        self._since = {
+            name: dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
+            for name, index in images.items()
+        }
         self._channels = channels
-        self._used: list[set[int]] = [set() for _ in images]
+        self._used: set[tuple[str, int]] = set()
         self._moved_since: set[tuple[str, int]] = set()
 
-    def _of(self, shot: Shot) -> list[int | None]:
-        """Times at which the images were shown first."""
-        times = zip(self._since, shot.times_ns, strict=True)
-        return [None if time_ns is None else since[time_ns] for since, time_ns in times]
+    def _of(self, shot: Shot) -> list[tuple[str, int, int]]:
+        """Camera and time of each image, and when it was shown first."""
+        cameras = zip(self._since.items(), shot.times_ns, strict=True)
+        return [(name, at_ns, since[at_ns]) for (name, since), at_ns in cameras if at_ns is not None]
 
     def current(self, pairs: Sequence[Shot]) -> tuple[list[Shot], list[Rejection]]:
         """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
@@ -395,9 +398,9 @@ class _Shown:
         frozen: list[Rejection] = []
         for pair in pairs:
             stale = [
-                (name, time_ns - since_ns)
-                for name, time_ns, since_ns in zip(self._names, pair.times_ns, self._of(pair), strict=True)
-                if time_ns is not None and since_ns is not None and self._moved(name, since_ns, time_ns)
+                (name, at_ns - since_ns)
+                for name, at_ns, since_ns in self._of(pair)
+                if self._moved(name, since_ns, at_ns)
             ]
             if not stale:
                 kept.append(pair)
@@ -411,7 +414,7 @@ class _Shown:
         if since_ns == until_ns:
             return False
         if (name, since_ns) not in self._moved_since:
-            if all(c.wander(since_ns, until_ns) <= c.tolerance for c in self._channels):
+            if _still(self._channels, since_ns, until_ns):
                 return False
             self._moved_since.add((name, since_ns))
         return True
@@ -420,13 +423,10 @@ class _Shown:
         """The pairs, in order of time, with images that no pair has that was passed before."""
         kept = []
         for pair in pairs:
-            since = [
-                (used, at) for used, at in zip(self._used, self._of(pair), strict=True) if at is not None
-            ]
-            if not any(at in used for used, at in since):
+            shown = {(name, since_ns) for name, _, since_ns in self._of(pair)}
+            if self._used.isdisjoint(shown):
                 kept.append(pair)
-                for used, at in since:
-                    used.add(at)
+                self._used |= shown
         return kept
 
 
