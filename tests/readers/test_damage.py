@@ -243,6 +243,17 @@ def test_nothing_named_missing_and_empty_directory_are_refused(tmp_path):
         open_recording([path])
 
 
+def test_a_chunk_that_states_times_beyond_64_bits_is_read(originals, tmp_path):
+    path = written(tmp_path, originals["mcap-no-summary"])
+    with open_recording([path]) as recording:
+        last = max(recording.parts[0].blocks, key=lambda block: block.offset)
+    data = bytearray(path.read_bytes())
+    data[last.offset + 17 : last.offset + 25] = b"\xff" * 8  # after the head of the record and the first time
+    with open_recording([written(tmp_path, data)]) as recording:
+        assert len(r.every(recording)) == len(ITEMS)
+        assert recording.end_ns == ITEMS[-1].log_ns
+
+
 def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):
     data = bytearray(originals["mcap-unchunked"])
     time = ITEMS[20].log_ns.to_bytes(8, "little")

@@ -174,9 +174,8 @@ class BlockStorage(Storage):
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         blocks = self._blocks_of(topics, extent)
-        waiting: list[
-            tuple[int, int, Channel, Payload]
-        ] = []  # a heap; the second is the number in reading order
+        # A heap; the second is the number in reading order.
+        waiting: list[tuple[int, int, Channel, Payload]] = []
         order = count()
         read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
@@ -429,9 +428,9 @@ class Reindex:
             return
         if block.channels is None:
             damage: list[str] = []
-            times, first_ns, last_ns = storage.indexed(block), block.start_ns, block.end_ns
+            times = storage.indexed(block)
             if truncated or not times.size or not set(times[0].tolist()) <= storage.channels.keys():
-                times, first_ns, last_ns = storage.scanned(block, damage.append), LATEST_NS, 0
+                times = storage.scanned(block, damage.append)
             if not times.size and not damage:
                 return  # an empty chunk
             for sentence in damage if not truncated else ():  # what is truncated is noted as such
@@ -439,6 +438,6 @@ class Reindex:
             if times.size:
                 counts = Counter(times[0].tolist())
                 self._counts.update(counts)
-                first_ns, last_ns = min(first_ns, int(times[1].min())), max(last_ns, int(times[1].max()))
-                block = replace(block, start_ns=first_ns, end_ns=last_ns, channels=frozenset(counts))
+                start_ns, end_ns = int(times[1].min()), int(times[1].max())
+                block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
         storage.blocks.append(block)
