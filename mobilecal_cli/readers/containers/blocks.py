@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from abc import abstractmethod
+from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -230,8 +231,10 @@ class BlockStorage(Storage):
 
     def scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
         """As `indexed`, from the messages themselves, up to the first damage, which `note` receives."""
-        messages = self._messages_of(block, note)
-        times = [(number, time_ns) for number, time_ns, _ in messages if time_ns < LATEST_NS]
+        times = array("q")
+        for number, time_ns, _ in self._messages_of(block, note):
+            if time_ns < LATEST_NS:
+                times.extend((number, time_ns))
         return np.array(times, dtype=np.int64).reshape(-1, 2).T
 
     def _undo_steps(self) -> None:
