@@ -67,7 +67,8 @@ def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoi
     Raises:
         RecordingError: no topic has its position, or the readings alternate between two values.
     """
-    best = max(topics, key=lambda joint: (len(joint.series), joint.series.not_finite), default=None)
+    read = [joint for joint in topics if len(joint.series)] or topics
+    best = max(read, key=lambda joint: len(joint.series) or joint.series.not_finite, default=None)
     if best is None or not (len(best.series) or best.series.not_finite):
         where = ", ".join(joint.series.topic for joint in topics) or "any topic"
         present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
