@@ -38,7 +38,7 @@ def read_signals(
     """Read everything except image contents, in one pass.
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
-    of order the longest run in order is kept (`stamps.in_order`). Readings that are not finite and undecodable messages
+    of order the longest run in order is kept (`series.in_order`). Readings that are not finite and undecodable messages
     are dropped, and so are images recorded while a camera info differs from most of its topic. Notes give the counts.
 
     Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
@@ -48,7 +48,7 @@ def read_signals(
         extent: how much of the recording is read.
 
     Returns:
-        The pieces of the recording between the steps of its clocks (see `steps`), usually one; notes on all of it are
+        The pieces of the recording between the steps of its clocks (see `series.cut`), usually one; notes on all of it are
         in the first. A piece without readings of a joint or wheel, or without images, is left out and noted.
 
     Raises:
@@ -89,26 +89,28 @@ def read_signals(
     notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *infos.notes, *notes]
 
     def signals_of(recorded: Mapping[Source, Samples]) -> Signals:
-        some: list[str] = []
-        samples = {source: each.arranged(some) for source, each in recorded.items()}
-        tracks = {name: _track(joint, samples, some) for name, joint in moving.items()}
+        own_notes: list[str] = []
+        samples = {source: each.arranged(own_notes) for source, each in recorded.items()}
+        tracks = {name: _track(joint, samples, own_notes) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
         for name, joint in moving.items():
             if len(joint.series) == 1 and not joint.series.not_finite:
-                some.append(f"{joint.series.label}: one reading only; the joint counts as standing still")
+                own_notes.append(
+                    f"{joint.series.label}: one reading only; the joint counts as standing still"
+                )
                 still = np.repeat(tracks[name].value, 2)
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
             {
-                side: [(wheel.series.label, _track(wheel, samples, some)) for wheel in each]
+                side: [(wheel.series.label, _track(wheel, samples, own_notes)) for wheel in each]
                 for side, each in turning.items()
             },
-            some,
+            own_notes,
         )
         indices: dict[str, PictureIndex] = {}
         left_out_ns: dict[str, IntArray] = {}
         for name, camera in images.items():
-            index = camera.index(samples[camera], some)
+            index = camera.index(samples[camera], own_notes)
             usual = infos.usual_at(sources.info.get(name, ""), index.log_ns)
             indices[name], left_out_ns[name] = index.rows(usual), np.delete(index.time_ns, usual)
             if not len(indices[name].time_ns):
@@ -116,8 +118,8 @@ def read_signals(
                     f"{camera.series.topic}: no usable images", "record all cameras the whole time"
                 )
         for side, track in wheels.items():
-            some += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(some), infos.corrected, left_out_ns)
+            own_notes += gap_notes(f"{side} wheel", track)
+        return Signals(tracks, wheels, indices, tuple(own_notes), infos.corrected, left_out_ns)
 
     return _usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of, notes)
 
