@@ -48,7 +48,7 @@ def read_signals(
         extent: how much of the recording is read.
 
     Returns:
-        The pieces of the recording between the steps of its clocks (see `series.cut`), usually one; notes on all of it are
+        The pieces of the recording between the steps of its clocks (`series.cut`), usually one; notes on all of it are
         in the first. A piece without readings of a joint or wheel, or without images, is left out and noted.
 
     Raises:
