@@ -23,7 +23,6 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
     camera_words,
-    sampled,
     shots_words,
 )
 
@@ -220,16 +219,20 @@ def _channels(signals: Signals, prismatic: frozenset[str]) -> list[_Channel]:
     return joints + wheels
 
 
+def _still(channels: Sequence[_Channel], begin_ns: int, end_ns: int) -> bool:
+    """Whether nothing moves within a time interval."""
+    return all(channel.wander(begin_ns, end_ns) <= channel.tolerance for channel in channels)
+
+
 def _rests(pairs: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
     """Runs of pairs without motion; each pair is still within a window around itself."""
     half = int(REST_WINDOW_S / 2 * _NS)
     runs: list[list[Shot]] = []
     for pair in pairs:
-        if any(c.wander(pair.time_ns - half, pair.time_ns + half) > c.tolerance for c in channels):
+        if not _still(channels, pair.time_ns - half, pair.time_ns + half):
             continue
-        run = runs[-1] if runs else None
-        if run and all(c.wander(run[0].time_ns, pair.time_ns) <= c.tolerance for c in channels):
-            run.append(pair)
+        if runs and _still(channels, runs[-1][0].time_ns, pair.time_ns):
+            runs[-1].append(pair)
         else:
             runs.append([pair])
     return runs
@@ -251,7 +254,7 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
         return []
     times = np.array([pair.time_ns for pair in pairs])
     values = np.stack([c.track.at(times) for c in channels], axis=1)
-    half = int(0.05 * _NS)
+    half = int(0.05 * _NS)  # a few readings, over which the speed hardly changes
     rates = np.stack([c.track.at(times + half) - c.track.at(times - half) for c in channels], axis=1)
     speed = np.linalg.norm(rates, axis=1)
     # The slower half of every two seconds: sharp images from all parts of the recording.
@@ -271,24 +274,8 @@ def _fewer(pairs: list[Shot]) -> list[Shot]:
     return [pairs[i] for i in np.linspace(0, len(pairs) - 1, SHOTS_PER_REST).round().astype(int)]
 
 
-def _stations(
-    moments: Sequence[tuple[list[Shot], bool]], joints: tuple[str, ...], signals: Signals
-) -> tuple[Station, ...]:
-    """Stations, in order of time, from groups of pairs, each with a flag for rest."""
-    tracks = [signals.joints[name] for name in joints]
-    moments = sorted(moments, key=lambda moment: moment[0][0].time_ns)
-    starts = np.array([pairs[0].time_ns for pairs, _ in moments], dtype=np.int64)
-    at_start, still = sampled(tracks, starts), np.zeros(len(tracks))
-    return tuple(
-        Station(i, at_rest, tuple(pairs), pairs[0].time_ns, at_start[i], still)
-        if len(pairs) == 1
-        else _rest(i, pairs, tracks, at_rest)
-        for i, (pairs, at_rest) in enumerate(moments)
-    )
-
-
-def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> Station:
-    """A station from several pairs: mean readings from the first to the last pair."""
+def _station(index: int, pairs: list[Shot], at_rest: bool, tracks: Sequence[Track]) -> Station:
+    """A station with the mean readings from its first to its last pair."""
     times = np.array([pair.time_ns for pair in pairs])
     mean, scatter = [], []
     for track in tracks:
@@ -296,7 +283,7 @@ def _rest(index: int, pairs: list[Shot], tracks: list[Track], at_rest: bool) -> 
         within = track.value[begin : int(np.searchsorted(track.time_ns, times[-1], side="right"))]
         readings = within if len(within) >= 3 else track.at(times)
         mean.append(float(readings.mean()))
-        scatter.append(float(readings.std(ddof=1)))
+        scatter.append(float(readings.std(ddof=1)) if len(pairs) > 1 else 0.0)
     time_ns = int(times[0]) + round(float(np.mean(times - times[0])))
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
@@ -311,8 +298,8 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     *others, longest = np.argsort(breaks, kind="stable").tolist()
     usual_ns = max((int(breaks[k]) for k in others), default=0)
     since, until = (int(at) for at in edges[longest : longest + 2])
-    moves = any(c.wander(since, until) > c.tolerance for c in channels)
-    if until - since > max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns) and moves:
+    long_ns = max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns)
+    if until - since > long_ns and not _still(channels, since, until):
         which = camera_words(*recorded_ns) if len(recorded_ns) == 1 else "cameras"
         yield (
             f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
@@ -392,19 +379,18 @@ class _Shown:
     """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
     def __init__(self, images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> None:
-        self._names = tuple(images)
-        self._since = [
-            dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
-            for index in images.values()
-        ]
+        self._since = {
+            name: dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
+            for name, index in images.items()
+        }
         self._channels = channels
-        self._used: list[set[int]] = [set() for _ in images]
+        self._used: set[tuple[str, int]] = set()
         self._moved_since: set[tuple[str, int]] = set()
 
-    def _of(self, shot: Shot) -> list[int | None]:
-        """Times at which the images were shown first."""
-        times = zip(self._since, shot.times_ns, strict=True)
-        return [None if time_ns is None else since[time_ns] for since, time_ns in times]
+    def _of(self, shot: Shot) -> list[tuple[str, int, int]]:
+        """Camera and time of each image, and when it was shown first."""
+        cameras = zip(self._since.items(), shot.times_ns, strict=True)
+        return [(name, at_ns, since[at_ns]) for (name, since), at_ns in cameras if at_ns is not None]
 
     def current(self, pairs: Sequence[Shot]) -> tuple[list[Shot], list[Rejection]]:
         """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
@@ -412,9 +398,9 @@ class _Shown:
         frozen: list[Rejection] = []
         for pair in pairs:
             stale = [
-                (name, time_ns - since_ns)
-                for name, time_ns, since_ns in zip(self._names, pair.times_ns, self._of(pair), strict=True)
-                if time_ns is not None and since_ns is not None and self._moved(name, since_ns, time_ns)
+                (name, at_ns - since_ns)
+                for name, at_ns, since_ns in self._of(pair)
+                if self._moved(name, since_ns, at_ns)
             ]
             if not stale:
                 kept.append(pair)
@@ -428,7 +414,7 @@ class _Shown:
         if since_ns == until_ns:
             return False
         if (name, since_ns) not in self._moved_since:
-            if all(c.wander(since_ns, until_ns) <= c.tolerance for c in self._channels):
+            if _still(self._channels, since_ns, until_ns):
                 return False
             self._moved_since.add((name, since_ns))
         return True
@@ -437,13 +423,10 @@ class _Shown:
         """The pairs, in order of time, with images that no pair has that was passed before."""
         kept = []
         for pair in pairs:
-            since = [
-                (used, at) for used, at in zip(self._used, self._of(pair), strict=True) if at is not None
-            ]
-            if not any(at in used for used, at in since):
+            shown = {(name, since_ns) for name, _, since_ns in self._of(pair)}
+            if self._used.isdisjoint(shown):
                 kept.append(pair)
-                for used, at in since:
-                    used.add(at)
+                self._used |= shown
         return kept
 
 
@@ -515,8 +498,9 @@ def plan_stations(
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
             moments = [(_fewer(run), at_rest) for run, at_rest in moments]
-        stations = _stations(moments, joints, log.signals)
         tracks = tuple(log.signals.joints[name] for name in joints)
+        moments.sort(key=lambda moment: moment[0][0].time_ns)
+        stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]

@@ -157,9 +157,9 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
     Raises:
         ConfigError: the chain of the URDF is not the one that the calibration read.
     """
-    path = urdf.path(chain.stated.base_frame, chain.stated.head_frame)
-    moving = [joint for joint in path if joint.kind != "fixed"]
-    _check([joint.name for joint in moving], chain_links(path, urdf.joints), chain.stated)
+    base, head = chain.stated.base_frame, chain.stated.head_frame
+    moving = [joint for joint in urdf.path(base, head) if joint.kind != "fixed"]
+    _check([joint.name for joint in moving], chain_links(urdf, base, head), chain.stated)
     for joint, (_, link) in zip(moving, _joints(chain.improved.links), strict=True):
         offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
         if link.kind == "revolute":

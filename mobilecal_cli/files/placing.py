@@ -13,8 +13,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.files.interruption import Interrupted, note_placed, uninterrupted
-from mobilecal_cli.files.scratch import abandoned, locked
+from mobilecal_cli.files.interruption import note_placed, uninterrupted
+from mobilecal_cli.files.scratch import abandoned, temporary
 
 #: Names of the files inside an output directory, () for a file; raises OutputError for anything else.
 Recognize = Callable[[Path], tuple[str, ...]]
@@ -36,15 +36,8 @@ def partial_of(target: Path, recognize: Recognize) -> Iterator[Path]:
         OutputError: the output is in place, but the one that it replaced cannot be removed.
     """
     clean_up(target, recognize)
-    with locked(lambda: _created(target)) as folder:
-        try:
-            yield folder / target.name
-        finally:
-            try:
-                _remove(folder, recognize)
-            except Interrupted:  # perhaps by a signal before its first step; another one does not count
-                _remove(folder, recognize)
-                raise
+    with temporary(lambda: _created(target), lambda folder: _remove(folder, recognize)) as folder:
+        yield folder / target.name
     if folder.with_suffix(".old").exists():
         raise OutputError(
             f"{target}: written, but the replaced output contains other files or cannot be removed",

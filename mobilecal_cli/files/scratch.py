@@ -40,17 +40,10 @@ def scratch_directory() -> Iterator[Path]:
                 with abandoned(path) as free:
                     if free:
                         shutil.rmtree(path, ignore_errors=True)
-            path = stack.enter_context(locked(_created))
+            path = stack.enter_context(temporary(_created, _remove))
         except OSError as error:
             raise _no_space(error) from error
-        try:
-            yield path
-        finally:
-            try:
-                _remove(path)
-            except Interrupted:  # before the removal, or after it
-                _remove(path)
-                raise
+        yield path
 
 
 def _created() -> Path:
@@ -105,6 +98,20 @@ def _no_space(error: OSError) -> ResourceError:
         f"{where}: cannot be written: {error.strerror or error}",
         "free space there, or set TMPDIR to a directory with more space",
     )
+
+
+@contextmanager
+def temporary(create: Callable[[], Path], remove: Callable[[Path], None]) -> Iterator[Path]:
+    """A new directory, see `locked`, that is removed at the end of the block, whatever ends it."""
+    with locked(create) as path:
+        try:
+            yield path
+        finally:
+            try:
+                remove(path)
+            except Interrupted:  # perhaps by a signal before its first step; another one does not count
+                remove(path)
+                raise
 
 
 @contextmanager

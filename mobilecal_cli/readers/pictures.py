@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    GrayImage,
-    PictureIndex,
-    Rejection,
-    Sources,
-    StereoLayout,
-)
+from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import stamp_of
@@ -78,12 +71,12 @@ def _read(
             continue  # without a stamp, it cannot have been selected
         stamp_ns = stamp_of(decoded, message.log_time_ns)
         wanted = missing[message.topic].pop((message.log_time_ns, stamp_ns), [])
-        video = _video(videos, message.topic, decoded)
-        if not wanted and video is None:
+        decode = _decoder(videos, message.topic, decoded)
+        if not wanted and decode is decode_image:
             continue
         picture: GrayImage | Rejection
         try:
-            picture = decode_image(decoded) if video is None else video.picture(decoded.data)
+            picture = decode(decoded)
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
@@ -124,9 +117,8 @@ def pictures_near(
 
 def _is_video(recording: Recording, topic: str) -> bool:
     with suppress(RecordingError):
-        return any(
-            codec_of(message.decode()) is not None for message in islice(recording.messages([topic]), 1)
-        )
+        for message in recording.messages([topic]):
+            return codec_of(message.decode()) is not None
     return False
 
 
@@ -138,14 +130,14 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
             return
         if message.log_time_ns < waiting[0]:
             continue
-        video = None
+        decode: Callable[[Any], GrayImage] = decode_image
         picture: GrayImage | Rejection
         try:
             decoded = message.decode()
-            video = _video({}, message.topic, decoded)
-            picture = decode_image(decoded) if video is None else video.picture(decoded.data)
+            decode = _decoder({}, message.topic, decoded)
+            picture = decode(decoded)
         except RecordingError as error:
-            if video is not None:
+            if decode is not decode_image:
                 continue
             picture = Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
         while waiting and waiting[0] <= message.log_time_ns:
@@ -153,14 +145,14 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
         yield picture
 
 
-def _video(videos: dict[str, Video], topic: str, message: Any) -> Video | None:  # noqa: ANN401
-    """Decoder of a topic's video, created with its first frame; None for single images."""
+def _decoder(videos: dict[str, Video], topic: str, message: Any) -> Callable[[Any], GrayImage]:  # noqa: ANN401
+    """`decode_image`, or the decoder of a topic's video, created with its first frame."""
     codec = codec_of(message)
     if codec is None:
-        return None
+        return decode_image
     if topic not in videos:
         videos[topic] = Video(codec)
-    return videos[topic]
+    return videos[topic].picture
 
 
 def _part(picture: GrayImage, name: str, layout: StereoLayout) -> GrayImage:

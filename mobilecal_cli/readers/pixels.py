@@ -233,14 +233,14 @@ class Video:
         self._context.flags |= av.codec.context.Flags.low_delay
         self._whole = False
 
-    def picture(self, data: Any) -> GrayImage:  # noqa: ANN401 - bytes or an array of them
+    def picture(self, message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
         """Frame of the next message, (height, width) uint8.
 
         Raises:
             RecordingError: the frame is damaged, or its key frame is not in the recording.
         """
         try:
-            frames = self._context.decode(self._packet(bytes(memoryview(data))))
+            frames = self._context.decode(self._packet(bytes(memoryview(message.data))))
         except self._errors as error:
             fact = "damaged" if self._whole else "damaged, or its key frame is missing"
             self._whole = False

@@ -17,30 +17,3 @@ from mobilecal_cli.vision.pose import (
 )
 from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
 from mobilecal_cli.vision.values import OTHER_BOARDS, Detection, Miss, StereoPoints
-
-__all__ = [
-    "OTHER_BOARDS",
-    "SQUARES_UNKNOWN",
-    "BoardFollower",
-    "Detection",
-    "Measured",
-    "Miss",
-    "StereoPoints",
-    "absolute_orientation",
-    "agreeing",
-    "board_pose",
-    "check_arrangement",
-    "check_square",
-    "detect",
-    "find_board",
-    "identify_size",
-    "measure",
-    "pose_from_one",
-    "resolve_numbering",
-    "resolve_square",
-    "snapshot_jpeg",
-    "square_cure",
-    "square_from_points",
-    "thumbnail_jpeg",
-    "triangulate",
-]

@@ -14,9 +14,9 @@ import numpy as np
 from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
 from mobilecal_cli.vision.grid import turned, turns
-from mobilecal_cli.vision.observing import INCONSISTENT, SQUARE_TOLERANCE, Measured
+from mobilecal_cli.vision.observing import SQUARE_TOLERANCE, Measured
 from mobilecal_cli.vision.pose import triangulate
-from mobilecal_cli.vision.values import Detection, StereoPoints
+from mobilecal_cli.vision.values import INCONSISTENT, Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
 _EPIPOLAR_PX = 1.5  # rows of the two images about 4 px apart

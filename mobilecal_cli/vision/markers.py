@@ -8,11 +8,9 @@ import numpy as np
 from mobilecal_cli.model import Board, FloatArray, GrayImage, IntArray, Markers
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.grid_map import scatter_px
-from mobilecal_cli.vision.values import OCCLUDED, Detection, Miss, rms
+from mobilecal_cli.vision.values import LEAST_CORNERS, OCCLUDED, Detection, Miss, rms
 
-#: Fewer corners, or fewer tags, do not determine the board's pose.
-_LEAST_CORNERS = 8
-_LEAST_TAGS = 3
+_LEAST_TAGS = 3  # fewer do not determine the board's pose
 _FLOOR_PX = 0.02  # error of OpenCV's refinement on images without noise
 _OF_ROOM, _LEAST_WINDOW = 0.65, 3  # half window: share of the distance to the next edge, and least, px
 _GROSS_SIGMAS, _GROSS_PX = 5.0, 0.5  # a corner so far off the others is another one
@@ -39,10 +37,10 @@ def detect_markers(image: GrayImage, board: Board) -> Detection | Miss:
     pixels[numbers], good[numbers] = places, True
     grid = board.grid()[:, :2]
     for _ in range(3):
-        if good.sum() < _LEAST_CORNERS or np.linalg.matrix_rank(grid[good] - grid[good].mean(axis=0)) < 2:
+        if good.sum() < LEAST_CORNERS or np.linalg.matrix_rank(grid[good] - grid[good].mean(axis=0)) < 2:
             return Miss(
                 OCCLUDED,
-                f"{good.sum()} of {board.corners} corners visible, minimum {_LEAST_CORNERS} that are not on one line",
+                f"{good.sum()} of {board.corners} corners visible, minimum {LEAST_CORNERS} that are not on one line",
             )
         off = np.linalg.norm(scatter_px(grid[good], pixels[good]), axis=1)
         usual = float(np.median(off)) / 1.1774

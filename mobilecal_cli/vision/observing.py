@@ -34,19 +34,24 @@ from mobilecal_cli.vision.pose import (
     square_from_points,
     triangulate,
 )
-from mobilecal_cli.vision.values import FLOOR_PX, BoardPose, Detection, Miss, Reason, StereoPoints, rms
+from mobilecal_cli.vision.values import (
+    FLOOR_PX,
+    LEAST_CORNERS,
+    OCCLUDED,
+    BoardPose,
+    Detection,
+    Miss,
+    StereoPoints,
+    rms,
+)
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
 #: Largest acceptable difference of a square's measured side from the stated one, as a share.
 SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
-#: Reason of stations whose images contradict each other.
-INCONSISTENT: Reason = "left and right images inconsistent"
 #: Reason of a station that one camera alone shows, of a board whose squares are not known.
 SQUARES_UNKNOWN = "size of the squares unknown"
-# Corners in an image, or in those of all cameras: for boards with markers, which may be partly visible.
-_LEAST = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,13 +277,13 @@ def measure(
         for k, of_camera in zip(shown, images, strict=True)
     )
     corners = [int(view.seen.sum()) for view in views]
-    if max(corners) < _LEAST:
+    if max(corners) < LEAST_CORNERS:
         return rejected(
-            "board partly occluded or outside the image",
-            f"{max(corners)} of {board.corners} corners visible in an image, minimum {_LEAST}",
+            OCCLUDED,
+            f"{max(corners)} of {board.corners} corners visible in an image, minimum {LEAST_CORNERS}",
         )
-    if len(shown) == 1 or not rig.calibrated or _common(views).sum() < _LEAST:
-        kept = [k for k, count in enumerate(corners) if count >= _LEAST and not rig.calibrated]
+    if len(shown) == 1 or not rig.calibrated or _common(views).sum() < LEAST_CORNERS:
+        kept = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS and not rig.calibrated]
         kept = kept or [int(np.argmax(corners))]
         shown, views = tuple(shown[k] for k in kept), tuple(views[k] for k in kept)
         square_m = board.square_m or 1.0

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli import camera, se3
 from mobilecal_cli.model import CameraRig, FloatArray
-from mobilecal_cli.vision.values import BoardPose, Miss, StereoPoints, rms
+from mobilecal_cli.vision.values import INCONSISTENT, BoardPose, Miss, StereoPoints, rms
 
 #: Sigma of one coordinate of all corners, px; or each corner's (M, 2, 2) covariance, px^2.
 Noise = float | FloatArray
@@ -88,7 +88,7 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
     if not all(each.all() for each in good):
         count = sum(int(np.sum(~each)) for each in good)
         return Miss(
-            "left and right images inconsistent",
+            INCONSISTENT,
             f"{count} corners are outside the valid range of the cameras' distortion models",
         )
     points = _nearest_to_rays(rig, flat)
@@ -97,7 +97,7 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
     step: FloatArray = np.full_like(points, np.inf)
     for left in reversed(range(_TRIANGULATION_STEPS + 1)):
         if np.any(depths(rig, points) <= 0):
-            return Miss("left and right images inconsistent", "triangulated corners are behind a camera")
+            return Miss(INCONSISTENT, "triangulated corners are behind a camera")
         predicted, J = reproject(rig, points)
         A, r = root @ J, root @ (measured - predicted)[..., None]
         At = np.swapaxes(A, 1, 2)
@@ -109,7 +109,7 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
     residual_px = rms(measured - predicted)
     if residual_px > _MOST_APART_PX:
         return Miss(
-            "left and right images inconsistent",
+            INCONSISTENT,
             f"distance from the epipolar lines {residual_px:.1f} px rms, limit {_MOST_APART_PX:.0f} px",
         )
     return StereoPoints(points, np.linalg.inv(normal).astype(np.float64), residual_px)

@@ -26,11 +26,15 @@ Reason = Literal[
 ]
 #: Also of the part of a board that is seen, where too little of it is.
 OCCLUDED: Final = "board partly occluded or outside the image"
+#: Of stations whose images contradict each other.
+INCONSISTENT: Final = "left and right images inconsistent"
 #: Of images that show a checkerboard with other numbers of corners.
 OTHER_BOARDS: Final = ("board extends beyond the grid", "board of a different size")
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
 LARGE_PX = 1280  # image width from which detectors run at reduced size first, which is three times as fast
+#: Fewer in an image, or in those of all cameras, do not determine the board's pose: it may be partly visible.
+LEAST_CORNERS = 8
 FLOOR_PX = 0.003  # error of the corner model on images without noise
 
 

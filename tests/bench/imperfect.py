@@ -31,7 +31,8 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.readers.signals.wheels import rotations, sides_of
+from mobilecal_cli.readers.signals.sides import sides_of
+from mobilecal_cli.readers.signals.wheels import rotations
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.messages import driver_odometry
 from mobilecal_cli.simulate.robot import (

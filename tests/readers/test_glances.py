@@ -56,16 +56,6 @@ def test_a_part_is_read_where_blocks_are_large(recording):
         assert got == known
 
 
-def test_times_of_several_parts_are_joined(tmp_path):
-    half = len(ITEMS) // 2
-    parts = ITEMS[:half], ITEMS[half:]
-    paths = [r.write_mcap(tmp_path / f"{k}.mcap", part) for k, part in enumerate(parts)]
-    with open_recording(paths[::-1]) as recording:
-        times = recording.log_times()["/joint_states"]
-        assert times.tolist() == [item.log_ns for item in ITEMS if item.topic == "/joint_states"]
-        assert np.all(np.diff(times) > 0)
-
-
 def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatch):
     """Once the stamps are known, pictures are found where they were logged."""
     signals = r.one_log(recording, r.SOURCES, r.JOINTS)
@@ -95,3 +85,39 @@ def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
     found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, signals.images)]
     expected = {side: index.time_ns.tolist() for side, index in signals.images.items()}
     assert sorted(found) == sorted((side, ns) for side, stamps in expected.items() for ns in stamps)
+
+
+def test_a_large_file_without_an_index(tmp_path, monkeypatch):
+    monkeypatch.setattr("mobilecal_cli.readers.containers.blocks.UNINDEXED_BYTES", 10_000)
+    path = r.CONTAINERS["mcap-no-index-at-all"](tmp_path / "log", ITEMS)
+    with open_recording([path]) as recording:
+        assert recording.log_times() == {}
+
+
+def logged(recording, extent):
+    return [m.log_time_ns for m in recording.messages(["/left/image_raw"], extent)]
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_sqlite_reads_the_log_times_asked_for(tmp_path, indexed):
+    (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
+    if not indexed:
+        r.in_sqlite(file, "DROP INDEX timestamp_idx")
+    times = [item.log_ns for item in ITEMS if item.topic == "/left/image_raw"]
+    at_ns = np.array([times[0] - 1, times[1], times[2], times[4], times[5]])
+    with open_recording([file]) as recording:
+        assert logged(recording, Extent(at_ns=at_ns)) == [times[1], times[2], times[4], times[5]]
+        assert recording.share(["/left/image_raw"], Extent(at_ns=at_ns)) == pytest.approx(4 / 6)
+        assert recording.damage == ()
+        assert logged(recording, Extent()) == times
+
+
+def test_bytes_of_topics_in_sqlite(tmp_path):
+    images = list(r.SOURCES.image.values())
+    (file,) = r.write_bag2(tmp_path / "log", ITEMS).glob("*.db3")
+    with open_recording([file]) as recording:
+        for topic in (*images, "/ticks"):
+            payloads = [len(m.payload) for m in recording.messages([topic])]
+            assert recording.bytes_of([topic]) == sum(payloads) > 0
+        assert recording.bytes_of(images) == sum(recording.bytes_of([t]) for t in images)
+        assert recording.bytes_of(["/none"]) == 0

@@ -15,7 +15,7 @@ from mobilecal_cli.model import JOINT_STATE, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_signals
 from mobilecal_cli.readers.description import read_description
 from mobilecal_cli.readers.messages import LARGEST_JOINT_STATE, Channel
-from mobilecal_cli.readers.signals.joints import JointStates
+from mobilecal_cli.readers.signals.joints import StatedJoint
 
 from . import recordings as r
 
@@ -77,14 +77,13 @@ def test_names_may_change_from_message_to_message(tmp_path, ros1):
 
 def test_names_that_change_all_the_time():
     # Ten thousand new names in each of two thousand messages took 3 GB.
-    group = JointStates("/joint_states")
-    group.want("pan")
+    joint = StatedJoint("/joint_states", "pan")
     for k in range(200):
         names = [*(f"{k}_{i}{'x' * k}" for i in range(100)), "pan"]
-        group.take(channel(False).decode(payload(False, names, [k] * 101)), k, k)
-    assert len(group.position["pan"]) == 200
-    assert len(group.present) <= 1001
-    assert "pan" in group.present
+        joint.take(channel(False).decode(payload(False, names, [k] * 101)), k, k)
+    assert len(joint.series) == 200
+    assert len(joint.present) <= 1001
+    assert "pan" in joint.present
 
 
 CONTROL = {

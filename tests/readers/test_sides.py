@@ -5,7 +5,7 @@ import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Track
-from mobilecal_cli.readers.signals.wheels import sides_of
+from mobilecal_cli.readers.signals.sides import sides_of
 
 SECONDS = np.arange(0, 60, 0.02)
 TIMES_NS = (SECONDS * 1e9).astype(np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,8 @@ from hypothesis import strategies as st
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_signals
-from mobilecal_cli.readers.signals.series import Series, in_order
-from mobilecal_cli.readers.signals.wheels import Counter, from_positions
+from mobilecal_cli.readers.signals.series import in_order
+from mobilecal_cli.readers.signals.wheels import FieldWheel
 
 from . import recordings as r
 
@@ -267,11 +268,11 @@ def test_side_without_images_is_refused(tmp_path):
 
 def turned(readings, source):
     """Rotation from readings of a counter, 10 ms apart."""
-    series, counter = Series("/t", "wheel"), Counter("wheel", source.bits)
+    wheel = FieldWheel("left", source, "data")
     for k, reading in enumerate(readings):
-        series.add(k * 10**7, k * 10**7, counter.since_first(reading))
-    counter.check()
-    return from_positions(source, series.samples([]), []).value
+        wheel.take(SimpleNamespace(data=reading), k * 10**7, k * 10**7)
+    wheel.check([])
+    return wheel.track(wheel.series.samples([]), []).value
 
 
 @given(

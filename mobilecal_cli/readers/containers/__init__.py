@@ -13,7 +13,7 @@ from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.readers.containers import mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
-from mobilecal_cli.readers.containers.storage import LATEST_NS, ZSTD_MAGIC, Storage, expand
+from mobilecal_cli.readers.containers.storage import LATEST_NS, LEAST_STEP_NS, ZSTD_MAGIC, Storage, expand
 
 #: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {
@@ -210,16 +210,15 @@ def join_splits(paths: Sequence[Path]) -> list[list[Path]]:
 
 #: A recorder that splits files continues at once; a longer pause means a new recording.
 LARGEST_GAP_NS = 5 * 10**9
-#: Messages wait in the recorder's queue while it changes files, so neighboring parts may overlap a little.
-LARGEST_OVERLAP_NS = 10**9
 
 
 def group_splits(files: Sequence[Storage | Recording]) -> list[list[int]]:
     """Indices of the files, grouped into recordings.
 
     Two files belong together if the later one begins within 5 s after the end of the earlier one (or up to 1 s before
-    it) and they share a topic, as from a recorder that splits files; or if they overlap in time and share no topic, as
-    from two recorders that run side by side. Empty files form their own group.
+    it, because messages wait in the recorder's queue while it changes files) and they share a topic, as from a recorder
+    that splits files; or if they overlap in time and share no topic, as from two recorders that run side by side. Empty
+    files form their own group.
 
     Returns:
         Groups in order of their first file; each in order of time.
@@ -242,7 +241,7 @@ def _continues(group: Sequence[Storage | Recording], file: Storage | Recording) 
     topics = {channel.topic for channel in file.channels.values()}
     shared = any(topics & {channel.topic for channel in member.channels.values()} for member in group)
     if shared:
-        return -LARGEST_OVERLAP_NS <= gap_ns < LARGEST_GAP_NS
+        return -LEAST_STEP_NS <= gap_ns < LARGEST_GAP_NS
     return gap_ns < 0
 
 
@@ -260,7 +259,7 @@ def undo_steps(files: Sequence[Storage]) -> None:
         if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
             continue
         shift_ns = before.shift_ns
-        if file.start_ns < end_ns - LARGEST_OVERLAP_NS and file.end_ns > start_ns + LARGEST_OVERLAP_NS:
+        if file.start_ns < end_ns - LEAST_STEP_NS and file.end_ns > start_ns + LEAST_STEP_NS:
             shift_ns += end_ns - file.start_ns
             file.note_steps([end_ns - file.start_ns])
         if shift_ns and file.end_ns + shift_ns < LATEST_NS:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import heapq
 from abc import abstractmethod
+from array import array
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, islice, pairwise
 from pathlib import Path
@@ -97,8 +98,10 @@ class BlockStorage(Storage):
         """Fill channels, blocks and counts: from the index, or by `Reindex`."""
 
     @abstractmethod
-    def take_record(self, at: int, reindex: Reindex) -> int | None:
-        """Pass on the record at a byte; returns where the next one begins, None at the end of the data.
+    def record_at(self, at: int) -> tuple[int | None, Block | None]:
+        """Where the record after the one at a byte begins, None at the end of the data; and its block.
+
+        The block is a chunk, whose channels are not known yet, or a message outside chunks; None for other records.
 
         Raises:
             Exception: no complete record begins there; damaged bytes may raise anything.
@@ -113,8 +116,8 @@ class BlockStorage(Storage):
         """Whether a complete record begins at a byte."""
 
     @abstractmethod
-    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
-        """The part of an uncompressed chunk before the end of a truncated file: its first messages are intact."""
+    def rest_of_chunk(self, at: int) -> Block | None:
+        """The rest of the file if an uncompressed chunk begins at a byte: its first messages are intact."""
 
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block."""
@@ -172,14 +175,13 @@ class BlockStorage(Storage):
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         blocks = self._blocks_of(topics, extent)
-        waiting: list[
-            tuple[int, int, Channel, Payload]
-        ] = []  # a heap; the second is the number in reading order
+        # A heap; the second is the number in reading order.
+        waiting: list[tuple[int, int, Channel, Payload]] = []
         order = count()
         read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
-            for number, time_ns, payload in self._messages_of(block):
+            for number, time_ns, payload in self._messages_of(block, self.note):
                 channel = self.channels.get(number)
                 if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
                     read[number] += 1
@@ -206,23 +208,34 @@ class BlockStorage(Storage):
         """
         unindexed = 0
         for block in sorted(blocks, key=lambda block: (block.offset, block.first)):
-            try:
-                entries = list(self.index_of(block)) if block.is_chunk else []
-            except Exception:  # a damaged index may raise anything; the block itself is read
-                entries = []
-            if entries:
-                channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
-                log_ns, place = np.concatenate([some for _, some in entries]).T
-                order = np.argsort(place, kind="stable")[block.first : block.last]
-                yield block, np.stack([channel[order], log_ns[order] + block.shift_ns])
-                continue
-            unindexed += block.size
-            if unindexed > UNINDEXED_BYTES:
-                raise _UnindexedError
-            times = [
-                (number, time_ns) for number, time_ns, _ in self._messages_of(block) if time_ns < LATEST_NS
-            ]
-            yield block, np.array(times, dtype=np.int64).reshape(-1, 2).T
+            times = self.indexed(block)
+            if not times.size:
+                unindexed += block.size
+                if unindexed > UNINDEXED_BYTES:
+                    raise _UnindexedError
+                times = self.scanned(block, self.note)
+            yield block, times
+
+    def indexed(self, block: Block) -> IntArray:
+        """(2, n) channel ids and log times of a block's messages, by the index of a chunk; none without one."""
+        try:
+            entries = list(self.index_of(block)) if block.is_chunk else []
+        except Exception:  # a damaged index may raise anything; the block itself is read
+            entries = []
+        if not entries:
+            return np.zeros((2, 0), dtype=np.int64)
+        channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
+        log_ns, place = np.concatenate([some for _, some in entries]).T
+        order = np.argsort(place, kind="stable")[block.first : block.last]
+        return np.stack([channel[order], log_ns[order] + block.shift_ns])
+
+    def scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
+        """As `indexed`, from the messages themselves, up to the first damage, which `note` receives."""
+        times = array("q")
+        for number, time_ns, _ in self._messages_of(block, note):
+            if time_ns < LATEST_NS:
+                times.extend((number, time_ns))
+        return np.array(times, dtype=np.int64).reshape(-1, 2).T
 
     def _undo_steps(self) -> None:
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
@@ -246,8 +259,7 @@ class BlockStorage(Storage):
             for number, (first, last) in enumerate(pairwise([0, *inside, len(log_ns)]), before):
                 if first < last:
                     own = log_ns[first:last] + sizes[number]
-                    start_ns, end_ns = int(own.min()), int(own.max())
-                    part = Block(block.offset, block.size, block.is_chunk, start_ns, end_ns, block.channels)
+                    part = replace(block, start_ns=int(own.min()), end_ns=int(own.max()))
                     self.blocks.append(replace(part, first=first, last=last, shift_ns=sizes[number]))
             begin = end
         self.shift_ns = sizes[-1]
@@ -273,67 +285,24 @@ class BlockStorage(Storage):
         long = [block for block in self.blocks if block.end_ns - block.start_ns > LEAST_STEP_NS]
         return any(goes_back(*times) for _, times in self._times(long))
 
-    def _messages_of(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
-        """Messages of a block up to the first damage, which is noted."""
+    def _messages_of(self, block: Block, note: Callable[[str], None]) -> Iterator[tuple[int, int, Payload]]:
+        """Messages of a block up to the first damage, which `note` receives."""
         returned = 0
         try:
-            for item in self._counted(block):
+            messages = self.parse(self.load(block))
+            for number, time_ns, payload in islice(messages, block.first, block.last or _MOST_MESSAGES):
                 returned += 1
-                yield item
+                yield number, time_ns + block.shift_ns, payload
+            if block.last is None and next(messages, None) is not None:
+                raise ValueError(f"more than {_MOST_MESSAGES} messages")
         except MemoryError:
             raise
         except Exception as error:  # damaged bytes may raise anything
-            self._note_block(block, returned, error)
-
-    def _counted(self, block: Block) -> Iterator[tuple[int, int, Payload]]:
-        """Messages of a block.
-
-        Raises:
-            ValueError: too many messages. Damaged bytes may raise anything.
-        """
-        messages = self.parse(self.load(block))
-        for number, time_ns, payload in islice(messages, block.first, block.last or _MOST_MESSAGES):
-            yield number, time_ns + block.shift_ns, payload
-        if block.last is None and next(messages, None) is not None:
-            raise ValueError(f"more than {_MOST_MESSAGES} messages")
-
-    def _note_block(self, block: Block, messages: int, error: Exception) -> None:
-        kept = f"its first {messages} messages are used" if messages else "its messages are skipped"
-        self.note(
-            f"the {'chunk' if block.is_chunk else 'block'} at byte {block.offset} of {self.size} is "
-            f"damaged ({type(error).__name__}: {error}); {kept}"
-        )
-
-    def indexed(self, block: Block) -> tuple[Counter[int], int, int]:
-        """Messages per channel in a block by its index, and its first and last log time; none without an index."""
-        try:
-            entries = [(number, some[:, 0]) for number, some in self.index_of(block) if len(some)]
-        except Exception:  # a damaged index may raise anything
-            return Counter(), 0, 0
-        times_ns = np.concatenate([np.zeros(0, np.int64), *(log_ns for _, log_ns in entries)])
-        counts: Counter[int] = Counter()
-        for number, log_ns in entries:
-            counts[number] += len(log_ns)
-        return counts, int(times_ns.min(initial=block.start_ns)), int(times_ns.max(initial=block.end_ns))
-
-    def scan(self, block: Block, *, cut: bool) -> tuple[Counter[int], int, int, Exception | None]:
-        """Messages per channel in a block, its first and last log time, and the damage that ended it.
-
-        The damage is noted, unless the block is known to be truncated by the end of the file.
-        """
-        counts: Counter[int] = Counter()
-        start_ns, end_ns, damage = 2**63 - 1, 0, None
-        try:
-            for number, time_ns, _ in self._counted(block):
-                counts[number] += 1
-                start_ns, end_ns = min(start_ns, time_ns), max(end_ns, time_ns)
-        except MemoryError:
-            raise
-        except Exception as error:  # damaged bytes may raise anything
-            damage = error
-            if not cut:
-                self._note_block(block, counts.total(), error)
-        return counts, start_ns, end_ns, damage
+            kept = f"its first {returned} messages are used" if returned else "its messages are skipped"
+            note(
+                f"the {'chunk' if block.is_chunk else 'block'} at byte {block.offset} of {self.size} is "
+                f"damaged ({type(error).__name__}: {error}); {kept}"
+            )
 
     def set_time_range(self) -> None:
         """Set start and end from the blocks, once all are known."""
@@ -357,10 +326,8 @@ def _holds(block: Block, at_ns: IntArray) -> bool:
     return first < len(at_ns) and int(at_ns[first]) <= block.end_ns
 
 
-#: Messages outside chunks are grouped into blocks of about this many bytes.
-SPAN_BYTES = 4 * 2**20
-#: Bytes searched at once for the next record after damage.
-_WINDOW = 2**22
+#: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
+_SPAN_BYTES = 2**22
 
 
 class Reindex:
@@ -373,8 +340,8 @@ class Reindex:
     def __init__(self, storage: BlockStorage) -> None:
         self._storage = storage
         self._counts: Counter[int] = Counter()
-        self._chunk: Block | None = None
-        self._span: Block | None = None
+        #: The last block, which the next message may continue.
+        self._last: Block | None = None
 
     def run(self, at: int, without_end: str) -> str:
         """Fill the storage's blocks, channels and counts from byte `at` on; note where the file is truncated.
@@ -389,25 +356,30 @@ class Reindex:
         storage, trouble = self._storage, without_end
         while at + storage.SHORTEST_RECORD <= storage.size:
             try:
-                end = storage.take_record(at, self)
+                end, block = storage.record_at(at)
             except Exception as error:  # no complete record begins there: search for the next one
-                cut = storage.cut_chunk(at, self)
-                following = self.next_record(at + 1, chunks=cut is not None)
+                if self._last is not None:  # registers its channels, by which messages are recognized
+                    storage.scanned(self._last, lambda _: None)
+                rest = storage.rest_of_chunk(at)
+                if rest is not None and self._next_record(at + 1, chunks=True) is None:
+                    self._close()
+                    self._last, following = rest, None
+                else:
+                    following = self._next_record(at + 1)
                 if following is None:
-                    if cut is not None:
-                        self.chunk(cut)
                     trouble = storage.TRUNCATED.format(at=at, size=storage.size, error=error)
                     break
-                self.other()
+                self._close()
                 storage.note(f"{following - at} bytes from byte {at} on are not valid records; skipped")
                 at = following
                 continue
+            if block is not None:
+                self._add(block)
             if end is None:
                 trouble = ""
                 break
             at = end
-        self._close_chunk(cut=bool(trouble))
-        self._close_span()
+        self._close(truncated=bool(trouble))
         storage.counts = dict(self._counts)
         if trouble:
             storage.set_time_range()
@@ -417,11 +389,11 @@ class Reindex:
             )
         return trouble
 
-    def next_record(self, at: int, *, chunks: bool) -> int | None:
+    def _next_record(self, at: int, *, chunks: bool = False) -> int | None:
         """Offset of the next chunk, or record of any kind, from byte `at` on; None if there is none."""
         storage = self._storage
         while at < storage.size:
-            window = storage.read_at(at, min(_WINDOW, storage.size - at))
+            window = storage.read_at(at, min(_SPAN_BYTES, storage.size - at))
             for place in storage.likely_records(window, chunks=chunks):
                 if storage.fits(at + place):
                     return at + place
@@ -430,45 +402,45 @@ class Reindex:
             at += len(window) - storage.LONGEST_HEAD
         return None
 
-    def chunk(self, block: Block) -> None:
-        """A chunk begins; its index records follow."""
-        self.other()
-        self._chunk = block
-
-    def message(self, offset: int, end: int, channel: int, time_ns: int) -> None:
-        """A message record outside any chunk, from byte `offset` to `end`."""
-        self._close_chunk()
-        span = self._span or Block(offset, 0, False, time_ns, time_ns, frozenset())
-        self._span = replace(
-            span,
-            size=end - span.offset,
-            start_ns=min(span.start_ns, time_ns),
-            end_ns=max(span.end_ns, time_ns),
-            channels=(span.channels or frozenset()) | {channel},
+    def _add(self, block: Block) -> None:
+        """Add a chunk, or a message outside chunks, which continues the block of the message directly before it."""
+        last = self._last
+        self._counts.update(block.channels or ())
+        if (
+            last is None
+            or last.channels is None
+            or block.channels is None
+            or last.offset + last.size != block.offset
+            or last.size >= _SPAN_BYTES
+        ):
+            self._close()
+            self._last = block
+            return
+        self._last = replace(
+            last,
+            size=last.size + block.size,
+            start_ns=min(last.start_ns, block.start_ns),
+            end_ns=max(last.end_ns, block.end_ns),
+            channels=last.channels | block.channels,
         )
-        self._counts[channel] += 1
-        if self._span.size >= SPAN_BYTES:
-            self._close_span()
 
-    def other(self) -> None:
-        """Any other record: completes the open block."""
-        self._close_chunk()
-        self._close_span()
-
-    def _close_span(self) -> None:
-        if self._span is not None:
-            self._storage.blocks.append(self._span)
-        self._span = None
-
-    def _close_chunk(self, *, cut: bool = False) -> None:
-        block, self._chunk = self._chunk, None
+    def _close(self, *, truncated: bool = False) -> None:
+        """Complete the last block: a chunk by its index, or by its messages where the file is truncated after it."""
+        block, self._last, storage = self._last, None, self._storage
         if block is None:
             return
-        counts, start_ns, end_ns = self._storage.indexed(block)
-        if cut or not counts or not counts.keys() <= self._storage.channels.keys():
-            counts, start_ns, end_ns, error = self._storage.scan(block, cut=cut)
-            if not counts and error is None:
-                return
-        block = replace(block, start_ns=start_ns, end_ns=end_ns) if counts else block
-        self._counts.update(counts)
-        self._storage.blocks.append(replace(block, channels=frozenset(counts) or None))
+        if block.channels is None:
+            damage: list[str] = []
+            times = storage.indexed(block)
+            if truncated or not times.size or not set(times[0].tolist()) <= storage.channels.keys():
+                times = storage.scanned(block, damage.append)
+            if not times.size and not damage:
+                return  # an empty chunk
+            for sentence in damage if not truncated else ():  # what is truncated is noted as such
+                storage.note(sentence)
+            if times.size:
+                counts = Counter(times[0].tolist())
+                self._counts.update(counts)
+                start_ns, end_ns = int(times[1].min()), int(times[1].max())
+                block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
+        storage.blocks.append(block)

@@ -177,39 +177,33 @@ class McapStorage(BlockStorage):
         name = ros2_spelling(schema.name) if schema else ""
         self.channels[channel.id] = Channel(channel.id, channel.topic, name, encoding, definition, kind)
 
-    def take_record(self, at: int, reindex: Reindex) -> int | None:
+    def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
         body = at + _HEAD.size
-        if opcode == 0 or body + length > self.size:
+        end, block = int(body + length), None
+        if opcode == 0 or end > self.size:
             raise EOFError("chunk" if opcode == Opcode.CHUNK else "record")
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-            return None
+            return None, None
         try:
             if opcode == Opcode.MESSAGE:
                 number, _, time_ns, _ = _MESSAGE.unpack(self.read_at(body, _MESSAGE.size))
-                reindex.message(at, body + length, number, time_ns)
+                block = Block(at, end - at, False, time_ns, time_ns, frozenset({number}))
             elif opcode == Opcode.CHUNK:
                 start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
-                reindex.chunk(Block(at, _HEAD.size + length, True, start_ns, end_ns, None))
-            elif opcode != Opcode.MESSAGE_INDEX:
-                reindex.other()
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._define(opcode, self.read_at(body, length))
+                block = Block(at, end - at, True, start_ns, end_ns, None)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._define(opcode, self.read_at(body, length))
         except Exception as error:  # one damaged record; the next one has its own header
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
-        return int(body + length)
+        return end, block
 
-    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
-        """The part of an uncompressed chunk before the end of a truncated file; None if another chunk follows."""
-        if self.read_at(at, 1)[0] != Opcode.CHUNK:
-            return None
-        reindex.other()  # gives the channels, by which messages are recognized
+    def rest_of_chunk(self, at: int) -> Block | None:
         body = at + _HEAD.size + _CHUNK.size + 12
-        if reindex.next_record(at + 1, chunks=True) is not None:
+        if self.read_at(at, 1)[0] != Opcode.CHUNK or body >= self.size:
             return None
-        if body >= self.size or self.read_at(body - 12, 4) != bytes(4):
-            return None
-        return Block(body, self.size - body, False, 2**63 - 1, 0, None)
+        stored_uncompressed = self.read_at(body - 12, 4) == bytes(4)
+        return Block(body, self.size - body, False, LATEST_NS, 0, None) if stored_uncompressed else None
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""

@@ -16,7 +16,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
-from mobilecal_cli.readers.containers.storage import decompress
+from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
 from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -28,11 +28,6 @@ _TIME = struct.Struct("<II")
 
 _KINDS = re.compile(rb"\x04\x00\x00\x00op=[\x02\x05\x07]")
 _CHUNKS = re.compile(rb"\x04\x00\x00\x00op=\x05")
-#: Header of nearly every message: these three fields once each, in any order, in 38 bytes.
-_MESSAGE_HEAD = re.compile(
-    rb"(?:\x04\x00\x00\x00op=\x02|\x09\x00\x00\x00conn=(.{4})|\x0d\x00\x00\x00time=(.{8})){3}", re.DOTALL
-)
-_MESSAGE_HEAD_SIZE = 38
 
 Fields = dict[bytes, bytes]
 
@@ -174,15 +169,6 @@ class BagStorage(BlockStorage):
         view = memoryview(data)
         at = 0
         while at < len(view):
-            head = at + _U32.size
-            usual = _MESSAGE_HEAD.fullmatch(data, head, head + _MESSAGE_HEAD_SIZE)
-            if usual and _U32.unpack_from(data, at) == (_MESSAGE_HEAD_SIZE,):
-                number, time = usual.groups()
-                body = head + _MESSAGE_HEAD_SIZE + _U32.size
-                at = _end(view, body)
-                seconds, nanoseconds = _TIME.unpack(time)
-                yield _U32.unpack(number)[0], seconds * 10**9 + nanoseconds, view[body:at]
-                continue
             fields, body, end = _split(view, at)
             kind = fields[b"op"][0]
             if kind == _MESSAGE:
@@ -213,24 +199,22 @@ class BagStorage(BlockStorage):
         topic = fields[b"topic"].decode()
         self.channels[number] = Channel(number, topic, ros2_spelling(name), "ros1", text, "msg")
 
-    def take_record(self, at: int, reindex: Reindex) -> int | None:
+    def record_at(self, at: int) -> tuple[int | None, Block | None]:
         fields, body, end = self._head(at)
         if end > self.size:
             raise EOFError("its data extends beyond the end of the file")
         kind = fields[b"op"][0]
         if kind == _CHUNK:
             # The index records give the channels. The times are only in the chunk, or in the index entries.
-            reindex.chunk(Block(at, end - at, True, 2**63 - 1, 0, None))
-        elif kind == _MESSAGE:
-            reindex.message(at, end, _u32(fields, b"conn"), _time_ns(fields, b"time"))
-        elif kind == _CONNECTION:
-            reindex.other()
+            return end, Block(at, end - at, True, LATEST_NS, 0, None)
+        if kind == _MESSAGE:
+            time_ns = _time_ns(fields, b"time")
+            return end, Block(at, end - at, False, time_ns, time_ns, frozenset({_u32(fields, b"conn")}))
+        if kind == _CONNECTION:
             self._define(fields, self.read_at(body, end - body))
-        elif kind == _CHUNK_INFO:
-            return None
-        elif kind != _INDEX:
+        elif kind not in (_INDEX, _CHUNK_INFO):
             raise ValueError(f"unknown record kind {kind}")
-        return end
+        return None if kind == _CHUNK_INFO else end, None
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         for match in (_CHUNKS if chunks else _KINDS).finditer(window):
@@ -246,11 +230,11 @@ class BagStorage(BlockStorage):
         except Exception:  # arbitrary bytes may raise anything
             return False
 
-    def cut_chunk(self, at: int, reindex: Reindex) -> Block | None:
+    def rest_of_chunk(self, at: int) -> Block | None:
         try:
             fields, body, _ = self._head(at)
         except Exception:  # arbitrary bytes may raise anything
             return None
         if fields.get(b"op") != bytes([_CHUNK]) or fields.get(b"compression") != b"none":
             return None
-        return Block(body, self.size - body, False, 2**63 - 1, 0, None)
+        return Block(body, self.size - body, False, LATEST_NS, 0, None)

@@ -188,11 +188,22 @@ class SqliteStorage(Storage):
         read: Counter[int] = Counter()
         damaged = self._log is None
         wanted = self._wanted(topics)
-        for row in self._rows(self._batches(wanted, extent)):
-            damaged = damaged or row is None
-            if row is not None and row[1] in wanted and isinstance(row[2], int):
-                read[row[1]] += 1
-                yield self._message(*row)
+        for fetched in self._rows(self._batches(wanted, extent)):
+            if fetched is None:
+                damaged = True
+                continue
+            row, number, time_ns, payload = fetched
+            if number in wanted and isinstance(time_ns, int):
+                read[number] += 1
+                channel = self.channels[number]
+                data = payload if isinstance(payload, bytes) else str(payload).encode()
+                if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
+                    with suppress(
+                        Exception
+                    ):  # a damaged frame; the message is reported as undecodable on use
+                        data = message_payload(data)
+                time_ns += sum(size_ns for first, size_ns in self._steps if first <= row)
+                yield Message(channel, time_ns, data)
         if damaged:
             self.note(
                 f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
@@ -211,16 +222,6 @@ class SqliteStorage(Storage):
         if self._log is None:
             return {}
         return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
-
-    def _message(self, row: int, number: int, time_ns: int, payload: object) -> Message:
-        channel = self.channels[number]
-        data = payload if isinstance(payload, bytes) else str(payload).encode()
-        if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
-            with suppress(Exception):  # a damaged frame; the message is reported as undecodable on use
-                data = message_payload(data)
-        for first, size_ns in self._steps:
-            time_ns += size_ns * (first <= row)
-        return Message(channel, time_ns, data)
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]

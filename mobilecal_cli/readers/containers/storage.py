@@ -51,8 +51,8 @@ class Message(NamedTuple):
 
 #: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
 SIZE_LIMIT = 2**29
-#: Log times after the year 2262 are damage; times fit into 64 signed bits everywhere.
-LATEST_NS = 2**63
+#: Log times after the year 2116 are damage; these and their differences fit into 64 signed bits.
+LATEST_NS = 2**62
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,8 +237,6 @@ def expand(source: BinaryIO, target: Path) -> str:
 #: Smallest step, also in multiples of a topic's usual change of its lag: a slow playback is no step.
 LEAST_STEP_NS = 1_000_000_000
 _LEAST_RATIO = 10
-#: Later log times are damage, and their differences do not fit into 64 bits.
-_LATEST_NS = 2**62
 #: Messages on each side of a step whose median lag must differ by it: single wrong stamps are none.
 _AROUND = 5
 #: Channels with fewer messages do not tell whether the log times of all step.
@@ -270,7 +268,7 @@ def steps_of(stamp_ns: IntArray, log_ns: IntArray) -> IntArray:
 
 def goes_back(channel: IntArray, log_ns: IntArray) -> bool:
     """Whether the log times of a channel go back by more than the smallest step; arguments as of `steps_back`."""
-    if not len(log_ns) or log_ns.min() < 0 or log_ns.max() >= _LATEST_NS:
+    if not len(log_ns) or log_ns.min() < 0 or log_ns.max() >= LATEST_NS:
         return False  # damage
     order = np.argsort(channel, kind="stable")
     same = np.diff(channel[order]) == 0
@@ -311,4 +309,4 @@ def steps_back(channel: IntArray, log_ns: IntArray) -> list[tuple[int, int]]:
         back = [(log_ns[a], log_ns[b]) for a, b in ends if log_ns[b] <= log_ns[a]]
         if 2 * len(back) > len(usual):
             steps.append((at, int(max(a for a, _ in back) - min(b for _, b in back) + usual_ns)))
-    return steps if int(log_ns.max()) + sum(size_ns for _, size_ns in steps) < _LATEST_NS else []
+    return steps if int(log_ns.max()) + sum(size_ns for _, size_ns in steps) < LATEST_NS else []

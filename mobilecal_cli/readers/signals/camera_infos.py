@@ -22,7 +22,6 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
@@ -194,8 +193,6 @@ def _distortion(message: Any, topic: str) -> tuple[Distortion, FloatArray]:  # n
     return model, np.pad(D, (0, length - D.size))
 
 
-#: Bytes of a recording that are read for camera infos alone.
-_SAMPLED_BYTES = 2**26
 #: In both encodings of ROS, the time stamp and the counter are within the first bytes.
 _STAMP_BYTES = 12
 _SAME_RELATIVE, _SAME = 1e-6, 1e-9
@@ -237,16 +234,6 @@ class InfoChanges:
         self.topics = frozenset(topics) & present
         self._recording = recording
         self._stated = {topic: _Stated() for topic in sorted(self.topics)}
-
-    def sample(self) -> None:
-        """Read the topics alone; of a long recording, stretches spread over it."""
-        if not self.topics:
-            return
-        try:
-            for channel, log_ns, payload in self._recording.messages(self.topics, Extent(_SAMPLED_BYTES)):
-                self.add(channel, log_ns, payload)
-        except RecordingError as error:
-            self._recording.note(error.message)
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Take one message. Only one that differs from the one before is decoded."""

@@ -3,131 +3,150 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import FloatArray, JointTransform, Track, listed
+from mobilecal_cli.model import JOINT_STATE, FloatArray, JointField, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import FieldPath, stamp_of
+from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.signals.series import Samples, Series
+from mobilecal_cli.readers.signals.sources import FieldSource, Source
 
 #: Names that are kept for messages; where each message has others, all of them would fill the memory.
 _MOST_PRESENT = 1000
 
 
-class JointStates:
-    """Positions and velocities of named joints on one topic.
+class StatedJoint(Source):
+    """A joint in the joint states of one topic.
+
+    Args:
+        field: "position" or "velocity".
 
     Attributes:
-        position: name → readings, of the subscribed joints.
-        velocity: the same, of joints whose velocities are used.
-        present: names found, in order: those of the subscribed joints, and a thousand others.
+        name: of the joint.
+        present: names of the joints in the messages, in order: its own if it is there, and a thousand others.
     """
 
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.position: dict[str, Series] = {}
-        self.velocity: dict[str, Series] = {}
-        self.present: dict[str, None] = {}
-        self._names: list[str] = []
-        self._places: list[tuple[int, Series, str]] = []
+    types = (JOINT_STATE,)
+    hint = "set a JointState topic in rig.yaml (a wheel may use a field)"
 
-    def want(self, name: str, *, velocity: bool = False) -> None:
-        """Subscribe to a joint."""
-        self.position.setdefault(name, Series(self.topic, f"joint {name} on {self.topic}"))
-        if velocity:
-            self.velocity.setdefault(name, Series(self.topic, f"velocity of joint {name} on {self.topic}"))
+    def __init__(self, topic: str, name: str, field: str = "position") -> None:
+        of_field = "" if field == "position" else f"{field} of "
+        super().__init__(Series(topic, f"{of_field}joint {name} on {topic}"))
+        self.present: dict[str, None] = {}
+        self.name, self._field = name, field
+        self._names: list[str] = []
+        self._place: int | None = None
 
     def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
         """Read one message; the order of names may change from message to message."""
         if message.name != self._names:
             names = self._names = list(message.name)
+            self._place = names.index(self.name) if self.name in names else None
             self.present.update(dict.fromkeys(names[: max(_MOST_PRESENT - len(self.present), 0)]))
-            self.present.update(dict.fromkeys(name for name in self.position if name in names))
-            self._places = [
-                (names.index(name), series, field)
-                for field in ("position", "velocity")
-                for name, series in getattr(self, field).items()
-                if name in names
-            ]
-        for place, series, field in self._places:
-            values = getattr(message, field, ())
-            if place < len(values):
-                series.add(time_ns, log_ns, float(values[place]))
+            if self._place is not None:
+                self.present[self.name] = None
+        values = getattr(message, self._field, ())
+        if self._place is not None and self._place < len(values):
+            self.series.add(time_ns, log_ns, float(values[self._place]))
+
+
+def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoint:
+    """A head joint on the topic with most of its readings.
+
+    Args:
+        log: name of the recording, for messages.
+        name: of the joint.
+        topics: the joint on each topic.
+
+    Raises:
+        RecordingError: no topic has its position, or the readings alternate between two values.
+    """
+    read = [joint for joint in topics if len(joint.series)] or topics
+    best = max(read, key=lambda joint: len(joint.series) or joint.series.not_finite, default=None)
+    if best is None or not (len(best.series) or best.series.not_finite):
+        where = ", ".join(joint.series.topic for joint in topics) or "any topic"
+        present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
+        raise RecordingError(
+            f"{log}: no position of joint {name} on {where}; joints present: {present}",
+            "correct joints in rig.yaml, or the URDF's joint names",
+        )
+    best.series.check_alternation()
+    return best
+
+
+class FieldJoint(FieldSource):
+    """A joint in a field of any message."""
+
+    def __init__(self, name: str, source: JointField) -> None:
+        super().__init__(
+            source.topic, source.field, f"joint {name} ({source.topic} {source.field})", "joints.fields"
+        )
+        self._scale = source.scale
+
+    def reading(self, value: float) -> float:
+        return self._scale * value
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
 #: Bytes of a recording that are read for its transforms, and samples stored of each.
 _SAMPLED_BYTES, _MOST_SAMPLES = 2**28, 400
+#: Other transforms that are kept for messages.
+_MOST_OTHERS = 40
 
 
-class Transforms:
-    """Joints in the transforms of one topic.
+class TransformJoint(Source):
+    """A joint in the transforms of one topic."""
 
-    Args:
-        joints: name → its transform.
-
-    Attributes:
-        series: name → readings.
-    """
-
-    def __init__(self, topic: str, joints: Mapping[str, JointTransform]) -> None:
-        self._topic = topic
-        self._joints = dict(joints)
-        self._wanted = {(source.parent, source.child): name for name, source in joints.items()}
-        self.series = {name: Series(topic, f"joint {name} on {topic}") for name in joints}
-        self._worst = dict.fromkeys(joints, (0.0, 0.0))
+    def __init__(self, name: str, source: JointTransform) -> None:
+        super().__init__(Series(source.topic, f"joint {name} on {source.topic}"))
+        self._name, self._source = name, source
+        self._worst = (0.0, 0.0)
         self._present: dict[str, None] = {}
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
-        """Read one TFMessage."""
+    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
         for item in message.transforms:
             ends = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
-            name = self._wanted.get(ends)
-            if name is None:
-                if len(self._present) < 40:
+            if ends != (self._source.parent, self._source.child):
+                if len(self._present) < _MOST_OTHERS:
                     self._present[" to ".join(ends)] = None
                 continue
-            value, off_rad, off_m = reading(self._joints[name], item.transform)
-            self.series[name].add(stamp_of(item, time_ns), log_ns, value)
-            worst = self._worst[name]
-            self._worst[name] = (max(worst[0], off_rad), max(worst[1], off_m))
+            value, *off = reading(self._source, item.transform)
+            self.series.add(stamp_of(item, time_ns), log_ns, value)
+            self._worst = (max(self._worst[0], off[0]), max(self._worst[1], off[1]))
 
-    def check(self, name: str, notes: list[str]) -> None:
-        """Check the readings of a joint, and note where they come from.
+    def check(self, notes: list[str]) -> None:
+        """Note where the readings come from.
 
         Raises:
-            RecordingError: its transform is missing, or does not move as the URDF states.
+            RecordingError: the transform is missing, or does not move as the URDF states.
         """
-        source, series = self._joints[name], self.series[name]
+        source, series = self._source, self.series
         if not len(series) and not series.not_finite:
             raise RecordingError(
-                f"{self._topic}: no transform from {source.parent} to {source.child}, needed for joint {name}; "
+                f"{series.topic}: no transform from {source.parent} to {source.child}, needed for joint {self._name}; "
                 f"present: {listed(self._present)}",
                 "record /joint_states, or use the URDF that the transforms were computed with",
             )
-        off_rad, off_m = self._worst[name]
+        off_rad, off_m = self._worst
         if off_rad > _OFF_RAD or off_m > _OFF_M:
             raise RecordingError(
-                f"{self._topic}: the transform from {source.parent} to {source.child} deviates from joint {name} "
-                f"by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm "
+                f"{series.topic}: the transform from {source.parent} to {source.child} deviates from joint "
+                f"{self._name} by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm "
                 f"(limit {math.degrees(_OFF_RAD):.1f} degrees, {_OFF_M * 1e3:.0f} mm)",
                 "use the URDF that the transforms were computed with",
             )
         notes.append(f"{series.label}: read from the transform from {source.parent} to {source.child}")
 
-    def track(self, name: str, samples: Samples, notes: list[str]) -> Track:
-        """Track of a joint."""
-        time_ns, value = samples.ordered(notes)
-        return Track(
-            time_ns, value[:, 0] if self._joints[name].kind == "prismatic" else np.unwrap(value[:, 0])
-        )
+    def track(self, samples: Samples, notes: list[str]) -> Track:
+        track = super().track(samples, notes)
+        return track if self._source.kind == "prismatic" else Track(track.time_ns, np.unwrap(track.value))
 
 
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
@@ -182,39 +201,3 @@ def reading(source: JointTransform, transform: Any) -> tuple[float, float, float
     )
     rest = se3.log_so3(se3.rotation_about(a, np.array(-angle)) @ R)
     return angle, float(np.linalg.norm(rest)), float(np.linalg.norm(moved[:3, 3]))
-
-
-class FieldSeries:
-    """The number at a field path of each message on a topic.
-
-    Args:
-        setting: key of the path in rig.yaml, for error messages.
-        series: receives the readings.
-        scaled: value that is added to the series for a number.
-
-    Raises:
-        RecordingError: not a valid path.
-    """
-
-    def __init__(self, path: str, setting: str, series: Series, scaled: Callable[[float], float]) -> None:
-        self._path, self._setting = FieldPath.parse(path), setting
-        self._series, self._scaled = series, scaled
-        self._missing = 0
-        self._error: RecordingError | None = None
-
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
-        """Read one message."""
-        try:
-            value = self._path.number(message, self._series.topic, self._setting)
-        except RecordingError as error:  # a list may be empty in one message, but not in all
-            self._missing += 1
-            self._error = self._error or error
-            return
-        self._series.add(time_ns, log_ns, self._scaled(value))
-
-    def check(self, notes: list[str]) -> None:
-        """Note missing readings; raise the first error if nothing was read."""
-        if self._error is not None:
-            if not len(self._series):
-                raise self._error
-            notes.append(f"{self._series.label}: the field is missing in {self._missing} messages; ignored")

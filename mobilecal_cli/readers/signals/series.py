@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -160,8 +160,6 @@ class Series:
 
 
 _NS = 1_000_000_000
-#: Two topics whose lags between stamp and log time differ by more use different clocks.
-CLOCKS_DIFFER_S = 1.0
 #: Lags stored per topic: of its first messages, before a clock steps.
 _LAGS = 11
 
@@ -208,18 +206,23 @@ class Clock:
         ]
 
 
-def clock_notes(clocks: list[Clock]) -> list[str]:
-    """Notes of all topics, and on topics with stamps from different clocks."""
+def clock_notes(clocks: Collection[Clock]) -> list[str]:
+    """Notes of all topics, on topics with stamps from different clocks, and on messages that are not used."""
     notes = [note for clock in clocks for note in clock.notes()]
     # A topic without stamps uses the log time, so its lag is zero. What is published once may be older.
     lags = {clock.topic: float(np.median(clock.lag_s or [0.0])) for clock in clocks if clock.messages > 1}
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
-        if lags[high] - lags[low] > CLOCKS_DIFFER_S:
+        if lags[high] - lags[low] > LEAST_STEP_NS / _NS:
             notes.append(
                 f"clocks differ: the stamps of {high} are {lags[high]:.3f} s before the log time, those of "
                 f"{low} {lags[low]:.3f} s"
             )
+    notes += (
+        f"{clock.topic}: {clock.broken} of {clock.broken + clock.messages} messages do not match their type; ignored"
+        for clock in clocks
+        if clock.broken
+    )
     return notes
 
 
@@ -310,7 +313,7 @@ _LONG_PAUSE = 10
 #: Messages on each side that give its size.
 _MEASURED = 101
 #: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
-_TOGETHER_NS, _SAME_NS = 2 * _NS, _NS // 2
+_TOGETHER_NS, _SAME_NS = 2 * LEAST_STEP_NS, LEAST_STEP_NS // 2
 
 #: The samples of one piece, in the order of all series.
 Piece = tuple[Samples, ...]

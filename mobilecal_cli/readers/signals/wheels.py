@@ -1,17 +1,15 @@
-"""Rotation of each side: of a wheel from positions, velocities, a counter or odometry; of several wheels their mean."""
+"""Rotation of a wheel: from joint states, a counter, or odometry."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
-    SIDES,
     BoolArray,
     FloatArray,
     IntArray,
@@ -19,8 +17,11 @@ from mobilecal_cli.model import (
     Track,
     WheelGeometry,
     WheelSource,
+    listed,
 )
+from mobilecal_cli.readers.signals.joints import StatedJoint
 from mobilecal_cli.readers.signals.series import Samples, Series
+from mobilecal_cli.readers.signals.sources import FieldSource, Source, Subscriptions
 
 #: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
 GAP_S = 0.5
@@ -63,36 +64,82 @@ def _scale(source: WheelSource) -> float:
     return float(source.sign) * _TURN / per_turn
 
 
-class Counter:
-    """Readings of a counter relative to its first one: exact for integers of 64 bits, which floats are not.
+class JointWheel(StatedJoint):
+    """A wheel in the joint states of one topic.
 
     Args:
-        label: name for messages.
-        bits: width of a counter that wraps around; None: it does not wrap.
+        log: name of the recording, for messages.
+        velocity: of the same joint, used if there are no positions.
     """
 
-    def __init__(self, label: str, bits: int | None) -> None:
-        self._label, self._bits = label, bits
+    def __init__(self, log: str, side: Side, source: WheelSource, velocity: StatedJoint) -> None:
+        super().__init__(source.topic, velocity.name)
+        self._log, self._side, self._source, self._velocity = log, side, source, velocity.series
+
+    def check(self, notes: list[str]) -> None:
+        """Use the velocities if there are no positions.
+
+        Raises:
+            RecordingError: there are neither, or the positions alternate between two values.
+        """
+        series = self.series
+        if self.name not in self.present:
+            raise RecordingError(
+                f"{self._log}: no joint {self.name} on {series.topic}; joints present: {listed(self.present)}",
+                f"correct wheels.{self._side}.joint in rig.yaml",
+            )
+        if not (len(series) or series.not_finite or len(self._velocity)):
+            raise RecordingError(
+                f"{series.label}: neither positions nor velocities in its messages",
+                "set another source for the wheel in rig.yaml",
+            )
+        series.check_alternation()
+        if not len(series) and len(self._velocity):
+            if series.not_finite:
+                notes.append(f"{series.label}: all {series.not_finite} positions are NaN or infinite")
+            notes.append(f"{series.label}: no positions; velocities are integrated")
+            self.series = self._velocity
+
+    def track(self, samples: Samples, notes: list[str]) -> Track:
+        integrate = self.series is self._velocity
+        return (from_velocities if integrate else from_positions)(self._source, samples, notes)
+
+
+class FieldWheel(FieldSource):
+    """A wheel in a field of any message: an angle, or a counter.
+
+    Readings are stored relative to the first one: exact for integers of 64 bits, which floats are not.
+    """
+
+    def __init__(self, side: Side, source: WheelSource, field: str) -> None:
+        super().__init__(
+            source.topic, field, f"{side} wheel ({source.topic} {field})", f"wheels.{side}.field"
+        )
+        self._source = source
         self._first: float | None = None
         self._range: tuple[float, float] = (0, 0)
 
-    def since_first(self, ticks: float) -> float:
+    def reading(self, value: float) -> float:
         """Ticks since the first reading; of a counter that wraps, at most half its range to either side."""
-        if not math.isfinite(ticks):
-            return ticks
+        if not math.isfinite(value):
+            return value
         if self._first is None:
-            self._first = ticks
-        self._range = min(self._range[0], ticks), max(self._range[1], ticks)
-        since = ticks - self._first
-        if self._bits is None:
+            self._first = value
+        self._range = min(self._range[0], value), max(self._range[1], value)
+        since = value - self._first
+        if self._source.bits is None:
             return since
-        half = 1 << (self._bits - 1)
+        half = 1 << (self._source.bits - 1)
         return (since + half) % (2 * half) - half
 
-    def check(self) -> None:
-        """See `check_width`."""
-        if self._bits is not None:
-            check_width(self._label, self._range, self._bits)
+    def check(self, notes: list[str]) -> None:
+        """See `check_width`, and `FieldSource.check`."""
+        if self._source.bits is not None:
+            check_width(self.series.label, self._range, self._source.bits)
+        super().check(notes)
+
+    def track(self, samples: Samples, notes: list[str]) -> Track:
+        return from_positions(self._source, samples, notes)
 
 
 def check_width(label: str, ticks: Iterable[float], bits: int) -> None:
@@ -177,34 +224,30 @@ _FAST_MPS = 20.0
 _LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
 
 
-class Odometry:
-    """Poses of nav_msgs/Odometry on one topic.
+class OdometryWheel(Source):
+    """A wheel whose rotation follows from the poses (x, y, heading) of nav_msgs/Odometry.
 
     Args:
-        baked_in: the wheels that the driver computed its poses with.
+        wheels: with which the driver computed its poses.
         assumed: these are assumed.
-
-    Attributes:
-        series: x, y and heading of each pose.
     """
 
-    def __init__(self, topic: str, baked_in: WheelGeometry, *, assumed: bool = False) -> None:
-        self.baked_in, self.assumed = baked_in, assumed
-        self.series = Series(topic, f"pose on {topic}", width=3)
+    def __init__(self, side: Side, topic: str, wheels: WheelGeometry, assumed: bool) -> None:
+        super().__init__(Series(topic, f"pose on {topic}", width=3))
+        self._side, self._wheels, self._assumed = side, wheels, assumed
 
     def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
-        """Read one message."""
         position, turned = message.pose.pose.position, message.pose.pose.orientation
         self.series.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
-    def track(self, side: Side, samples: Samples, notes: list[str]) -> Track:
-        """Rotation of a wheel, rad, starting at zero."""
+    def track(self, samples: Samples, notes: list[str]) -> Track:
+        """Rotation of the wheel, rad, starting at zero."""
+        wheels = self._wheels
         time_ns, pose = samples.ordered(notes)
         check_speed(samples.topic, time_ns, pose[:, :2])
         notes += check_forward(samples.topic, pose)
-        right, left, jumps = rotations(pose[:, :2], pose[:, 2], self.baked_in)
-        wheels = self.baked_in
-        if self.assumed:
+        right, left, jumps = rotations(pose[:, :2], pose[:, 2], wheels)
+        if self._assumed:
             notes.append(
                 f"{samples.topic}: the poses of the odometry are used, its covariance is ignored; the result is the "
                 "factors by which its distance and its rotation are wrong"
@@ -220,7 +263,7 @@ class Odometry:
             notes.append(
                 f"{samples.topic}: the pose jumps {jumps} times; the wheels are assumed to stand still there"
             )
-        return Track(time_ns, right if side == "right" else left)
+        return Track(time_ns, right if self._side == "right" else left)
 
 
 def check_forward(topic: str, pose: FloatArray) -> list[str]:
@@ -315,137 +358,16 @@ def rotations(
     )
 
 
-#: Wheels are compared over windows of this length in which one of them turns by this much.
-_WINDOW_S, _TURNS_RAD = 1.0, 0.2
-#: Two wheels differ in a window by more than this, and by more than this share of the larger rotation ...
-_DIFFER_RAD, _DIFFER_SHARE = 0.15, 0.1
-#: ... and disagree if they do so in more than this share of the windows, or differ by this share over all of them.
-_WINDOWS_SHARE, _TOTAL_SHARE = 0.1, 0.05
-#: A wheel that turns by less than this share of the others' rotation stands still.
-_STILL_SHARE = 0.01
-#: Share of the windows in which the opposite side turns too: that side says that the robot moves.
-_OPPOSITE_SHARE = 0.5
-
-
-def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """In which windows two wheels of a side differ, (K, K, W), and whether they agree over the recording, (K, K).
-
-    Args:
-        turned_rad: (W, K) rotation of the wheels in each window with motion.
-    """
-    turned = turned_rad.T
-    size = np.abs(turned)
-    limit = np.maximum(_DIFFER_RAD, _DIFFER_SHARE * np.maximum(size[:, None], size))
-    differ = np.abs(turned[:, None] - turned) > limit
-    path = size.sum(axis=1)
-    alike = np.minimum.outer(path, path) >= (1 - _TOTAL_SHARE) * np.maximum.outer(path, path)
-    return differ, alike & (differ.sum(axis=2) <= _WINDOWS_SHARE * len(turned_rad))
-
-
-def _stands(size: FloatArray, differ: BoolArray, opposite: BoolArray) -> bool:
-    """Whether a wheel stands still in most windows in which it differs from another, and the robot moves there.
-
-    Args:
-        size: (2, W) absolute rotation of the wheel and of the other one.
-        differ: (W,) windows in which they differ.
-        opposite: (W,) windows in which the opposite side turns.
-    """
-    own, other = size[:, differ]
-    still = own <= _STILL_SHARE * other
-    return bool(still.mean() > 1 - _WINDOWS_SHARE and opposite[differ].mean() > _OPPOSITE_SHARE)
-
-
-def sides_of(wheels: Mapping[Side, Sequence[tuple[str, Track]]], notes: list[str]) -> dict[Side, Track]:
-    """One track for each side; notes name the wheels that are left out.
-
-    Args:
-        wheels: the wheels of each side, with a name for messages.
-        notes: receives what is left out.
+def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
+    """Read one wheel of a side.
 
     Raises:
-        RecordingError: the wheels of a side disagree, and the data does not show which of them is wrong.
+        RecordingError: the topic is missing or has the wrong type, or the field is not a valid path.
     """
-    if all(len(each) == 1 for each in wheels.values()):
-        return {side: each[0][1] for side, each in wheels.items()}
-    times_ns = _windows(wheels)
-    turned = {
-        side: np.stack([np.diff(track.at(times_ns)) for _, track in each], axis=1)
-        for side, each in wheels.items()
-    }
-    tracks: dict[Side, Track] = {}
-    for side, opposite in zip(SIDES, reversed(SIDES), strict=True):
-        moves = np.abs(turned[side]).max(axis=1) > _TURNS_RAD
-        also = np.abs(turned[opposite][moves]).max(axis=1, initial=0.0) > _TURNS_RAD
-        kept = _kept(side, [name for name, _ in wheels[side]], turned[side][moves], also, notes)
-        tracks[side] = _mean([wheels[side][k][1] for k in kept])
-    return tracks
-
-
-def _windows(wheels: Mapping[Side, Sequence[tuple[str, Track]]]) -> IntArray:
-    """Ends of the windows, within the time of all wheels."""
-    tracks = [track for each in wheels.values() for _, track in each]
-    first, last = max(t.time_ns[0] for t in tracks), min(t.time_ns[-1] for t in tracks)
-    if last <= first:
-        raise RecordingError(
-            "the wheels were not recorded at the same time", "record all wheels during the whole recording"
-        )
-    return np.linspace(first, last, max(2, round((last - first) * 1e-9 / _WINDOW_S) + 1)).astype(np.int64)
-
-
-def _kept(
-    side: Side, names: Sequence[str], turned_rad: FloatArray, opposite: BoolArray, notes: list[str]
-) -> tuple[int, ...]:
-    """Indices of the wheels that turn alike: more than half of those that do not stand still, or all of them.
-
-    Args:
-        names: of the wheels, for messages.
-        turned_rad: (W, K) rotation of the wheels in each window with motion.
-        opposite: (W,) whether the opposite side turns too.
-        notes: receives what is left out.
-    """
-    every, size = range(len(names)), np.abs(turned_rad)
-    differ, agree = _compared(turned_rad)
-    stand = {
-        a
-        for a, b in itertools.permutations(every, 2)
-        if not agree[a, b] and differ[a, b].any() and _stands(size.T[[a, b]], differ[a, b], opposite)
-    }
-    moving = [k for k in every if k not in stand]
-    groups = (group for count in range(len(moving), 0, -1) for group in itertools.combinations(moving, count))
-    kept = next((group for group in groups if agree[np.ix_(group, group)].all()), ())
-    total, windows = size.sum(axis=0), len(turned_rad)
-    if not kept or 2 * len(kept) <= len(moving):
-        disagree = (pair for pair in itertools.combinations(moving or every, 2) if not agree[pair])
-        a, b = next(disagree, (0, 0))
-        x, y = turned_rad[:, [a, b]].T
-        opposite_ways = float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y))
-        what = "turn in opposite directions" if opposite_ways else "do not turn alike"
-        cure = "find out which is wrong"
-        if opposite_ways:
-            cure = f"set wheels.{side}.signs, with -1 for a wheel that counts backward"
-        raise RecordingError(
-            f"{names[a]} and {names[b]} {what}: they differ by more than 10 % in {int(differ[a, b].sum())} of "
-            f"{windows} seconds with motion, and turn by {total[a]:.1f} and {total[b]:.1f} rad; the data does not "
-            "show which of them is wrong",
-            f"{cure}, or name the wheels to read in wheels.{side}.joints or wheels.{side}.fields; the wheels "
-            "of mecanum and other omnidirectional robots differ always: they are not supported",
-        )
-    usual = float(np.median(total[list(kept)]))
-    for k in every:
-        if k not in kept:
-            why = "stands still in" if k in stand else "differs by more than 10 % in"
-            notes.append(
-                f"{names[k]}: left out, it {why} {int(differ[k, kept[0]].sum())} of {windows} seconds with motion; "
-                f"it turns by {total[k]:.1f} rad, the other {side} wheels by {usual:.1f} rad"
-            )
-    return kept
-
-
-def _mean(tracks: Sequence[Track]) -> Track:
-    """Mean rotation of some wheels, at the times of the one with most readings while all were recorded."""
-    if len(tracks) == 1:
-        return tracks[0]
-    first, last = max(t.time_ns[0] for t in tracks), min(t.time_ns[-1] for t in tracks)
-    times_ns = max((t.time_ns for t in tracks), key=len)
-    times_ns = times_ns[(times_ns >= first) & (times_ns <= last)]
-    return Track(times_ns, np.mean([track.at(times_ns) for track in tracks], axis=0))
+    if source.joint is not None:
+        velocity = read.add(StatedJoint(source.topic, source.joint, "velocity"))
+        return read.add(JointWheel(read.recording.name, side, source, velocity))
+    if source.baked_in is not None:
+        return read.add(OdometryWheel(side, source.topic, source.baked_in, source.assumed))
+    assert source.field is not None  # a source has one of the three
+    return read.add(FieldWheel(side, source, source.field))
