@@ -24,7 +24,7 @@ from tests.extractions import ideal_extraction
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
 _CASES = [(motion, "") for motion in ("head_fixed", "pan_only", "straight", "spin", "base_fixed")]
 _CASES += [("standard", "head_eye")]
-_STATIONS = 12
+_STATIONS, RUNS = 12, 200
 _DERIVED = ("camera position", "straight: distance", "straight: heading", "heading per turn")
 
 
@@ -70,9 +70,8 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
     return ratio, tuple(name for name, ok in zip(NINE, known.observable, strict=True) if not ok)
 
 
-def main() -> None:
-    """All cases; runs of each as an argument, 200 by default."""
-    asked = Study.begun(200)
+def main(asked: Study) -> None:
+    """All cases."""
     title = (
         f"N = {_STATIONS}, {asked.runs} runs each, noise levels given, nominal values drawn from their priors: rms error "
         "over the stated sigma."
@@ -86,7 +85,3 @@ def main() -> None:
         marked = Counter(", ".join(names) or "none" for names in hidden).most_common()
         says = "; ".join(f"{names}: {count}" for names, count in marked)
         line(f"{motion}{f', {fix} fixed' if fix else ''}", *cells, says)
-
-
-if __name__ == "__main__":
-    main()

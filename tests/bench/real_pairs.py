@@ -49,7 +49,7 @@ from mobilecal_cli.vision import (
 )
 from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
-from tests.bench.study import conditions
+from tests.bench.study import Study
 from tests.pairs import board_pose, measure, triangulate, with_pair
 from tests.robots import chain_of, rig_of
 from tests.vision.scenes import bouguet as bouguet_rig
@@ -468,15 +468,10 @@ def mrpt() -> str:
     return _study(by_opencv(pairs, size, jointly=True), pairs, {"calibrated by OpenCV in two steps": steps})
 
 
-def main() -> None:
+def main(_: Study) -> None:
     """All tables."""
-    print(conditions() + f", opencv {cv2.__version__}\n")
     if not DATA.is_dir():
         print("The pictures for this study are not available.")
         return
     print("### Bouguet's seven pairs\n\n" + bouguet())
     print("### MRPT's four pairs\n\n" + mrpt())
-
-
-if __name__ == "__main__":
-    main()

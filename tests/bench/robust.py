@@ -23,9 +23,10 @@ from tests.bench.simulated import (
     route_of,
     spoiled,
 )
-from tests.bench.study import NINE_RATIOS, by_length, head, line, numbers, results_of, rms
+from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 from tests.truth import nees
 
+RUNS = 1000
 _FALSE = float(chi2.isf(1e-6, 9)) / 9
 
 
@@ -66,10 +67,7 @@ def study(stations: int, runs: int) -> None:
     )
 
 
-def main() -> None:
-    """N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    by_length(study)
-
-
-if __name__ == "__main__":
-    main()
+def main(asked: Study) -> None:
+    """N = 12 and N = 40."""
+    study(12, asked.runs)
+    study(40, asked.runs)
