@@ -322,10 +322,20 @@ def ideal_extraction(
     return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
 
 
-def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3) -> Extraction:
-    """`ideal_extraction` of a planned route; the seed is that of the route and of the noise."""
-    described = ROBOTS[robot]()
-    return ideal_extraction(described, plan_route(described, motion, stations, seed=seed), noise, seed)
+def simulated(
+    motion="standard", noise=None, robot="paper", stations=12, seed=3, constants=None, outside=None, **more
+) -> Extraction:
+    """`extraction_of` a planned route; the seed is that of the route and of the noise.
+
+    Args:
+        robot: its name, or the robot.
+        constants, outside: of an `Imperfection`; the robot is as stated by default.
+        more: further arguments of `extraction_of`.
+    """
+    described = ROBOTS[robot]() if isinstance(robot, str) else robot
+    actual = OutsideRobot(described, constants or {}, outside or Outside())
+    route = plan_route(described, motion, stations, seed=seed)
+    return extraction_of(actual, route, noise or Noise(), seed, **more)
 
 
 def imperfect_extraction(

@@ -11,10 +11,9 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from tests.bench.simulated import as_described
-from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.extractions import STATION_NOISE, Noise, simulated
 from tests.robots import (
     CONFIGURATIONS,
     alone,
@@ -26,7 +25,7 @@ from tests.robots import (
 from tests.truth import nees, parameters_of
 
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
-EXACT = Noise()
+UNEVEN = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4)
 
 
 def shown(robot):
@@ -38,7 +37,7 @@ def shown(robot):
 @pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
 def test_exact_measurements_give_the_true_robot(cameras, chain):
     robot = CONFIGURATIONS[cameras, chain]()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=14, seed=1), EXACT)
+    extraction = simulated(robot=robot, stations=14, seed=1)
     assert len(extraction.rig.cameras.each) == cameras
     found = fitted(as_described(extraction))
     error = found.parameters.minus(parameters_of(robot))
@@ -49,15 +48,14 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_stated_sigmas_are_true(cameras, chain, seed):
     robot = CONFIGURATIONS[cameras, chain]()
-    route = plan_route(robot, stations=20, seed=seed)
-    found = fitted(ideal_extraction(robot, route, NOISE, seed))
+    found = fitted(simulated("standard", NOISE, robot, 20, seed))
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
 @pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
-    both = ideal_extraction(robot, plan_route(robot, stations=20, seed=3), NOISE, 3)
+    both = simulated("standard", NOISE, robot, 20)
     pair = fitted(both)
     for k, T_c_camera in enumerate(both.rig.cameras.T_c_each):
         one, expected = fitted(alone(both, k)), pair.parameters.seen_from(T_c_camera)
@@ -68,7 +66,7 @@ def test_each_camera_of_a_pair_alone_agrees_with_both(name):
 
 def test_a_station_counts_with_the_cameras_that_show_the_board():
     robot = three_on_pan_tilt()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    extraction = simulated("standard", NOISE, robot, 20, 0)
     seen = dataset_of(extraction).seen.any(axis=2)
     assert seen[:, 0].all()
     assert seen[:, 1].any()
@@ -89,7 +87,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
     names = ("principal_camera_x", "principal_camera_y", "focal_camera")
     names = names if cameras == 1 else tuple(name.replace("camera", "right") for name in names)
     off = dict(zip(names, (0.02, -0.015, 0.02), strict=True))
-    extraction = imperfect_extraction(robot, plan_route(robot, seed=1), Imperfection(off, EXACT), 1)
+    extraction = simulated(robot=robot, seed=1, constants=off)
     if cameras == 2:
         extraction = with_one_view(extraction, {2: 1, 3: 1, 8: 0})
     true = parameters_of(robot)
@@ -104,7 +102,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
     robot = ROBOTS[name]()
-    both = ideal_extraction(robot, plan_route(robot, stations=20, seed=3), NOISE, 3)
+    both = simulated("standard", NOISE, robot, 20)
     single = with_one_view(both, {i: (i // 2) % 2 for i in range(1, 20, 2)})
     pairs = tuple(o for o in single.observations if o.several)
     assert len(pairs) == 10
@@ -127,8 +125,7 @@ def test_other_cameras_have_priors_of_a_drawing():
     assert rows["shift_beside_z"].kind == "camera_position"
     assert "baseline_scale" not in rows
     constants = {"turn_beside_x": 0.01, "shift_beside_z": 0.004, "turn_aside_y": -0.01, "focal_aside": 0.002}
-    what = Imperfection(constants, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
-    found = fitted(imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2))
+    found = fitted(simulated("standard", UNEVEN, robot, 24, 2, constants))
     assert nees(found.parameters, found.covariance, robot) < 2.7
     for name in ("turn_beside_x", "turn_aside_y", "shift_beside_z"):
         constant = found.solution.constants[name]
@@ -144,8 +141,7 @@ def test_other_cameras_have_priors_of_a_drawing():
 )
 def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):
     robot = three_on_pan_tilt()
-    what = Imperfection({name: wrong}, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
-    extraction = imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2)
+    extraction = simulated("standard", UNEVEN, robot, 24, 2, {name: wrong})
     found = fitted(extraction)
     assert nees(found.parameters, found.covariance, robot) < 2.7
     assert not found.solution.outliers
@@ -160,7 +156,7 @@ def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, 
 def test_the_report_of_one_camera_speaks_of_one():
     robot = one_on_pan_tilt()
     robot = replace(robot, infos=(replace(robot.infos[0], frame_id="optical"),))
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    extraction = simulated("standard", NOISE, robot, 20, 0)
     report = Report(Data(extraction), fitted(extraction))
     assert report.verdict.level == "PASS"
     shown = report.html.replace("stereo_error", "").replace("stereo_reprojection_px", "")  # names in the JSON
@@ -172,7 +168,7 @@ def test_the_report_of_one_camera_speaks_of_one():
 @pytest.mark.parametrize("cameras", [1, 2, 3])
 def test_gross_corners_are_named_by_their_camera(cameras):
     robot = CONFIGURATIONS[cameras, "pan-tilt"]()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=1), NOISE, 1)
+    extraction = simulated("standard", NOISE, robot, 20, 1)
     observations, first = list(extraction.observations), extraction.rig.cameras.names[0]
     view, *others = observations[4].views
     pixels = view.pixels.copy()
