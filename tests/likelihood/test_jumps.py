@@ -18,7 +18,7 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.bench.imperfect import USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS, changed
-from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction
+from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction, simulated, slipped
 from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
@@ -134,14 +134,9 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole)
     def singular(lin):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(jumps, "_Test", singular)
-    assert jumps.cause(None, 3) == ""
-
-    def singular(lin):
-        raise np.linalg.LinAlgError("Singular matrix")
-
     slips = slipping(whole, (6, 7))
     monkeypatch.setattr(jumps, "_Test", singular)
+    assert jumps.cause(None, 3) == ""
     monkeypatch.setattr(Inference, "jump", lambda inference, fit: None)
     assert solve(slips).jumps == ()
 
@@ -151,9 +146,7 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole)
 )
 def test_a_wheel_that_changes_is_named(seed, first, change):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
-    stations = 24
-    route = plan_route(ROBOT, stations=stations, seed=seed)
-    whole = ideal_extraction(ROBOT, route, NOISE, seed)
+    whole = simulated("standard", NOISE, ROBOT, 24, seed)
     track = whole.wheels[0]
     rolled = np.diff(track.left_rad, prepend=track.left_rad[0])
     rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
@@ -170,11 +163,9 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
 
 def slipping(whole, legs):
     """The left wheel of a recording turns by 2 rad without the robot on some legs."""
-    track, left = whole.wheels[0], whole.wheels[0].left_rad.copy()
     for leg in legs:
-        start, end = (whole.observations[k].time_ns for k in (leg, leg + 1))
-        left += np.interp(track.time_ns, [start, end], [0.0, (-1) ** leg * 2.0])
-    return replace(whole, wheels=(WheelTrack.at_same_times(track.time_ns, track.right_rad, left),))
+        whole = slipped(whole, leg, 0.0, (-1) ** leg * 2.0)
+    return whole
 
 
 def test_legs_that_slip_one_after_another(whole):
