@@ -1,6 +1,7 @@
 """Any number of cameras from one: one alone, three of which some do not show the board, and each of a pair alone."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -34,6 +35,13 @@ def shown(robot):
     return np.array([name != "t_z" or hidden is None for name in NINE])
 
 
+@cache
+def recorded(robot, seed):
+    """A recording of a robot, given as the function that describes it, and its fit."""
+    extraction = simulated("standard", NOISE, robot(), 20, seed)
+    return extraction, fitted(extraction)
+
+
 @pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
 def test_exact_measurements_give_the_true_robot(cameras, chain):
     robot = CONFIGURATIONS[cameras, chain]()
@@ -48,15 +56,14 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_stated_sigmas_are_true(cameras, chain, seed):
     robot = CONFIGURATIONS[cameras, chain]()
-    found = fitted(simulated("standard", NOISE, robot, 20, seed))
+    _, found = recorded(CONFIGURATIONS[cameras, chain], seed)
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
 @pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
-    both = simulated("standard", NOISE, robot, 20)
-    pair = fitted(both)
+    both, pair = recorded(ROBOTS[name], 3)
     for k, T_c_camera in enumerate(both.rig.cameras.T_c_each):
         one, expected = fitted(alone(both, k)), pair.parameters.seen_from(T_c_camera)
         difference = one.parameters.minus(expected)[shown(robot)]
@@ -65,8 +72,7 @@ def test_each_camera_of_a_pair_alone_agrees_with_both(name):
 
 
 def test_a_station_counts_with_the_cameras_that_show_the_board():
-    robot = three_on_pan_tilt()
-    extraction = simulated("standard", NOISE, robot, 20, 0)
+    extraction, found = recorded(three_on_pan_tilt, 0)
     seen = dataset_of(extraction).seen.any(axis=2)
     assert seen[:, 0].all()
     assert seen[:, 1].any()
@@ -75,9 +81,9 @@ def test_a_station_counts_with_the_cameras_that_show_the_board():
         replace(o, views=tuple(replace(v, pixels=v.pixels + 1000 * ~v.seen[:, None]) for v in o.views))
         for o in extraction.observations
     ]
-    a, b = fitted(extraction), fitted(replace(extraction, observations=tuple(moved)))
+    again = fitted(replace(extraction, observations=tuple(moved)))
     # Unseen pixels mean nothing.
-    np.testing.assert_allclose(a.parameters.vector, b.parameters.vector, atol=1e-12)
+    np.testing.assert_allclose(found.parameters.vector, again.parameters.vector, atol=1e-12)
 
 
 @pytest.mark.parametrize(("cameras", "chain"), [(1, "none"), (1, "pan-tilt"), (2, "pan-tilt")])
@@ -102,14 +108,15 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
     robot = ROBOTS[name]()
-    both = simulated("standard", NOISE, robot, 20)
+    both, whole = recorded(ROBOTS[name], 3)
     single = with_one_view(both, {i: (i // 2) % 2 for i in range(1, 20, 2)})
     pairs = tuple(o for o in single.observations if o.several)
     assert len(pairs) == 10
     stds = []
     for observations in (both.observations, single.observations, pairs):
         part = replace(both, observations=observations, board=replace(both.board, square_m=square_m))
-        found = fitted(part)
+        same = observations is both.observations and square_m == both.board.square_m
+        found = whole if same else fitted(part)
         assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
         stds.append(np.sqrt(np.diag(found.covariance))[shown(robot)])
     every, mixed, half = stds
