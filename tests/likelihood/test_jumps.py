@@ -65,7 +65,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
     assert [each.part for each in left] == ["joint pan_joint"]
 
 
-@pytest.fixture(scope="module", params=[3, 5])
+@pytest.fixture(scope="module", params=[pytest.param(3, marks=pytest.mark.long), 5])
 def moved_board(request):
     """A board that moves by ten standard deviations, in the middle of a recording, and the robot."""
     case = RECORDINGS["20 stations"]
@@ -142,7 +142,11 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole)
 
 
 @pytest.mark.parametrize(
-    ("seed", "first", "change"), [(3, 20, 1.08), (4, 19, 1.06), (6, 18, 1.04), (3, 4, 1.1), (3, 12, 1.1)]
+    ("seed", "first", "change"),
+    [
+        *((3, 20, 1.08), (4, 19, 1.06), (3, 4, 1.1)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((6, 18, 1.04), (3, 12, 1.1))),
+    ],
 )
 def test_a_wheel_that_changes_is_named(seed, first, change):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""

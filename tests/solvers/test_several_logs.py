@@ -141,7 +141,8 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheel_is
 
 
 @pytest.mark.parametrize(
-    ("odd", "turn_rad", "level"), [(0, 0.06, "FAIL"), (1, 0.06, "FAIL"), (1, 0.02, "PASS")]
+    ("odd", "turn_rad", "level"),
+    [pytest.param(0, 0.06, "FAIL", marks=pytest.mark.long), (1, 0.06, "FAIL"), (1, 0.02, "PASS")],
 )
 def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn_rad, level):
     """A warning where all expected errors are within their limits with the spread included."""
