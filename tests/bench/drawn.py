@@ -21,8 +21,9 @@ from tests.bench.imperfect import (
     verdict_cells,
     with_noise,
 )
-from tests.bench.simulated import RUNS_PER_ROUTE, as_described, errors
+from tests.bench.simulated import RUNS_PER_ROUTE, as_described
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.truth import errors
 
 RUNS = 1000
 CASES = {

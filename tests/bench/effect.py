@@ -18,12 +18,12 @@ from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.actual import station_times_s
 from tests.bench.corners import sub_pix
 from tests.bench.pictures import shortest_edge_px
-from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
+from tests.bench.simulated import JOINT_RAD, WHEEL, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, numbers, paragraph, results_of, rms, table
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import measured_anew
 from tests.robots import corners_of
-from tests.truth import nees
+from tests.truth import errors, nees
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3

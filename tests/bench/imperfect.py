@@ -25,7 +25,6 @@ from mobilecal_cli.model import (
     Jump,
     KnownNoise,
     Noise,
-    Parameters,
     Solution,
     Track,
     WheelGeometry,
@@ -49,10 +48,11 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.actual import PRIORS, draw
-from tests.bench.simulated import RUNS_PER_ROUTE, errors
+from tests.bench.simulated import RUNS_PER_ROUTE
 from tests.bench.study import Study, head, line, results_of, rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
 from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
+from tests.truth import errors, parameters_of
 
 ROBOTS = {
     "paper": paper_robot,
@@ -260,7 +260,7 @@ def bound_of(
     extraction = extractions.ideal_extraction(true, route)
     inference = Inference.of(extraction, Constraints())
     data = inference.data
-    parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
+    parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))
     levels = Noise.exact(**given(noise).given)
     state = initial_state(data, parameters, everything)
     lin = Posterior.at(data, state, everything, levels, inference.priors(state))

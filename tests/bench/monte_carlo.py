@@ -12,7 +12,7 @@ from mobilecal_cli.model import KnownNoise, Method
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, errors, route_of
+from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, route_of
 from tests.bench.study import (
     DEGREES_MM,
     NINE_COLUMNS,
@@ -25,7 +25,7 @@ from tests.bench.study import (
     rms,
 )
 from tests.extractions import ideal_extraction
-from tests.truth import nees
+from tests.truth import errors, nees
 
 _LEVELS = {"ml, noise levels given": GIVEN, "ml, noise levels estimated": KnownNoise()}
 _PAPER_EVERY = 10  # Powell's method takes longer than all the others together

@@ -9,10 +9,10 @@ import numpy as np
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from tests.actual import PRIORS
-from tests.bench.simulated import DISTURBED, as_described, errors, route_of
+from tests.bench.simulated import DISTURBED, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 from tests.extractions import ideal_extraction
-from tests.truth import nees
+from tests.truth import errors, nees
 
 RUNS = 100
 _LATE_S = 0.025

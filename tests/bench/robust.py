@@ -14,17 +14,9 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import extractions
-from tests.bench.simulated import (
-    DISTURBED,
-    RUNS_PER_ROUTE,
-    as_described,
-    errors,
-    information_of,
-    route_of,
-    spoiled,
-)
+from tests.bench.simulated import DISTURBED, RUNS_PER_ROUTE, as_described, information_of, route_of, spoiled
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
-from tests.truth import nees
+from tests.truth import errors, nees
 
 RUNS = 1000
 _FALSE = float(chi2.isf(1e-6, 9)) / 9

@@ -11,8 +11,8 @@ from mobilecal_cli.model import Parameters
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import errors
 from tests.bench.study import NINE_COLUMNS, Study, head, line, numbers
+from tests.truth import errors
 
 _SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs" / "paper_robot.mcap"
 

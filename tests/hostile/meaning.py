@@ -32,10 +32,10 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.rig.cameras import BASELINE
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import errors
 from tests.extractions import Noise, joined, simulated
 from tests.pairs import measured_anew, with_pair
 from tests.robots import in_cameras
+from tests.truth import errors
 
 SIGMAS = 4.0
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))

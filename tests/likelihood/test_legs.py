@@ -20,6 +20,7 @@ from mobilecal_cli.solvers.initial import initial_state
 from tests.extractions import simulated
 from tests.robots import chain_of
 from tests.solvers import test_measured
+from tests.truth import parameters_of
 
 LEVELS = Noise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
 
@@ -81,7 +82,7 @@ def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
 def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
     extraction = simulated(robot="tick", stations=4, seed=1)
     data = dataset_of(extraction, table(extraction.rig.cameras, extraction.rig.chain))
-    priors = Priors.none(data.layout, Parameters(tick_robot().T_h_c, tick_robot().wheels))
+    priors = Priors.none(data.layout, parameters_of(tick_robot()))
     stated = np.ones(data.layout.size)
     priors = replace(priors, stated_weight=stated, alike=stated > 0).widened({"focal_length": 2.0})
     wide = np.array([name in ("focal_left", "focal_right") for name in data.layout.names])
@@ -98,7 +99,7 @@ def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(cons
     exact, data = (
         dataset_of(simulated("moving", robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
     )
-    state = initial_state(exact, Parameters(robot.T_h_c, robot.wheels), Inliers.all_of(exact))
+    state = initial_state(exact, parameters_of(robot), Inliers.all_of(exact))
     names, shared = list(data.layout.names), np.zeros(data.layout.size)
     for name, value in constants.items():
         shared[data.layout.size - len(names) + names.index(name)] = value

@@ -12,9 +12,10 @@ from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
 from tests.extractions import Noise, joined, simulated
+from tests.truth import parameters_of
 
 ROBOT = ROBOTS["paper"]()
-TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)
+TRUTH = parameters_of(ROBOT)
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import errors
 from tests.extractions import Noise, ideal_extraction, simulated
+from tests.truth import errors
 
 
 @pytest.mark.parametrize("method", ["linear", "lm", "paper"])
