@@ -52,8 +52,18 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
     assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
 
 
-@pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+#: One of each number of cameras, and of each head; the others are with the long tests.
+_ALWAYS = {(1, "none"), (2, "pan-tilt"), (3, "pan")}
+
+
+@pytest.mark.parametrize(
+    ("cameras", "chain", "seed"),
+    [
+        pytest.param(*key, seed, marks=[pytest.mark.long] * (seed > 0 or key not in _ALWAYS))
+        for key in CONFIGURATIONS
+        for seed in (0, 1)
+    ],
+)
 def test_stated_sigmas_are_true(cameras, chain, seed):
     robot = CONFIGURATIONS[cameras, chain]()
     _, found = recorded(CONFIGURATIONS[cameras, chain], seed)
@@ -103,8 +113,13 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
     assert residuals.leg_point_rms_m.max() < 1e-3
 
 
-@pytest.mark.parametrize("square_m", [0.08, None])
-@pytest.mark.parametrize("name", ["tick", "fixed_camera"])
+@pytest.mark.parametrize(
+    ("name", "square_m"),
+    [
+        *(("tick", 0.08), ("fixed_camera", None)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("tick", None), ("fixed_camera", 0.08))),
+    ],
+)
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
     robot = ROBOTS[name]()
