@@ -52,6 +52,7 @@ def rotation_off(extraction):
 def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
     """A robot that drives to and fro sees the same slope at the same place: r_y was off by 8 sigmas, with PASS."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=np.radians(0.1), floor_m=5e-4, floor_place_m=1.0)
+    # Without the shape of the floor, the pitch of the second is off by 5.0 sigmas.
     off = [rotation_off(simulated("moving", noise, ROBOT, 12, seed, images=80)) for seed in (2, 3)]
     assert np.abs(off).max() < 3.0
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
@@ -59,6 +60,7 @@ def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
 
 def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():
     """Waves of 0.1 px (rms) over the image, the same at every station: rotations were off by 9 sigmas, with PASS."""
+    # Without waves of the lens, they are off by 9.0 and 3.4 sigmas.
     lenses = (Outside(lens_px=0.1, lens_seed=seed) for seed in (0, 2))
     off = [rotation_off(simulated("standard", NOISE, ROBOT, 24, o.lens_seed, outside=o)) for o in lenses]
     assert np.abs(off).max() < 4.0
