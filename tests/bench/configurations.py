@@ -6,7 +6,7 @@ all but the camera's height where no joint tilts the camera.
 
 from __future__ import annotations
 
-from tests.bench.imperfect import AS_PRINTED, USUAL, VERDICTS, Case, print_cases, verdict_cells
+from tests.bench.imperfect import AS_PRINTED, USUAL, VERDICTS, Case, configuration, print_cases, verdict_cells
 from tests.bench.study import Study
 from tests.robots import CONFIGURATIONS
 
@@ -16,7 +16,9 @@ RUNS = 100
 def main(asked: Study) -> None:
     """All configurations, noise levels estimated."""
     cases = {
-        (str(cameras), chain): Case(robot).drawn(noise=USUAL, outside=AS_PRINTED, levels_drawn=True)
-        for (cameras, chain), robot in CONFIGURATIONS.items()
+        (str(cameras), chain): Case(configuration(cameras, chain)).drawn(
+            noise=USUAL, outside=AS_PRINTED, levels_drawn=True
+        )
+        for cameras, chain in CONFIGURATIONS
     }
     print_cases(asked, cases, ("cameras", "chain", *VERDICTS), lambda runs, _: verdict_cells(runs))

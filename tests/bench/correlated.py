@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.model import Noise
-from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from tests.bench.imperfect import (
     AS_PRINTED,
     CORRELATED,
@@ -51,10 +50,10 @@ CASES = {
 }
 #: On a floor on which the robot stands as before where it comes back to a place; the length is that of its heights.
 CASES |= {
-    (f"{label}, {name}", f"place {floor_m:g}, 1"): replace(RECORDINGS[name], robot=robot).drawn(
+    (f"{robot}, {name}", f"place {floor_m:g}, 1"): replace(RECORDINGS[name], robot=robot).drawn(
         noise=replace(USUAL, floor_place_m=floor_m, wheel_length_m=1.0), outside=AS_PRINTED
     )
-    for label, robot in (("pan-tilt", tick_robot), ("pair on the base", fixed_camera_robot))
+    for robot in ("pan-tilt", "pair on the base")
     for name in ("20 stations", "80 images in motion")
     for floor_m in (0.5, 1.0, 2.0)
 }

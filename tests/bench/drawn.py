@@ -5,17 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
-from mobilecal_cli.simulate.robot import (
-    fixed_camera_robot,
-    odometry_only_robot,
-    paper_robot,
-    rgbd_robot,
-    skid_steer_robot,
-    tick_robot,
-)
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.imperfect import (
     AS_PRINTED,
+    ROBOTS,
     USUAL,
     VERDICTS,
     Case,
@@ -30,23 +23,22 @@ from tests.bench.imperfect import (
 )
 from tests.bench.simulated import RUNS_PER_ROUTE, as_described
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
-from tests.robots import one_on_pan_tilt, three_on_pan_tilt
 from tests.truth import errors
 
 RUNS = 1000
 CASES = {
-    "paper's robot, N = 12": Case(paper_robot, 12),
-    "pan-tilt robot, N = 20": Case(tick_robot, 20),
-    "pan-tilt robot, N = 40": Case(tick_robot, 40),
-    "pan-tilt robot, moving, 40 images": Case(tick_robot, 20, "moving"),
-    "skid-steered robot with four wheel joints, N = 20": Case(skid_steer_robot, 20),
-    "odometry alone, N = 20": Case(odometry_only_robot, 20),
-    "stereo pair on the base, N = 20": Case(fixed_camera_robot, 20),
-    "one camera on the base, N = 20": Case(rgbd_robot, 20),
-    "one camera on a pan-tilt head, N = 12": Case(one_on_pan_tilt, 12),
-    "one camera on a pan-tilt head, N = 40": Case(one_on_pan_tilt, 40),
-    "one camera on a pan-tilt head, moving, 40 images": Case(one_on_pan_tilt, 20, "moving"),
-    "three cameras on a pan-tilt head, N = 20": Case(three_on_pan_tilt, 20),
+    "paper's robot, N = 12": Case("paper", 12),
+    "pan-tilt robot, N = 20": Case("pan-tilt", 20),
+    "pan-tilt robot, N = 40": Case("pan-tilt", 40),
+    "pan-tilt robot, moving, 40 images": Case("pan-tilt", 20, "moving"),
+    "skid-steered robot with four wheel joints, N = 20": Case("skid-steer", 20),
+    "odometry alone, N = 20": Case("odometry", 20),
+    "stereo pair on the base, N = 20": Case("pair on the base", 20),
+    "one camera on the base, N = 20": Case("camera on the base", 20),
+    "one camera on a pan-tilt head, N = 12": Case("camera on pan-tilt", 12),
+    "one camera on a pan-tilt head, N = 40": Case("camera on pan-tilt", 40),
+    "one camera on a pan-tilt head, moving, 40 images": Case("camera on pan-tilt", 20, "moving"),
+    "three cameras on a pan-tilt head, N = 20": Case("three cameras", 20),
 }
 
 
@@ -59,7 +51,7 @@ def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
     """Noise levels given, and estimated; and the bound, (9,) standard deviations."""
     case = drawn(name)
     extraction, noise = case.extraction(seed), case.noise_of(seed)
-    robot = true_robot(case.robot(), extraction, case.route(seed))
+    robot = true_robot(ROBOTS[case.robot](), extraction, case.route(seed))
     bound = bound_of(case.robot, case.motion, case.stations, seed // RUNS_PER_ROUTE, noise)
     known = run_of(with_noise(extraction, given(noise)), robot)
     return known, run_of(extraction, robot), np.sqrt(np.diag(bound))
@@ -68,7 +60,7 @@ def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
 def price_of(name: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Errors on a robot that is exactly as described: with uncertain constants, and taking everything for exact."""
     extraction = CASES[name].extraction(seed)
-    robot = true_robot(CASES[name].robot(), extraction, CASES[name].route(seed))
+    robot = true_robot(ROBOTS[CASES[name].robot](), extraction, CASES[name].route(seed))
     fits = (maximum_likelihood(each) for each in (extraction, as_described(extraction)))
     uncertain, exact = (errors(fit.lin.state.parameters, robot) for fit in fits)
     return uncertain, exact

@@ -33,7 +33,15 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers.signals.wheels import rotations, sides_of
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.messages import driver_odometry
-from mobilecal_cli.simulate.robot import SimulatedRobot, tick_robot
+from mobilecal_cli.simulate.robot import (
+    SimulatedRobot,
+    fixed_camera_robot,
+    odometry_only_robot,
+    paper_robot,
+    rgbd_robot,
+    skid_steer_robot,
+    tick_robot,
+)
 from mobilecal_cli.simulate.route import TURN_RADPS, Motion, Route, plan_route, slipping_radps
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import Inference
@@ -43,9 +51,27 @@ from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE
 from tests.bench.study import Study, head, line, results_of, rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
+from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
 from tests.truth import errors, parameters_of
 
-Robot = Callable[[], SimulatedRobot]
+ROBOTS = {
+    "paper": paper_robot,
+    "pan-tilt": tick_robot,
+    "skid-steer": skid_steer_robot,
+    "odometry": odometry_only_robot,
+    "pair on the base": fixed_camera_robot,
+    "camera on the base": rgbd_robot,
+    "camera on pan-tilt": one_on_pan_tilt,
+    "three cameras": three_on_pan_tilt,
+}
+
+
+def configuration(cameras: int, chain: str) -> str:
+    """Key of a configuration among the robots."""
+    return f"cameras: {cameras}, chain: {chain}"
+
+
+ROBOTS |= {configuration(*key): robot for key, robot in CONFIGURATIONS.items()}
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
 _LEVELS = (*_DEVICES, "floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share")
 _LENGTHS = ("floor_length_m", "wheel_length_m")
@@ -70,7 +96,7 @@ class Case:
     """What is simulated.
 
     Attributes:
-        robot: makes its description.
+        robot: key of `ROBOTS`.
         stations: number of stops.
         motion: kind of route.
         images: number of images of a moving recording.
@@ -84,7 +110,7 @@ class Case:
             floor and wheel scales.
     """
 
-    robot: Robot = tick_robot
+    robot: str = "pan-tilt"
     stations: int = 20
     motion: Motion = "standard"
     images: int = 40
@@ -104,7 +130,7 @@ class Case:
         """The constants of one run."""
         drawn: dict[str, float] = {}
         for kind, scale in self.kinds.items():
-            drawn |= draw(self.robot(), np.random.default_rng([seed, 7]), scale, {kind})
+            drawn |= draw(ROBOTS[self.robot](), np.random.default_rng([seed, 7]), scale, {kind})
         return drawn | dict(self.fixed)
 
     def noise_of(self, seed: int) -> extractions.Noise:
@@ -119,7 +145,7 @@ class Case:
 
     def extraction(self, seed: int) -> Extraction:
         """One run."""
-        robot = self.robot()
+        robot = ROBOTS[self.robot]()
         drawn = self.outside.print_m or self.outside.lens_px
         outside = replace(self.outside, print_seed=seed, lens_seed=seed) if drawn else self.outside
         what = Imperfection(self.constants(seed), self.noise_of(seed), outside)
@@ -209,9 +235,9 @@ def all_kinds(moving: bool, scale: float = 1.0) -> dict[str, float]:
 
 
 @cache
-def route_of(robot: Robot, motion: Motion, stations: int, number: int) -> Route:
+def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
     """One of the routes that all runs share."""
-    return plan_route(robot(), motion, stations=stations, seed=number)
+    return plan_route(ROBOTS[robot](), motion, stations=stations, seed=number)
 
 
 def given(noise: extractions.Noise) -> KnownNoise:
@@ -227,10 +253,10 @@ def with_noise(extraction: Extraction, known: KnownNoise) -> Extraction:
 
 
 def bound_of(
-    robot: Robot, motion: Motion, stations: int, number: int, noise: extractions.Noise = USUAL
+    robot: str, motion: Motion, stations: int, number: int, noise: extractions.Noise = USUAL
 ) -> FloatArray:
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
-    true, route = robot(), route_of(robot, motion, stations, number)
+    true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
     extraction = extractions.ideal_extraction(true, route)
     inference = Inference.of(extraction, Constraints())
     data = inference.data
@@ -294,7 +320,7 @@ def run_of_case(case: Case, seed: int) -> Run:
         extraction = case.extraction(seed)
     except MobilecalError as error:
         return refused(error)
-    return run_of(extraction, true_robot(case.robot(), extraction, case.route(seed)))
+    return run_of(extraction, true_robot(ROBOTS[case.robot](), extraction, case.route(seed)))
 
 
 def refused(error: MobilecalError) -> Run:
@@ -378,5 +404,5 @@ def summary(error: FloatArray, case: Case) -> list[str]:
     """Root-mean-square errors (n, 9) of rotation (deg), translation (mm) and wheels (%), as three cells."""
     size = rms(error)
     rotation, translation = np.degrees(np.linalg.norm(size[:3])), 1e3 * np.linalg.norm(size[3:6])
-    wheels = 100 * float(np.max(size[6:] / case.robot().wheels.vector))
+    wheels = 100 * float(np.max(size[6:] / ROBOTS[case.robot]().wheels.vector))
     return [f"{rotation:.3f}", f"{translation:.2f}", f"{wheels:.3f}"]

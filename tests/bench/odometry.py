@@ -16,7 +16,7 @@ from mobilecal_cli.simulate.route import Drive, Stretch
 from mobilecal_cli.solvers import solve
 from tests import extractions
 from tests.bench.drawn import drawn
-from tests.bench.imperfect import Case, route_of
+from tests.bench.imperfect import ROBOTS, Case, route_of
 from tests.bench.simulated import RUNS_PER_ROUTE
 from tests.bench.study import Study, head, line, results_of
 
@@ -64,7 +64,7 @@ def held_out(
     robot: CalibratedRobot, found: OdometryCovariance, case: Case, drive: Drive, ends_s: FloatArray, seed: int
 ) -> HeldOut:
     """Odometry with the calibrated wheels over the legs of a drive between some times."""
-    true, dt = case.robot(), 1 / RATE_HZ
+    true, dt = ROBOTS[case.robot](), 1 / RATE_HZ
     times_s = np.unique(np.concatenate([np.arange(ends_s[0], ends_s[-1], dt), ends_s, drive.breaks_s]))
     times_s = times_s[(times_s >= ends_s[0]) & (times_s <= ends_s[-1])]
     leg = np.searchsorted(ends_s, times_s[:-1], side="right") - 1

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.simulate.robot import fixed_camera_robot, rgbd_robot, tick_robot
 from tests.actual import PRIORS
 from tests.bench.imperfect import (
     LEVELS,
@@ -86,10 +85,9 @@ _STAYS |= {
 for _n in (20, 200):
     _name = f"print errors of 0.15 mm, {_n} stations"
     _STAYS[_name] = Case(stations=_n, outside=_PRINT, right=("board_corners",))
-_LENSED = {"pan-tilt": tick_robot, "pair on the base": fixed_camera_robot, "camera on the base": rgbd_robot}
-for _label, _robot in _LENSED.items():
+for _robot in ("pan-tilt", "pair on the base", "camera on the base"):
     _lens = Case(robot=_robot, stations=40, outside=_LENS, right=("lens_waves",))
-    _STAYS[f"lens waves of 0.1 px, {_label}"] = _lens
+    _STAYS[f"lens waves of 0.1 px, {_robot}"] = _lens
 _STAYS |= {
     "mild everything, twist and bend 1 mm, two sheets 0.3 mm apart": _MILD,
     "every image twice": Case(twice=True),
