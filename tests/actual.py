@@ -267,20 +267,38 @@ _OF_MOTION = {"clock", *NOT_RENDERED}
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Noise of the wheels, the floor and the stamps; zero by default.
+    """Measurement noise; zero by default.
 
     Attributes:
+        pixel_px: sigma of each corner coordinate, px.
         wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
+        encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
+        joint_rad: sigma of a station's joint reading, rad.
         floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
+        sway_rad, sway_m: the same beside the floor's, another at each station whatever `floor_length_m`.
         stamp_s: sigma of each image stamp in motion, s.
         wheel_share: sigma of each wheel's relative scale error.
+        floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
+        floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
+        floor_place_m: the floor is a smooth function of the place, whose heights are alike within this distance; 0: it
+            is another one at each visit.
+        wheel_length_m: driven distance over which a scale error stays the same; 0: one for each leg.
     """
 
+    pixel_px: float = 0.0
     wheel_rad_per_sqrt_rad: float = 0.0
+    encoder_step_rad: float = 0.0
+    joint_rad: float = 0.0
     floor_rad: float = 0.0
     floor_m: float = 0.0
+    sway_rad: float = 0.0
+    sway_m: float = 0.0
     stamp_s: float = 0.0
     wheel_share: float = 0.0
+    floor_length_m: float = 0.0
+    floor_smooth: bool = False
+    floor_place_m: float = 0.0
+    wheel_length_m: float = 0.0
 
 
 #: First guesses of the noise at each station or leg; the other levels depend on the robot.

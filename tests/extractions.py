@@ -6,7 +6,7 @@ that change with the driven distance, exposure during motion, and what no consta
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -26,9 +26,12 @@ from mobilecal_cli.simulate.messages import nanoseconds
 from mobilecal_cli.simulate.robot import ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import Route, plan_route
 from mobilecal_cli.vision import Miss, StereoPoints, board_pose, square_from_points, triangulate
-from tests import actual
+from tests.actual import (
+    STATION_NOISE as STATION_NOISE,
+)
 from tests.actual import (
     ActualRobot,
+    Noise,
     camera_in_world,
     constant_kinds,
     floor_poses,
@@ -42,45 +45,6 @@ _TRACK_STEP_S = 0.02
 _UNIT_SIGMA_PX = 0.05  # typical refinement error; only a weight if there is no noise
 _WAVES = 200  # of a floor that is a function of the place
 _SHUTTER_ROUNDS = 4  # each shrinks the error by the rows that a corner moves during one image
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Measurement noise; zero by default.
-
-    Attributes:
-        pixel_px: sigma of each corner coordinate, px.
-        wheel_rad_per_sqrt_rad: sigma of a wheel's rotation over one radian; grows with the square root.
-        encoder_step_rad: resolution of the wheel encoders, rad; 0 for unlimited.
-        joint_rad: sigma of a station's joint reading, rad.
-        floor_rad, floor_m: sigma of the base's roll and pitch, and of its height, at each station.
-        sway_rad, sway_m: the same beside the floor's, another at each station whatever `floor_length_m`.
-        stamp_s: sigma of each image stamp in motion, s.
-        wheel_share: sigma of each wheel's relative scale error.
-        floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
-        floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
-        floor_place_m: the floor is a smooth function of the place, whose heights are alike within this distance; 0: it
-            is another one at each visit.
-        wheel_length_m: driven distance over which a scale error stays the same; 0: one for each leg.
-    """
-
-    pixel_px: float = 0.0
-    wheel_rad_per_sqrt_rad: float = 0.0
-    encoder_step_rad: float = 0.0
-    joint_rad: float = 0.0
-    floor_rad: float = 0.0
-    floor_m: float = 0.0
-    sway_rad: float = 0.0
-    sway_m: float = 0.0
-    stamp_s: float = 0.0
-    wheel_share: float = 0.0
-    floor_length_m: float = 0.0
-    floor_smooth: bool = False
-    floor_place_m: float = 0.0
-    wheel_length_m: float = 0.0
-
-
-STATION_NOISE = Noise(**asdict(actual.STATION_NOISE))
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,10 +286,20 @@ def ideal_extraction(
     return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
 
 
-def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3) -> Extraction:
-    """`ideal_extraction` of a planned route; the seed is that of the route and of the noise."""
-    described = ROBOTS[robot]()
-    return ideal_extraction(described, plan_route(described, motion, stations, seed=seed), noise, seed)
+def simulated(
+    motion="standard", noise=None, robot="paper", stations=12, seed=3, constants=None, outside=None, **more
+) -> Extraction:
+    """`extraction_of` a planned route; the seed is that of the route and of the noise.
+
+    Args:
+        robot: its name, or the robot.
+        constants, outside: of an `Imperfection`; the robot is as stated by default.
+        more: further arguments of `extraction_of`.
+    """
+    described = ROBOTS[robot]() if isinstance(robot, str) else robot
+    actual = OutsideRobot(described, constants or {}, outside or Outside())
+    route = plan_route(described, motion, stations, seed=seed)
+    return extraction_of(actual, route, noise or Noise(), seed, **more)
 
 
 def imperfect_extraction(

@@ -17,6 +17,11 @@ def parameters_of(robot: SimulatedRobot) -> Parameters:
     return Parameters(robot.T_h_c, robot.wheels)
 
 
+def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
+    """(9,) found minus true: small rotation vector in the head's frame (rad), translation and wheels (m)."""
+    return found.minus(parameters_of(robot))
+
+
 def truth_of(path: Path) -> Parameters:
     """The true parameters that `simulate` writes beside a recording, as .truth.yaml."""
     data = YAML(typ="safe").load(path.read_text(encoding="utf-8"))
@@ -33,5 +38,5 @@ def nees(
     The nine come first in the covariance.
     """
     index = np.arange(9)[kept]
-    error = found.minus(parameters_of(robot))[index]
+    error = errors(found, robot)[index]
     return float(error @ np.linalg.solve(covariance[np.ix_(index, index)], error)) / len(index)

@@ -9,8 +9,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
-
 from tests.bench import commands, corners, effect, established, growth, reading
 from tests.bench.recordings import simulated, transcoded
 from tests.bench.study import conditions, paragraph
@@ -94,7 +92,7 @@ def main() -> None:
         sections = _sections(_Data(folder))
         for name in asked.sections or list(sections):
             head, measure = sections[name]
-            part = f"{head}{measure()}\n*{conditions()}, OpenCV {cv2.__version__}*\n"
+            part = f"{head}{measure()}\n*{conditions()}*\n"
             print(part, flush=True)
             _PAGE.write_text(_with_section(_PAGE.read_text(encoding="utf-8"), part), encoding="utf-8")
 

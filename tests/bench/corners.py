@@ -311,7 +311,3 @@ def main(views: int = VIEWS) -> str:
             cameras.main(views // 2),
         ]
     )
-
-
-if __name__ == "__main__":
-    print(main())

@@ -20,18 +20,19 @@ from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
 from tests.extractions import ideal_extraction
+from tests.truth import errors, parameters_of
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
 _CASES = [(motion, "") for motion in ("head_fixed", "pan_only", "straight", "spin", "base_fixed")]
 _CASES += [("standard", "head_eye")]
-_STATIONS = 12
+_STATIONS, RUNS = 12, 200
 _DERIVED = ("camera position", "straight: distance", "straight: heading", "heading per turn")
 
 
 def drawn_nominal(robot: SimulatedRobot, random: np.random.Generator) -> Parameters:
     """Nominal values of a robot, such that the truth is drawn from the priors around them."""
     off = np.clip(random.normal(size=9), -3, 3)
-    head = Parameters(robot.T_h_c, robot.wheels).plus(np.concatenate([NINE_SIGMAS * off[:6], np.zeros(3)]))
+    head = parameters_of(robot).plus(np.concatenate([NINE_SIGMAS * off[:6], np.zeros(3)]))
     return replace(head, wheels=WheelGeometry.of(robot.wheels.vector / (1 + WHEEL_SIGMA * off[6:])))
 
 
@@ -61,18 +62,17 @@ def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ..
         return np.full(9 + len(_DERIVED), np.nan), (f"refused: {error.message[:40]}",)
     known = solution.uncertainty
     assert known is not None
-    error = solution.parameters.minus(Parameters(robot.T_h_c, robot.wheels))
+    error = errors(solution.parameters, robot)
     p = predicted(solution.parameters, known.covariance)
     stated = [p.camera_m, p.along_m_per_m, p.heading_rad_per_m, p.heading_rad_per_turn]
     sigmas = np.concatenate([known.std, stated])
-    errors = np.concatenate([error, derived_errors(solution.parameters, robot)])
-    ratio = np.where(sigmas > 0, errors / np.where(sigmas > 0, sigmas, 1.0), np.nan)
+    off = np.concatenate([error, derived_errors(solution.parameters, robot)])
+    ratio = np.where(sigmas > 0, off / np.where(sigmas > 0, sigmas, 1.0), np.nan)
     return ratio, tuple(name for name, ok in zip(NINE, known.observable, strict=True) if not ok)
 
 
-def main() -> None:
-    """All cases; runs of each as an argument, 200 by default."""
-    asked = Study.begun(200)
+def main(asked: Study) -> None:
+    """All cases."""
     title = (
         f"N = {_STATIONS}, {asked.runs} runs each, noise levels given, nominal values drawn from their priors: rms error "
         "over the stated sigma."
@@ -86,7 +86,3 @@ def main() -> None:
         marked = Counter(", ".join(names) or "none" for names in hidden).most_common()
         says = "; ".join(f"{names}: {count}" for names, count in marked)
         line(f"{motion}{f', {fix} fixed' if fix else ''}", *cells, says)
-
-
-if __name__ == "__main__":
-    main()

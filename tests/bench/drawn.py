@@ -21,9 +21,11 @@ from tests.bench.imperfect import (
     verdict_cells,
     with_noise,
 )
-from tests.bench.simulated import RUNS_PER_ROUTE, as_described, errors
+from tests.bench.simulated import RUNS_PER_ROUTE, as_described
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.truth import errors
 
+RUNS = 1000
 CASES = {
     "paper's robot, N = 12": Case("paper", 12),
     "pan-tilt robot, N = 20": Case("pan-tilt", 20),
@@ -93,14 +95,9 @@ def price(name: str, runs: int) -> None:
     line("rms error over that of the exact model", *numbers(rms(uncertain) / rms(exact)))
 
 
-def main() -> None:
-    """All cases; runs as an argument (1,000 by default, moving ones 300 at most), then names of cases."""
-    asked = Study.begun(1000)
+def main(asked: Study) -> None:
+    """All cases; at most 300 runs of moving ones."""
     for name in asked.chosen(CASES):
         study(name, min(asked.runs, 300) if CASES[name].motion == "moving" else asked.runs)
         if not asked.parts:
             price(name, asked.runs)
-
-
-if __name__ == "__main__":
-    main()

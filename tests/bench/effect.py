@@ -18,12 +18,12 @@ from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from tests.actual import station_times_s
 from tests.bench.corners import sub_pix
 from tests.bench.pictures import shortest_edge_px
-from tests.bench.simulated import JOINT_RAD, WHEEL, errors, route_of
-from tests.bench.study import DEGREES_MM, NINE_COLUMNS, map_runs, numbers, paragraph, rms, table
+from tests.bench.simulated import JOINT_RAD, WHEEL, route_of
+from tests.bench.study import DEGREES_MM, NINE_COLUMNS, numbers, paragraph, results_of, rms, table
 from tests.extractions import Noise, ideal_extraction
 from tests.pairs import measured_anew
 from tests.robots import corners_of
-from tests.truth import nees
+from tests.truth import errors, nees
 
 STATIONS, RUNS, RUNS_PER_ROUTE = 12, 40, 10
 _GREY, _BLUR_PX, _START_PX = 2.0, 0.6, 0.3
@@ -73,7 +73,7 @@ def _with_corners(extraction: Extraction, number: int, seed: int, how: str) -> t
     return replace(extraction, observations=tuple(seen)), float(np.sqrt(np.mean(np.square(off))))
 
 
-def one_run(seed: int, quiet: bool) -> dict[str, tuple[np.ndarray, float, float]]:
+def one_run(quiet: bool, seed: int) -> dict[str, tuple[np.ndarray, float, float]]:
     """Error of the nine parameters, NEES / 9 and corner error, by corner method."""
     robot, number = paper_robot(), seed // RUNS_PER_ROUTE
     # A hundredth of the usual noise of wheels and joints shows the effect of the corners alone.
@@ -97,7 +97,7 @@ def main(runs: int = RUNS) -> str:
     """Table 4, with the usual noise of wheels and joints and with a hundredth of it."""
     text = []
     for quiet in (False, True):
-        found = list(map_runs(one_run, [(seed, quiet) for seed in range(runs)]))
+        found = results_of(one_run, quiet, seeds=range(runs))
         noise = "as in the [results](results.md#maximum-likelihood-against-the-truth)"
         if quiet:
             noise = "reduced to a hundredth"
@@ -116,7 +116,3 @@ def main(runs: int = RUNS) -> str:
         ]
         text.append("\n" + paragraph("; ".join(figures) + ".").rstrip("\n") + "\n")
     return "\n".join(text)
-
-
-if __name__ == "__main__":
-    print(main())

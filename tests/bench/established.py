@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +21,7 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
-from tests.bench.study import conditions, kernel_mb, measured, table
+from tests.bench.study import kernel_mb, measured, table
 from tests.extractions import ideal_extraction
 
 SIZES = (12, 200, 2000)
@@ -65,14 +63,14 @@ def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     return optimize(likelihood_at(data, start)).lin.state, 0.0
 
 
-def one(solver: str, path: Path) -> None:
-    """In its own process: solve, and print the result as JSON."""
+def one(solver: str, path: str) -> dict[str, Any]:
+    """In its own process: solve; fields of `Found`."""
     solve = by_mobilecal
     if solver == "ceres":
         from tests.bench.established_ceres import by_ceres as solve
     elif solver == "gtsam":
         from tests.bench.established_gtsam import by_gtsam as solve
-    data, start = start_of(path)
+    data, start = start_of(Path(path))
     Path("/proc/self/clear_refs").write_text("5")  # forget the peak that making the start had
     before = kernel_mb("VmRSS")
     began = time.perf_counter()
@@ -80,7 +78,7 @@ def one(solver: str, path: Path) -> None:
     seconds = time.perf_counter() - began
     memory = kernel_mb("VmHWM") - before
     cost = replace(likelihood_at(data, start), state=end).cost
-    print(json.dumps(asdict(Found(seconds, callbacks, memory, cost, end.parameters.vector.tolist()))))
+    return asdict(Found(seconds, callbacks, memory, cost, end.parameters.vector.tolist()))
 
 
 def row(stations: int, runs: int) -> list[str]:
@@ -89,10 +87,7 @@ def row(stations: int, runs: int) -> list[str]:
         path = Path(directory) / "extraction.npz"
         extraction = ideal_extraction(paper_robot(), route_of(stations, 0), DISTURBED, 0)
         path.write_bytes(extraction_to_npz(extraction))
-        turns = [
-            {solver: Found(**measured("established", "one", solver, path)) for solver in SOLVERS}
-            for _ in range(runs)
-        ]
+        turns = [{solver: Found(**measured(one, solver, path)) for solver in SOLVERS} for _ in range(runs)]
     seconds = [f"{median(turn[solver].seconds for turn in turns):.3g}" for solver in SOLVERS]
     ratios = [
         f"{median(taken(turn[solver]) / turn['mobilecal'].seconds for turn in turns):.3g}"
@@ -107,7 +102,7 @@ def row(stations: int, runs: int) -> list[str]:
     return [f"{stations:,}", f"{runs}", *seconds, *ratios, memory, cost, nine]
 
 
-def solvers(sizes: Sequence[int] = SIZES, repeats: int = 5) -> str:
+def solvers(repeats: int = 5) -> str:
     """The study as a Markdown table.
 
     Each time is the median of `repeats` runs, each in its own process. It covers building and solving the problem,
@@ -115,21 +110,4 @@ def solvers(sizes: Sequence[int] = SIZES, repeats: int = 5) -> str:
     derivatives is subtracted for the other solvers, but not for mobilecal. The growth of memory is relative to the
     start; it is listed in the order of `SOLVERS`. Differences of cost and parameters are relative to mobilecal.
     """
-    rows = []
-    for stations in sizes:
-        rows.append(row(stations, repeats))
-        print(rows[-1], file=sys.stderr, flush=True)  # the last takes a quarter of an hour
-    return table(HEAD, rows)
-
-
-def main() -> None:
-    """The table for all sizes, or for those given as arguments."""
-    if len(sys.argv) == 4 and sys.argv[1] == "one":
-        one(sys.argv[2], Path(sys.argv[3]))
-        return
-    print(f"{conditions()}\n")
-    print(solvers([int(text) for text in sys.argv[1:]] or SIZES))
-
-
-if __name__ == "__main__":
-    main()
+    return table(HEAD, [row(stations, repeats) for stations in SIZES])

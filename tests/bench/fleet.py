@@ -1,6 +1,6 @@
-"""Twenty-four simulated robots, locally and on a Dask cluster that loses a worker: both give the same table.
+"""Simulated robots, locally and on a Dask cluster that loses a worker: both give the same table.
 
-`python -m tests.bench.fleet [ROBOTS]`. Every sixth recording is truncated, so some robots fail.
+Every sixth recording is truncated, so some robots fail.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.study import Study
 from tests.commands.dask_cluster import local_cluster
 
+RUNS = 24  # robots
 _CUT = 6  # every so many robots
 
 
@@ -35,9 +36,9 @@ def _records(out: Path) -> dict[str, int]:
     return {path.stem: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.json")}
 
 
-def main() -> None:
+def main(asked: Study) -> None:
     """Both runs, compared."""
-    robots = Study.begun(24).runs
+    robots = asked.runs
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         logs = folder / "logs"
@@ -70,7 +71,3 @@ def main() -> None:
         print(f"tables alike: {alike}; done when the worker was killed: {len(kept)}, done twice: {redone}")
         on_cluster = f"{cluster_s:.0f} on the cluster (one worker from half-way on)"
         print(f"s: {here_s:.0f} here, {again_s:.1f} here once more, {on_cluster}")
-
-
-if __name__ == "__main__":
-    main()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
-import sys
 import time
 from pathlib import Path
 from statistics import median
@@ -25,7 +23,7 @@ _STAGES = (
 )
 
 
-def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
+def staged(log: str, out: str, stations: str) -> dict[str, float]:
     """Calibrate in this process: seconds of each stage, and the peak of resident memory, MB."""
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.rig.config import RigConfig
@@ -37,7 +35,7 @@ def staged(log: Path, out: Path, stations: str) -> dict[str, float]:
             began.append((stage, time.perf_counter()))
 
     config, jobs = RigConfig.model_validate({"stations": stations}), os.cpu_count() or 1
-    steps.calibrate([log], out, config=config, force=True, progress=progress, jobs=jobs)
+    steps.calibrate([Path(log)], Path(out), config=config, force=True, progress=progress, jobs=jobs)
     began.append(("", time.perf_counter()))
     seconds = dict.fromkeys(_STAGES, 0.0)
     for (stage, start), (_, end) in itertools.pairwise(began):
@@ -49,8 +47,9 @@ def main(source: Path, folder: Path, rounds: int = 5) -> str:
     """Table 5; `source` is a recording without stops, as JPEGs. Each round runs all lengths in sequence."""
     logs = {minutes: stretched(source, folder / f"{minutes}min.mcap", minutes) for minutes in MINUTES}
     runs = [(stations, minutes) for stations, lengths in _LENGTHS.items() for minutes in lengths]
-    tasks = {run: ("growth", logs[run[1]], folder / "out", run[0]) for run in runs}
-    found = [{run: measured(*task) for run, task in tasks.items()} for _ in range(rounds)]
+    found = [
+        {run: measured(staged, logs[run[1]], folder / "out", run[0]) for run in runs} for _ in range(rounds)
+    ]
     rows = []
     for run in runs:
         stations, minutes = run
@@ -83,7 +82,3 @@ def main(source: Path, folder: Path, rounds: int = 5) -> str:
 
 def _grown(ratios: list[float]) -> str:
     return f"{median(ratios):.1f} ({min(ratios):.1f} to {max(ratios):.1f})"
-
-
-if __name__ == "__main__":
-    print(json.dumps(staged(Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3])))

@@ -25,7 +25,6 @@ from mobilecal_cli.model import (
     Jump,
     KnownNoise,
     Noise,
-    Parameters,
     Solution,
     Track,
     WheelGeometry,
@@ -50,10 +49,11 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.actual import PRIORS, draw
-from tests.bench.simulated import RUNS_PER_ROUTE, errors
-from tests.bench.study import rms
+from tests.bench.simulated import RUNS_PER_ROUTE
+from tests.bench.study import Study, head, line, results_of, rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
 from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
+from tests.truth import errors, parameters_of
 
 ROBOTS = {
     "paper": paper_robot,
@@ -106,6 +106,7 @@ class Case:
         noise: of the recording.
         outside: what no constant describes; every run has a board and lenses of its own.
         twice: every image is there twice, with the same corners and joint readings.
+        right: kinds of constants that are a right answer to "what is wrong?".
         levels_drawn: the noise levels are drawn around the estimator's guesses, and so are the correlation lengths of
             floor and wheel scales.
     """
@@ -119,6 +120,7 @@ class Case:
     noise: extractions.Noise = PERFECT
     outside: Outside = _NOTHING
     twice: bool = False
+    right: tuple[str, ...] = ()
     levels_drawn: bool = False
 
     def drawn(self, scale: float = 1.0, **changes: Any) -> Case:
@@ -259,7 +261,7 @@ def bound_of(
     extraction = extractions.ideal_extraction(true, route)
     inference = Inference.of(extraction, Constraints())
     data = inference.data
-    parameters, everything = Parameters(true.T_h_c, true.wheels), Inliers.all_of(dataset_of(extraction))
+    parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))
     levels = Noise.exact(**given(noise).given)
     state = initial_state(data, parameters, everything)
     lin = Posterior.at(data, state, everything, levels, inference.priors(state))
@@ -360,6 +362,35 @@ def verdict_cells(runs: Sequence[Run]) -> list[object]:
     return [f"{np.nanmean(nees):.2f}", f"{np.nanmedian(nees):.2f}", *level_counts(runs), false]
 
 
+def print_cases(
+    asked: Study,
+    cases: Mapping[tuple[str, ...], Case],
+    heads: Sequence[str],
+    figures: Callable[[Sequence[Run], Case], Sequence[object]],
+    title: str = "",
+    remarkable: Callable[[Run], bool] = lambda _: False,
+    seeds_of: Callable[[Case], Sequence[int]] | None = None,
+) -> None:
+    """A table with a line for each case.
+
+    Args:
+        asked: the number of runs; cases with a part in one of their labels.
+        cases: labels, which are the first cells → case.
+        heads: of all cells.
+        figures: the other cells, of all runs of a case.
+        title: above the table.
+        remarkable: runs that have a line of their own.
+        seeds_of: seeds of a case, in place of the number of runs.
+    """
+    head(*heads, title=title)
+    for labels, case in cases.items():
+        if asked.chosen(labels):
+            seeds = range(asked.runs) if seeds_of is None else seeds_of(case)
+            runs = results_of(run_of_case, case, seeds=seeds, together=2)
+            line(*labels, *figures(runs, case))
+            print_runs(runs, remarkable, seeds)
+
+
 def print_runs(
     runs: Sequence[Run], remarkable: Callable[[Run], bool], seeds: Iterable[int] | None = None
 ) -> None:
@@ -370,9 +401,9 @@ def print_runs(
             print(f"  seed {seed}: {run.level}, NEES / n {run.nees[3]:.2f}, {run.named}, {changed}")
 
 
-def summary(error: FloatArray, robot: SimulatedRobot) -> list[str]:
+def summary(error: FloatArray, case: Case) -> list[str]:
     """Root-mean-square errors (n, 9) of rotation (deg), translation (mm) and wheels (%), as three cells."""
     size = rms(error)
     rotation, translation = np.degrees(np.linalg.norm(size[:3])), 1e3 * np.linalg.norm(size[3:6])
-    wheels = 100 * float(np.max(size[6:] / robot.wheels.vector))
+    wheels = 100 * float(np.max(size[6:] / ROBOTS[case.robot]().wheels.vector))
     return [f"{rotation:.3f}", f"{translation:.2f}", f"{wheels:.3f}"]

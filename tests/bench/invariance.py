@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import pickle
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +15,7 @@ from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, Case
-from tests.bench.study import conditions, head, line, measured
+from tests.bench.study import Study, head, line, measured
 from tests.extractions import joined
 from tests.pairs import with_views
 
@@ -29,6 +27,7 @@ RECORDINGS = (
     ("20 stations, 3 times the priors", Case(stations=20), 3.0, 4),
     ("40 images in motion, 3 times the priors", Case(motion="moving"), 3.0, 4),
 )
+RUNS = sum(count for *_, count in RECORDINGS)
 _NOISE_PX, _LIMIT = 1e-6, 0.05
 
 
@@ -99,16 +98,16 @@ def answer(extraction: Extraction) -> dict[str, Any]:
     }
 
 
-def work(path: str, names: list[str]) -> None:
-    """Print the answers for some variants of all recordings of a file, as JSON."""
+def work(path: str, *names: str) -> list[dict[str, Any]]:
+    """The answers for some variants of all recordings of a file."""
     made = pickle.loads(Path(path).read_bytes())  # written by `main`
-    print(json.dumps([{name: answer(VARIANTS[name](each)) for name in names} for _, each in made]))
+    return [{name: answer(VARIANTS[name](each)) for name in names} for _, each in made]
 
 
 def answers(path: Path, threads: int, names: list[str]) -> list[dict[str, Any]]:
     """`work` in a process with a number of threads of linear algebra."""
     variables = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), str(threads))
-    found: list[dict[str, Any]] = measured("invariance", "work", path, *names, **variables)
+    found: list[dict[str, Any]] = measured(work, path, *names, **variables)
     return found
 
 
@@ -134,13 +133,9 @@ def _vector(result: dict[str, Any], reference: dict[str, Any]) -> FloatArray:
     return np.concatenate([small, T[:3, 3], result["wheels"]])
 
 
-def main() -> None:
-    """Twenty recordings, or the first ones, as many as an argument says."""
-    if sys.argv[1:2] == ["work"]:
-        work(sys.argv[2], sys.argv[3:])
-        return
-    print(conditions(), flush=True)
-    made = recordings()[: int(sys.argv[1]) if len(sys.argv) > 1 else None]
+def main(asked: Study) -> None:
+    """Twenty recordings, or as many of them as there are runs."""
+    made = recordings()[: asked.runs]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recordings.pickle"
         path.write_bytes(pickle.dumps(made))
@@ -162,7 +157,3 @@ def main() -> None:
             if a["level"] != b["level"] or difference > _LIMIT:
                 missing = f", the leg explains {lost(a, b):.2f} sigma" if label.startswith("cut") else ""
                 print(f"  {name}: {a['level']}, then {b['level']}; {difference:.3f} sigma{missing}")
-
-
-if __name__ == "__main__":
-    main()

@@ -21,6 +21,7 @@ from tests.bench.imperfect import Run as Result
 from tests.bench.study import Study, head, line, results_of
 from tests.extractions import OutsideRobot, extraction_of
 
+RUNS = 30
 RECORDINGS = {
     "20 stations": Case(stations=20).drawn(noise=CORRELATED),
     "40 stations": Case(stations=40).drawn(noise=CORRELATED),
@@ -230,13 +231,8 @@ def study(name: str, runs: int) -> None:
                     print(f"  {what} {found}")
 
 
-def main() -> None:
-    """All recordings; runs as an argument, 30 by default, then parts of names of recordings."""
-    asked = Study.begun(30)
+def main(asked: Study) -> None:
+    """All recordings."""
     print("\nChanges at 25, 50 and 75 % of the recording, in turn; every constant is drawn from its prior.")
     for name in asked.chosen(RECORDINGS):
         study(name, asked.runs)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,7 +1,4 @@
-"""Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF.
-
-`python -m tests.bench.large` prints the table in docs/validation/results.md.
-"""
+"""Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF."""
 
 from __future__ import annotations
 
@@ -12,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tests.bench.study import spent, table
+from tests.bench.study import Study, head, line, spent
 from tests.commands.edited import edited
 from tests.conftest import REPOSITORY
 from tests.records import Record, records_of, written
@@ -59,22 +56,15 @@ def _inspected_s(path: Path) -> float:
     return spent([sys.executable, "-m", "mobilecal_cli", "inspect", str(path)])[1]
 
 
-def main() -> None:
+def main(_: Study) -> None:
     """Print the table: times beyond those of the sample recording alone."""
-    rows = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "log.mcap"
         alone = min(_inspected_s(LOG) for _ in range(3))
+        head("sample recording with", "inspect (s)", f"beyond {alone:.1f} s without, per item (ms)")
         make: Callable[[int, Path], None]
         for what, counts, make in (("topics", TOPICS, with_topics), ("links", LINKS, with_links)):
             for count in counts:
                 make(count, path)
                 more = min(_inspected_s(path) for _ in range(3)) - alone
-                rows.append([f"{count:,} {what}", f"{alone + more:.1f}", f"{1e3 * more / count:.2f}"])
-    print(
-        table(["sample recording with", "inspect (s)", f"beyond {alone:.1f} s without, per item (ms)"], rows)
-    )
-
-
-if __name__ == "__main__":
-    main()
+                line(f"{count:,} {what}", f"{alone + more:.1f}", f"{1e3 * more / count:.2f}")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
-from tests.bench.study import conditions, head, line
+from tests.bench.study import Study, head, line
 
 #: Stops and stereo pairs per stop, with mono8 images of 640 x 480: about 0.1, 1 and 5 GB.
 SIZES = ((6, 28), (20, 82), (40, 204))
@@ -52,16 +52,11 @@ def measured(container: str, stations: int, pairs: int, folder: Path) -> None:
     line(container, f"{size:.2f}", 2 * stations * pairs, *used)
 
 
-def main() -> None:
+def main(_: Study) -> None:
     """All sizes as MCAP, one as the other containers."""
-    print(conditions())
     head("container", "GB", "images", "calibrate: MB", "s", "inspect: MB", "s")
     cases = [("mcap", *size) for size in SIZES]
     cases += [(container, *SIZES[1]) for container in ("mcap-lz4", "rosbag2", "bag")]
     with tempfile.TemporaryDirectory() as folder:
         for case in cases:
             measured(*case, Path(folder))
-
-
-if __name__ == "__main__":
-    main()

@@ -12,12 +12,12 @@ from mobilecal_cli.model import KnownNoise, Method
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, errors, route_of
+from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, route_of
 from tests.bench.study import (
     DEGREES_MM,
     NINE_COLUMNS,
     NINE_RATIOS,
-    by_length,
+    Study,
     head,
     line,
     numbers,
@@ -25,10 +25,11 @@ from tests.bench.study import (
     rms,
 )
 from tests.extractions import ideal_extraction
-from tests.truth import nees
+from tests.truth import errors, nees
 
 _LEVELS = {"ml, noise levels given": GIVEN, "ml, noise levels estimated": KnownNoise()}
 _PAPER_EVERY = 10  # Powell's method takes longer than all the others together
+RUNS = 1000
 _NOTHING = (np.full(9, np.nan), np.nan, False)
 
 
@@ -79,10 +80,7 @@ def study(stations: int, runs: int) -> None:
         line(name, f"{np.nanmean(each):.3f}", f"{np.nanmedian(each):.3f}", left_out)
 
 
-def main() -> None:
-    """N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    by_length(study)
-
-
-if __name__ == "__main__":
-    main()
+def main(asked: Study) -> None:
+    """N = 12 and N = 40."""
+    study(12, asked.runs)
+    study(40, asked.runs)

@@ -9,11 +9,12 @@ import numpy as np
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
 from tests.actual import PRIORS
-from tests.bench.simulated import DISTURBED, as_described, errors, route_of
+from tests.bench.simulated import DISTURBED, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
 from tests.extractions import ideal_extraction
-from tests.truth import nees
+from tests.truth import errors, nees
 
+RUNS = 100
 _LATE_S = 0.025
 _CLOCKS = ("time_joints", "time_wheels")
 
@@ -33,9 +34,9 @@ def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.nd
     return error, found.std, off, offsets[:, 0] + _LATE_S, offsets[:, 1], len(solution.outliers)
 
 
-def main() -> None:
-    """Runs, each with a route of its own, as an argument; 100 by default."""
-    runs = Study.begun(100).runs
+def main(asked: Study) -> None:
+    """Each run has a route of its own."""
+    runs = asked.runs
     error, std, each, offset, offset_std, left_out = zip(*results_of(one_run, seeds=range(runs)), strict=True)
     title = f"Recordings without stops, 40 images, {runs} runs, noise levels estimated, cameras 25 ms late."
     head("", *NINE_RATIOS, title=title)
@@ -46,7 +47,3 @@ def main() -> None:
     for name, *values in zip(_CLOCKS, *columns, strict=True):
         line(name, *numbers(values))
     print(f"\nMean NEES / 9: {np.mean(each):.2f}. Runs with outliers: {sum(n > 0 for n in left_out)}.")
-
-
-if __name__ == "__main__":
-    main()

@@ -28,6 +28,7 @@ STRAIGHT_M = 5.0
 QUANTITIES = ("x", "y", "heading", "x, y and heading", "pose: x, y", "pose: heading")
 FIVE = "five legs together"
 COARSE, COARSE_RAD = ", encoder steps of 1.2 degrees", float(np.radians(1.2))
+RUNS = 200
 STUDIED = ("paper's robot, N = 12", f"paper's robot, N = 12{COARSE}", "pan-tilt robot, N = 20")
 _OTHER_ROUTES = 5000
 #: The wheels' noise of each robot is the usual one times a factor between these.
@@ -179,12 +180,7 @@ def study(name: str, robots: int) -> None:
     print(f"\nmean leg {path:.2f} m; variances times {widening:.3f}; {shares}")
 
 
-def main() -> None:
-    """Robots as an argument, 200 by default; then names of cases."""
-    asked = Study.begun(200)
+def main(asked: Study) -> None:
+    """All cases; each run is a robot."""
     for name in asked.chosen(STUDIED):
         study(name, asked.runs)
-
-
-if __name__ == "__main__":
-    main()

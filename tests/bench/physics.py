@@ -21,6 +21,7 @@ from tests.bench.imperfect import LEVELS, level_counts, run_of
 from tests.bench.study import Study, head, line
 from tests.robots import corners_of, in_cameras, rig_of
 
+RUNS = 10
 _STEP_S = 0.002
 _EVERY = 5  # steps for one row of the log
 _PIXEL_PX, _JOINT_RAD = 0.1, float(np.radians(0.02))
@@ -165,9 +166,8 @@ def _observed(route, T_c_k, random):
     return views, points.points_c, points.points_cov, found.T_c_k, found.T_c_k_cov, square_m, found.rms_px
 
 
-def main() -> None:
-    """All worlds, at rest and in motion; runs as an argument, 10 by default."""
-    asked = Study.begun(10)
+def main(asked: Study) -> None:
+    """All worlds, at rest and in motion."""
     head(
         "", "runs", "mean NEES / 6 of the camera", "mean error of the separation (%)", "in its sigmas", *LEVELS,
         "beyond five sigmas", title=f"MuJoCo {mujoco.__version__}",
@@ -185,7 +185,3 @@ def main() -> None:
             )
             cells = (f"{camera:.2f}", f"{wide:+.2f}", f"{sigmas:+.1f}", *level_counts(results), beyond)
             line(f"{name}, {motion}", asked.runs, *cells)
-
-
-if __name__ == "__main__":
-    main()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,7 +15,7 @@ _JPEG, _CORES = "jpeg", 2
 _MEASURED = 100  # stations
 
 
-def decode_alone(path: Path, workers: int) -> float:
+def decode_alone(path: str, workers: str) -> float:
     """Seconds to read all messages with the `mcap` package and decode the images, on `workers` threads."""
     import cv2
     import numpy as np
@@ -36,7 +34,7 @@ def decode_alone(path: Path, workers: int) -> float:
             np.asarray(message.data).reshape(message.height, message.width)
 
     start = time.perf_counter()
-    with path.open("rb") as stream, ThreadPoolExecutor(workers) as pool:
+    with Path(path).open("rb") as stream, ThreadPoolExecutor(int(workers)) as pool:
         for schema, _, message in make_reader(stream).iter_messages():
             if schema is not None and "Image" in schema.name:
                 waiting.append(pool.submit(picture, message.data, schema.name))
@@ -47,7 +45,7 @@ def decode_alone(path: Path, workers: int) -> float:
     return time.perf_counter() - start
 
 
-def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
+def read_and_see(path: str, jobs: str) -> dict[str, float]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
     from mobilecal_cli.calibrate.detect import DetectionWorkers, measure_stations, plan_recording
     from mobilecal_cli.model import Board
@@ -58,7 +56,7 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
-    with open_recording([path]) as recording, DetectionWorkers(recording, jobs) as workers:
+    with open_recording([Path(path)]) as recording, DetectionWorkers(recording, int(jobs)) as workers:
         workers.call()
         rig = complete_rig(survey_rig(load_rig(None), read_description(recording)))
         (plan,), *_ = plan_recording(recording, rig, True)
@@ -70,7 +68,8 @@ def read_and_see(path: Path, jobs: int) -> tuple[float, float, int]:
     for item in measure_stations(0, rig.cameras, board, plan.stations[:_MEASURED], detections[:_MEASURED]):
         if isinstance(item, Measured):
             resolve_square(item, board.square_m)
-    return seconds, 1e3 * (time.perf_counter() - start) / _MEASURED, found
+    measuring = 1e3 * (time.perf_counter() - start) / _MEASURED
+    return {"seconds": seconds, "measuring": measuring, "found": found}
 
 
 def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
@@ -82,26 +81,26 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
         cores = (1, _CORES) if kind == _JPEG else (_CORES,)
         runs = [
             {
-                f"{what}{workers}": measured("reading", what, path, workers, OPENBLAS_NUM_THREADS="1")
+                f"{what}{workers}": measured(function, path, workers, OPENBLAS_NUM_THREADS="1")
                 for workers in cores
-                for what in ("decode", "see")
+                for what, function in (("decode", decode_alone), ("see", read_and_see))
             }
             for _ in range(repeats)
         ]
         for workers in cores:
             see = [run[f"see{workers}"] for run in runs]
-            decode = [run[f"decode{workers}"]["seconds"] for run in runs]
+            decode = [run[f"decode{workers}"] for run in runs]
             ratio = median(s["seconds"] / d for s, d in zip(see, decode, strict=True))
             rows.append(
                 [kind, str(workers), f"{median(decode):.2f}", f"{median(s['seconds'] for s in see):.2f}", f"{ratio:.2f}",
                  f"{median(s['measuring'] for s in see):.2f}", f"{see[0]['found']:.0f}"]
             )  # fmt: skip
         if len(cores) > 1:
-            gain = [
-                f"{median(run[f'{what}1']['seconds'] / run[f'{what}{_CORES}']['seconds'] for run in runs):.2f}"
-                for what in ("decode", "see")
-            ]
-            speed.append([kind, *gain])
+            gains = (
+                median(run["decode1"] / run[f"decode{_CORES}"] for run in runs),
+                median(run["see1"]["seconds"] / run[f"see{_CORES}"]["seconds"] for run in runs),
+            )
+            speed.append([kind, *(f"{gain:.2f}" for gain in gains)])
     head = ["images", "cores", "read + decode (s)", "read + detect (s)", "ratio",
             "triangulation and pose (ms per station, one core)", "boards found"]  # fmt: skip
     return (
@@ -109,12 +108,3 @@ def main(logs: dict[str, Path], repeats: int = REPEATS) -> str:
         + f"\nSpeed-up from 1 to {_CORES} cores, medians of the ratios of all rounds.\n\n"
         + table(["images", "read + decode", "read + detect"], speed)
     )
-
-
-if __name__ == "__main__":
-    what, path, workers = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
-    if what == "decode":
-        print(json.dumps({"seconds": decode_alone(path, workers)}))
-    else:
-        seconds, measuring, found = read_and_see(path, workers)
-        print(json.dumps({"seconds": seconds, "measuring": measuring, "found": found}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.nuisance import Constant, camera_change, table
+from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import (
     EXACT,
@@ -22,7 +22,6 @@ from mobilecal_cli.model import (
     Camera,
     CameraRig,
     Corners,
-    Evidence,
     Extraction,
     FloatArray,
     KnownNoise,
@@ -49,7 +48,7 @@ from mobilecal_cli.vision import (
 )
 from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
-from tests.bench.study import conditions
+from tests.bench.study import Study
 from tests.pairs import board_pose, measure, triangulate, with_pair
 from tests.robots import chain_of, rig_of
 from tests.vision.scenes import bouguet as bouguet_rig
@@ -238,54 +237,19 @@ def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
     return Extraction(robot, _BOARD, seen, (rest,) * len(seen), (), (), (), {})
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The cameras and the board, estimated from some pairs.
+def estimated(rig: CameraRig, pairs: Sequence[Pair]) -> Fit:
+    """The product's estimate of the cameras and the board from a stated rig; the nine parameters are fixed."""
+    extraction = extraction_of(rig, pairs)
+    nominal = extraction.rig.nominal
+    assert nominal.T_h_reference is not None
+    assert nominal.wheels is not None
+    inference = Inference.of(extraction, Constraints(dict.fromkeys(NINE)))
+    return robust_fit(inference, Parameters(nominal.T_h_reference, nominal.wheels))
 
-    Attributes:
-        fit: the maximum of the likelihood.
-        contradictions: stated constants that the pairs contradict.
-    """
 
-    fit: Fit
-    contradictions: tuple[Evidence, ...]
-
-    @classmethod
-    def of(cls, rig: CameraRig, pairs: Sequence[Pair]) -> Estimate:
-        """The product's estimate from a stated rig; the nine parameters are fixed."""
-        extraction = extraction_of(rig, pairs)
-        nominal = extraction.rig.nominal
-        assert nominal.T_h_reference is not None
-        assert nominal.wheels is not None
-        inference = Inference.of(extraction, Constraints(dict.fromkeys(NINE)))
-        fit = robust_fit(inference, Parameters(nominal.T_h_reference, nominal.wheels))
-        return cls(fit, contradictions_of(fit))
-
-    @property
-    def rows(self) -> tuple[Constant, ...]:
-        """Rows of the estimated constants."""
-        return self.fit.data.layout.constants
-
-    @property
-    def cameras(self) -> CameraRig:
-        """The improved stereo pair."""
-        return cameras_at(self.fit.data, self.fit.lin.state)
-
-    @cached_property
-    def std(self) -> dict[str, float]:
-        """Name of each constant → its standard deviation."""
-        layout = self.fit.data.layout
-        std = np.sqrt(np.diag(self.fit.covariance))[: layout.size]
-        return dict(zip(layout.names, std.tolist(), strict=True))
-
-    def value(self, name: str) -> float:
-        """Value of a constant."""
-        return self.fit.lin.state.value(name)
-
-    @property
-    def left_out(self) -> int:
-        """Number of corners that were left out as outliers."""
-        return int(np.sum(~self.fit.inliers.used_corners))
+def improved(fit: Fit) -> CameraRig:
+    """The stereo pair as estimated."""
+    return cameras_at(fit.data, fit.lin.state)
 
 
 # -- figures ------------------------------------------------------------------------------------------
@@ -354,40 +318,25 @@ class Result:
     left_out: int
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """What is compared.
-
-    Attributes:
-        rig: the stated stereo pair.
-        pairs: pictures.
-        right: kinds that are a right answer to "what is wrong?".
-        others: whether each pair is also seen with a rig that was estimated without it.
-    """
-
-    rig: CameraRig
-    pairs: Sequence[Pair]
-    right: tuple[str, ...] = ()
-    others: bool = True
-
-    def result(self) -> Result:
-        """Estimate, and compare."""
-        rig, pairs, count = self.rig, self.pairs, len(self.pairs)
-        refused = tuple(why for pair in pairs if (why := refusal(rig, pair)) is not None)
-        estimate = Estimate.of(rig, pairs)
-        others = np.full(len(FIGURES), np.nan)
-        if self.others:
-            without = [[*pairs[:k], *pairs[k + 1 :]] for k in range(count)]
-            others = figures([Estimate.of(rig, some).cameras for some in without], pairs)
-        return Result(
-            figures([rig] * count, pairs),
-            figures([estimate.cameras] * count, pairs),
-            others,
-            refused,
-            {row.name: (estimate.value(row.name), estimate.std[row.name]) for row in estimate.rows},
-            tuple((e.kind, e.part) for e in estimate.contradictions),
-            estimate.left_out,
-        )
+def compared(rig: CameraRig, pairs: Sequence[Pair], others: bool = True) -> Result:
+    """What an estimate from a stated rig makes of it; `others`: each pair is also seen with a rig estimated without it."""
+    count = len(pairs)
+    refused = tuple(why for pair in pairs if (why := refusal(rig, pair)) is not None)
+    fit = estimated(rig, pairs)
+    layout, without = fit.data.layout, np.full(len(FIGURES), np.nan)
+    if others:
+        rest = [[*pairs[:k], *pairs[k + 1 :]] for k in range(count)]
+        without = figures([improved(estimated(rig, some)) for some in rest], pairs)
+    std = dict(zip(layout.names, np.sqrt(np.diag(fit.covariance))[: layout.size].tolist(), strict=True))
+    return Result(
+        figures([rig] * count, pairs),
+        figures([improved(fit)] * count, pairs),
+        without,
+        refused,
+        {row.name: (fit.lin.state.value(row.name), std[row.name]) for row in layout.constants},
+        tuple((e.kind, e.part) for e in contradictions_of(fit)),
+        int(np.sum(~fit.inliers.used_corners)),
+    )
 
 
 # -- tables -------------------------------------------------------------------------------------------
@@ -418,24 +367,27 @@ def _found_rows(name: str, case: Case, true: CameraRig, both: tuple[Result, Resu
         name = ""
 
 
-def _tried(task: Task) -> Result:
-    return task.result()
+#: A rig, pairs, and kinds that are a right answer to "what is wrong?".
+Task = tuple[CameraRig, Sequence[Pair], Sequence[str]]
 
 
 def _study(true: CameraRig, pairs: Sequence[Pair], more: Mapping[str, Task]) -> str:
-    """All tables of one set of pairs; more: name → rigs that are wrong in another way."""
+    """All tables of one set of pairs; more: name → what is wrong in another way."""
     of_case = cases(true.each[0].width)
-    tasks = {name: Task(case.of(true), pairs, case.right) for name, case in of_case.items()}
+    tasks: dict[str, Task] = {name: (case.of(true), pairs, case.right) for name, case in of_case.items()}
     tasks |= more
-    big = {name: Task(case.times(_BIG).of(true), pairs, case.right, False) for name, case in of_case.items()}
+    big = [case.times(_BIG).of(true) for case in of_case.values()]
     with ProcessPoolExecutor() as pool:
-        results = dict(zip(tasks, pool.map(_tried, tasks.values()), strict=True))
-        at_big = dict(zip(big, pool.map(_tried, big.values()), strict=True))
+        rigs, of_task = zip(*((rig, some) for rig, some, _ in tasks.values()), strict=True)
+        results = dict(zip(tasks, pool.map(compared, rigs, of_task), strict=True))
+        alone = pool.map(partial(compared, others=False), big, [pairs] * len(big))
+        at_big = dict(zip(of_case, alone, strict=True))
     board, found, named = [], [], []
     for name, result in results.items():
         board.append(_board_row(name, result))
-        other = _named(at_big[name], tasks[name].right) if name in at_big else [""] * 3
-        named.append([name, *_named(result, tasks[name].right), *other])
+        right = tasks[name][2]
+        other = _named(at_big[name], right) if name in at_big else [""] * 3
+        named.append([name, *_named(result, right), *other])
         if name in of_case:
             found += list(_found_rows(name, of_case[name], true, (results["nothing"], result)))
     causes = ("refused stations", "corners left out", "contradictions named")
@@ -452,31 +404,28 @@ def bouguet() -> str:
     odd, even = pairs[::2], pairs[1::2]
     intrinsics = ("distortion", "focal_length", "principal_point")
     direction = ("baseline_direction",)  # 1.1 and 1.2 degrees from the published one
-    more = {"`intrinsics_wrong.yml`": Task(wrong_intrinsics(bouguet_rig(), folder), pairs, intrinsics)}
+    more: dict[str, Task] = {
+        "`intrinsics_wrong.yml`": (wrong_intrinsics(bouguet_rig(), folder), pairs, intrinsics)
+    }
     halves = ("1, 3, 5, 7", odd, "2, 4, 6", even), ("2, 4, 6", even, "1, 3, 5, 7", odd)
     for these, some, those, others in halves:
-        task = Task(by_opencv(some, size), others, direction)
-        more[f"calibrated by OpenCV from pairs {these}; used on {those}"] = task
-    more |= {f"nothing; used on {those}": Task(bouguet_rig(), others) for _, _, those, others in halves}
+        name = f"calibrated by OpenCV from pairs {these}; used on {those}"
+        more[name] = (by_opencv(some, size), others, direction)
+    more |= {f"nothing; used on {those}": (bouguet_rig(), others, ()) for _, _, those, others in halves}
     return _study(bouguet_rig(), pairs, more)
 
 
 def mrpt() -> str:
     """Tables of the four pairs with OpenCV's joint calibration from all of them as the truth."""
     pairs, size = pairs_in(DATA / "stereo" / "mrpt_stereo_calib")
-    steps = Task(by_opencv(pairs, size), pairs, ("stereo_rotation", "principal_point"))
+    steps = by_opencv(pairs, size), pairs, ("stereo_rotation", "principal_point")
     return _study(by_opencv(pairs, size, jointly=True), pairs, {"calibrated by OpenCV in two steps": steps})
 
 
-def main() -> None:
+def main(_: Study) -> None:
     """All tables."""
-    print(conditions() + f", opencv {cv2.__version__}\n")
     if not DATA.is_dir():
         print("The pictures for this study are not available.")
         return
     print("### Bouguet's seven pairs\n\n" + bouguet())
     print("### MRPT's four pairs\n\n" + mrpt())
-
-
-if __name__ == "__main__":
-    main()

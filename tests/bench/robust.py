@@ -14,18 +14,11 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import extractions
-from tests.bench.simulated import (
-    DISTURBED,
-    RUNS_PER_ROUTE,
-    as_described,
-    errors,
-    information_of,
-    route_of,
-    spoiled,
-)
-from tests.bench.study import NINE_RATIOS, by_length, head, line, numbers, results_of, rms
-from tests.truth import nees
+from tests.bench.simulated import DISTURBED, RUNS_PER_ROUTE, as_described, information_of, route_of, spoiled
+from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.truth import errors, nees
 
+RUNS = 1000
 _FALSE = float(chi2.isf(1e-6, 9)) / 9
 
 
@@ -66,10 +59,7 @@ def study(stations: int, runs: int) -> None:
     )
 
 
-def main() -> None:
-    """N = 12 and N = 40; runs as an argument, 1,000 by default."""
-    by_length(study)
-
-
-if __name__ == "__main__":
-    main()
+def main(asked: Study) -> None:
+    """N = 12 and N = 40."""
+    study(12, asked.runs)
+    study(40, asked.runs)

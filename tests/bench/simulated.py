@@ -19,7 +19,6 @@ from mobilecal_cli.model import (
     FloatArray,
     KnownNoise,
     Noise,
-    Parameters,
 )
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
@@ -27,6 +26,8 @@ from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.pairs import measured_anew
 from tests.robots import corners_of, in_cameras
+from tests.truth import errors as errors
+from tests.truth import parameters_of
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -41,11 +42,6 @@ def route_of(stations: int, number: int, motion: Motion = "standard") -> Route:
     return plan_route(paper_robot(), motion, stations=stations, seed=number)
 
 
-def errors(found: Parameters, robot: SimulatedRobot) -> FloatArray:
-    """(9,) found minus true: small rotation vector in the head's frame (rad), translation and wheels (m)."""
-    return found.minus(Parameters(robot.T_h_c, robot.wheels))
-
-
 def as_described(extraction: Extraction) -> Extraction:
     """The same for a robot that is exactly as described: no uncertain constants, a flat floor."""
     flat = dict.fromkeys(("floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share"), EXACT)
@@ -56,7 +52,7 @@ def as_described(extraction: Extraction) -> Extraction:
 def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:
     """(P, P) Fisher information about the shared numbers at the truth, from readings without any noise."""
     extraction = extractions.ideal_extraction(robot, route)
-    data, true = dataset_of(extraction), Parameters(robot.T_h_c, robot.wheels)
+    data, true = dataset_of(extraction), parameters_of(robot)
     everything = Inliers.all_of(data)
     state, priors = initial_state(data, true, everything), Priors.none(data.layout, true)
     return Posterior.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S

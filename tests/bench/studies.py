@@ -1,35 +1,29 @@
-"""`make studies`: the accuracy studies of docs/validation/results.md, in sequence; this takes hours."""
+"""`make studies`: the studies of docs/validation/results.md, in sequence; this takes hours.
 
-from tests.bench import (
-    configurations,
-    correlated,
-    degenerate,
-    drawn,
-    fleet,
-    invariance,
-    jumps,
-    memory,
-    monte_carlo,
-    moving,
-    odometry,
-    one_thing,
-    real_pairs,
-    robust,
-    samples,
-    table1,
-    used,
-    wheels_alone,
-)
+`python -m tests.bench.studies STUDY [RUNS] [PART ...]` runs one of them; of its cases, those whose names contain a part.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+from tests.bench.study import Study, conditions
+
+STUDIES = (
+    *("table1", "samples", "fleet", "memory", "large", "real_pairs", "wheels_alone"),
+    *("drawn", "configurations", "used", "odometry", "one_thing", "correlated", "jumps", "invariance", "physics"),
+    *("degenerate", "moving", "monte_carlo", "robust"),  # robots exactly as described
+)  # fmt: skip
 
 
 def main() -> None:
-    """All of them."""
-    exact = (degenerate, moving, monte_carlo, robust)  # robots exactly as described
-    stay = (correlated, one_thing, jumps, invariance)
-    first = (table1, samples, fleet, memory, real_pairs, drawn, configurations, used, odometry, wheels_alone)
-    for study in (*first, *stay, *exact):
-        print(f"\n## {study.__name__.rpartition('.')[2]}: {study.__doc__}")
-        study.main()
+    """The named study, or all of them; a module states its number of runs if it has one."""
+    name, runs, parts = sys.argv[1:2], sys.argv[2:3], sys.argv[3:]
+    for study in name or STUDIES:
+        module = import_module(f"tests.bench.{study}")
+        print(f"\n## {study}: {module.__doc__}\n\n{conditions()}")
+        module.main(Study(int(runs[0]) if runs else getattr(module, "RUNS", 0), tuple(parts)))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""What the studies share: their arguments, many runs on all cores, and tables in Markdown."""
+"""What the studies share: many runs on all cores, processes of their own, and tables in Markdown.
+
+Run as a program, it calls a function in a process of its own, for `measured`.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +13,16 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import scipy
 
@@ -31,7 +37,7 @@ NINE_RATIOS = tuple(name.partition(" ")[0] for name in NINE_COLUMNS)
 
 def conditions() -> str:
     """Versions and machine, in one line."""
-    versions = f"numpy {np.__version__}, scipy {scipy.__version__}"
+    versions = f"numpy {np.__version__}, scipy {scipy.__version__}, OpenCV {cv2.__version__}"
     cores = f"{os.cpu_count()} cores, {platform.machine()}"
     when = f"{datetime.now(UTC):%Y-%m-%d}"
     return f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {cores}, {when}"
@@ -39,16 +45,10 @@ def conditions() -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """Arguments of a study: the number of runs, then parts of the names of cases."""
+    """What is asked of a study: the number of runs, and parts of the names of cases."""
 
     runs: int
     parts: tuple[str, ...] = ()
-
-    @classmethod
-    def begun(cls, runs: int) -> Study:
-        """Those of the command line; `runs` by default. The conditions are printed first."""
-        print(conditions())
-        return cls(int(sys.argv[1]) if len(sys.argv) > 1 else runs, tuple(sys.argv[2:]))
 
     def chosen(self, names: Iterable[str]) -> list[str]:
         """The names that contain one of the parts; all without parts."""
@@ -56,14 +56,9 @@ class Study:
 
 
 def results_of(run: Callable[..., Any], *case: Any, seeds: Iterable[int], together: int = 5) -> list[Any]:
-    """`run(*case, seed)` for each seed."""
-    return list(map_runs(run, [(*case, seed) for seed in seeds], together))
-
-
-def map_runs(run: Callable[..., Any], tasks: list[tuple[Any, ...]], together: int = 5) -> Iterator[Any]:
-    """`run` on every task, on all cores, results in the tasks' order; a process gets so many at a time."""
+    """`run(*case, seed)` for each seed, on all cores; a process gets so many seeds at a time."""
     with ProcessPoolExecutor() as pool:
-        yield from pool.map(run, *zip(*tasks, strict=True), chunksize=together)
+        return list(pool.map(partial(run, *case), seeds, chunksize=together))
 
 
 #: As on a user's machine, where byte code is kept.
@@ -82,9 +77,9 @@ def spent(command: list[str]) -> tuple[float, float]:
     return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def measured(module: str, *arguments: object, **environment: str) -> Any:
-    """What a module of this package prints last, as JSON: measured in a process of its own."""
-    command = [sys.executable, "-m", f"tests.bench.{module}", *map(str, arguments)]
+def measured(function: Callable[..., Any], *arguments: object, **environment: str) -> Any:
+    """What a function returns in a process of its own, through JSON; it gets its arguments as strings."""
+    command = [sys.executable, "-m", __name__, function.__module__, function.__name__, *map(str, arguments)]
     variables = os.environ | environment
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=variables)
     return json.loads(done.stdout.splitlines()[-1])
@@ -94,13 +89,6 @@ def kernel_mb(name: str) -> float:
     """Memory of this process as reported by the kernel, MB: VmRSS, or VmHWM for its peak."""
     (line,) = (text for text in Path("/proc/self/status").read_text().splitlines() if text.startswith(name))
     return int(line.split()[1]) / 1024
-
-
-def by_length(study: Callable[[int, int], None]) -> None:
-    """A study with N = 12 and with N = 40; runs as an argument, 1,000 by default."""
-    runs = Study.begun(1000).runs
-    for stations in (12, 40):
-        study(stations, runs)
 
 
 def head(*columns: str, title: str = "") -> None:
@@ -134,3 +122,8 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def paragraph(text: str) -> str:
     """A paragraph, wrapped at 100 columns, with an empty line after it."""
     return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n\n"
+
+
+if __name__ == "__main__":
+    module, function, *given = sys.argv[1:]
+    print(json.dumps(getattr(import_module(module), function)(*given)))

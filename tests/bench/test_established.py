@@ -7,13 +7,13 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import Parameters
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
 from tests.bench.simulated import DISTURBED, route_of
 from tests.extractions import ideal_extraction
+from tests.truth import parameters_of
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,7 @@ def case():
     robot = paper_robot()
     extraction = ideal_extraction(robot, route_of(5, 0), DISTURBED, 0)
     data = dataset_of(extraction)
-    parameters = Parameters(robot.T_h_c, robot.wheels)
-    start = initial_state(data, parameters, Inliers.all_of(data))
+    start = initial_state(data, parameters_of(robot), Inliers.all_of(data))
     terms = Terms(data, start)
     random = np.random.default_rng(0)
     first = terms.first()

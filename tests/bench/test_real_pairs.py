@@ -2,7 +2,8 @@
 
 import pytest
 
-from tests.bench.real_pairs import FIGURES, Estimate, Task, by_opencv, cases, figures, pairs_in
+from mobilecal_cli.solvers.findings import contradictions_of
+from tests.bench.real_pairs import FIGURES, by_opencv, cases, compared, estimated, figures, pairs_in
 from tests.vision.scenes import bouguet
 
 MEAN, SPREAD, HALVES, REPROJECTION = 0, 1, 4, len(FIGURES) - 1
@@ -32,7 +33,7 @@ def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_
     """
     pairs, (width, _) = opencv
     case = cases(width)[MIXED]
-    result = Task(case.of(bouguet()), pairs, case.right).result()
+    result = compared(case.of(bouguet()), pairs)
     best = figures([bouguet()] * len(pairs), pairs)
     assert result.before[MEAN] > 2.0
     for figure in (SPREAD, HALVES, REPROJECTION):
@@ -48,7 +49,7 @@ def published(opencv):
     """Where these pairs differ from the published calibration: estimates with nothing wrong."""
     pairs, (width, _) = opencv
     case = cases(width)["nothing"]
-    return Task(case.of(bouguet()), pairs, case.right, others=False).result().found
+    return compared(case.of(bouguet()), pairs, others=False).found
 
 
 @pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
@@ -56,7 +57,7 @@ def test_one_wrong_constant(opencv, published, name):
     pairs, (width, _) = opencv
     true = bouguet()
     case = cases(width)[name]
-    result = Task(case.of(true), pairs, case.right, others=False).result()
+    result = compared(case.of(true), pairs, others=False)
     assert not result.refused
     assert result.left_out == 0
     assert abs(result.after[MEAN]) < 0.01
@@ -73,7 +74,7 @@ def test_a_wrong_cause_is_named(opencv):
     """Four times as wrong, the left camera's distortion is what the pairs contradict, and nothing else."""
     pairs, (width, _) = opencv
     case = cases(width)["k1 of the left, +0.02"].times(4)
-    result = Task(case.of(bouguet()), pairs, case.right, others=False).result()
+    result = compared(case.of(bouguet()), pairs, others=False)
     assert result.named == (("distortion", "left camera"),)
 
 
@@ -81,7 +82,7 @@ def test_other_pictures(mrpt):
     pairs, size = mrpt
     true = by_opencv(pairs, size, jointly=True)
     case = cases(size[0])[MIXED]
-    result = Task(case.of(true), pairs, case.right, others=False).result()
+    result = compared(case.of(true), pairs, others=False)
     best = figures([true] * len(pairs), pairs)
     assert result.before[SPREAD] > 3 * best[SPREAD]
     assert result.after[SPREAD] < 1.2 * best[SPREAD]  # 1.18: without the waves that the estimate has, too
@@ -92,7 +93,6 @@ def test_a_board_that_a_first_fit_leaves_out_is_used_without_legs(mrpt):
     """No legs between stations could say whether the board is wrong."""
     pairs, size = mrpt
     case = cases(size[0])["k1 of the left, +0.02"].times(4)
-    true = by_opencv(pairs, size, jointly=True)
-    estimate = Estimate.of(case.of(true), pairs)
-    assert estimate.fit.inliers.views.all()
-    assert [(e.kind, e.part) for e in estimate.contradictions] == [("distortion", "left camera")]
+    fit = estimated(case.of(by_opencv(pairs, size, jointly=True)), pairs)
+    assert fit.inliers.views.all()
+    assert [(e.kind, e.part) for e in contradictions_of(fit)] == [("distortion", "left camera")]

@@ -13,7 +13,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import FloatArray, SensorMotion
 from mobilecal_cli.solvers import solve
-from tests.bench.study import head, line
+from tests.bench.study import Study, head, line
 
 DATA = Path(__file__).resolve().parents[3] / "shared" / "data" / "wheels_alone"
 #: Recording → nominal heading of the laser, deg. It is mounted turned for one of the recordings.
@@ -61,7 +61,7 @@ def solved(run: str, what: str, legs: Sequence[SensorMotion]) -> None:
     )
 
 
-def main() -> None:
+def main(_: Study) -> None:
     """Print the table."""
     head("run", "legs", "radii and separation, mm", "off, published sigmas", "outliers", "time")
     for run in RUNS:
@@ -70,7 +70,3 @@ def main() -> None:
         parts["a tenth"] = legs[::10]
         for what, part in parts.items():
             solved(run, what, part)
-
-
-if __name__ == "__main__":
-    main()

@@ -39,7 +39,7 @@ def true_to(found, robot, kept=slice(None)):
 @pytest.fixture(scope="module")
 def rgbd(tmp_path_factory):
     path = tmp_path_factory.mktemp("rgbd") / "log.bag"
-    simulate(Scenario(robot="rgbd", container="bag", seed=4), path)
+    simulate(Scenario(robot="rgbd", container="bag", seed=4, pictures_per_rest=1), path)
     return path
 
 

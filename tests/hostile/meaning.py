@@ -31,12 +31,11 @@ from mobilecal_cli.model import (
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.rig.cameras import BASELINE
 from mobilecal_cli.simulate.robot import tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import errors
-from tests.extractions import Noise, ideal_extraction, joined
+from tests.extractions import Noise, joined, simulated
 from tests.pairs import measured_anew, with_pair
 from tests.robots import in_cameras
+from tests.truth import errors
 
 SIGMAS = 4.0
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.02)))
@@ -72,8 +71,7 @@ class Wrong:
 @cache
 def recorded() -> Extraction:
     """A right recording."""
-    robot = tick_robot()
-    return ideal_extraction(robot, plan_route(robot, stations=STATIONS, seed=4), NOISE, 4)
+    return simulated("standard", NOISE, "tick", STATIONS, 4)
 
 
 def wheels(right: Callable[[Track], Track], left: Callable[[Track], Track], swapped: bool = False) -> Change:
@@ -389,8 +387,7 @@ def backwards(track: Track) -> Track:
 
 def other_drive(track: Track) -> Track:
     """The readings of another recording."""
-    robot = tick_robot()
-    other = ideal_extraction(robot, plan_route(robot, stations=STATIONS, seed=9), NOISE, 9).wheels[0].right
+    other = simulated("standard", NOISE, "tick", STATIONS, 9).wheels[0].right
     value = np.interp(np.arange(len(track.value)), np.arange(len(other.value)), other.value)
     return replace(track, value=value)
 
@@ -463,7 +460,7 @@ def another_robot(made: Extraction) -> Extraction:
     wheels_ = WheelGeometry(*(robot.wheels.vector * [1.1, 1.1, 1.05]))
     T = robot.T_h_c @ se3.transform(se3.exp_so3(np.array([0.05, 0.0, 0.05])), np.array([0.02, 0.0, 0.01]))
     other = replace(robot, wheels=wheels_, T_h_c=T)
-    second = ideal_extraction(other, plan_route(other, stations=STATIONS, seed=7), NOISE, 7)
+    second = simulated("standard", NOISE, other, STATIONS, 7)
     return replace(joined(made, second), joint_tracks=())
 
 

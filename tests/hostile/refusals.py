@@ -17,11 +17,9 @@ from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.model import LogSource
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.readers.recordings import in_sqlite
 from tests.records import records_of, written
 
@@ -59,9 +57,7 @@ class Case:
 
 def extraction(folder: Path) -> None:
     """extraction.npz of a simulated robot."""
-    robot = ROBOTS["paper"]()
-    ideal = ideal_extraction(robot, plan_route(robot), NOISE)
-    made = replace(ideal, logs=(LogSource("log.mcap", "0" * 64),))
+    made = replace(simulated("standard", NOISE, seed=0), logs=(LogSource("log.mcap", "0" * 64),))
     (folder / "e.npz").write_bytes(extraction_to_npz(made))
 
 

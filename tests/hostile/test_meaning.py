@@ -7,9 +7,8 @@ import pytest
 
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
+from tests.extractions import STATION_NOISE, simulated
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
 from tests.truth import parameters_of
 
@@ -49,8 +48,7 @@ def test_a_board_that_sinks_does_no_harm():
 )
 def test_an_uneven_floor_is_no_step(seed):
     """Heights vary by 10 mm from station to station."""
-    uneven, robot = Imperfection({}, replace(STATION_NOISE, floor_m=0.01)), tick_robot()
-    made = imperfect_extraction(robot, plan_route(robot, stations=20, seed=seed), uneven, seed)
+    made = simulated("standard", replace(STATION_NOISE, floor_m=0.01), "tick", 20, seed)
     solution = solve(made)
     assert solution.jumps == ()
     (height,) = (check for check in judge(solution, made).checks if check.id == "noise.height")

@@ -62,6 +62,7 @@ def test_a_robot_in_motion_with_noisy_joints_passes():
     assert run.nees[3] < 3
 
 
+@pytest.mark.long
 def test_large_play_in_motion_is_no_board_that_moved():
     """It was "the board moved by 692 mm": the score test at a point that was no optimum."""
     case = imperfect.Case(motion="moving", images=50, noise=imperfect.USUAL).drawn()

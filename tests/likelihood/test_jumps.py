@@ -18,7 +18,7 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.bench.imperfect import USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS, changed
-from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction
+from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction, simulated, slipped
 from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
@@ -65,7 +65,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
     assert [each.part for each in left] == ["joint pan_joint"]
 
 
-@pytest.fixture(scope="module", params=[3, 5])
+@pytest.fixture(scope="module", params=[pytest.param(3, marks=pytest.mark.long), 5])
 def moved_board(request):
     """A board that moves by ten standard deviations, in the middle of a recording, and the robot."""
     case = RECORDINGS["20 stations"]
@@ -167,26 +167,23 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole)
     def singular(lin):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    monkeypatch.setattr(jumps, "_Test", singular)
-    assert jumps.cause(None, 3) == ""
-
-    def singular(lin):
-        raise np.linalg.LinAlgError("Singular matrix")
-
     slips = slipping(whole, (6, 7))
     monkeypatch.setattr(jumps, "_Test", singular)
+    assert jumps.cause(None, 3) == ""
     monkeypatch.setattr(Inference, "jump", lambda inference, fit: None)
     assert solve(slips).jumps == ()
 
 
 @pytest.mark.parametrize(
-    ("seed", "first", "change"), [(3, 20, 1.08), (4, 19, 1.06), (6, 18, 1.04), (3, 4, 1.1), (3, 12, 1.1)]
+    ("seed", "first", "change"),
+    [
+        *((3, 20, 1.08), (4, 19, 1.06), (3, 4, 1.1)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in ((6, 18, 1.04), (3, 12, 1.1))),
+    ],
 )
 def test_a_wheel_that_changes_is_named(seed, first, change):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
-    stations = 24
-    route = plan_route(ROBOT, stations=stations, seed=seed)
-    whole = ideal_extraction(ROBOT, route, NOISE, seed)
+    whole = simulated("standard", NOISE, ROBOT, 24, seed)
     track = whole.wheels[0]
     rolled = np.diff(track.left_rad, prepend=track.left_rad[0])
     rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
@@ -203,11 +200,9 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
 
 def slipping(whole, legs):
     """The left wheel of a recording turns by 2 rad without the robot on some legs."""
-    track, left = whole.wheels[0], whole.wheels[0].left_rad.copy()
     for leg in legs:
-        start, end = (whole.observations[k].time_ns for k in (leg, leg + 1))
-        left += np.interp(track.time_ns, [start, end], [0.0, (-1) ** leg * 2.0])
-    return replace(whole, wheels=(WheelTrack.at_same_times(track.time_ns, track.right_rad, left),))
+        whole = slipped(whole, leg, 0.0, (-1) ** leg * 2.0)
+    return whole
 
 
 def test_legs_that_slip_one_after_another(whole):

@@ -16,11 +16,11 @@ from mobilecal_cli.likelihood.views import corner_residuals, view_rates
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
-from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction
+from tests.extractions import simulated
 from tests.robots import chain_of
 from tests.solvers import test_measured
+from tests.truth import parameters_of
 
 LEVELS = Noise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
 
@@ -55,7 +55,7 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
 
 def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
     """By a fine grid: the variance of the mean of a process with covariance exp(-d), given its two ends."""
-    extraction = ideal_extraction(tick_robot(), plan_route(tick_robot(), stations=4, seed=1))
+    extraction = simulated(robot="tick", stations=4, seed=1)
     steps, wheels = dataset_of(extraction).steps(), tick_robot().wheels
     noise = replace(LEVELS, wheel_share=0.01, wheel_length_m=0.5)
     alone = leg_covariances(steps, wheels, noise, ends_known=True)["wheel_share"]
@@ -80,9 +80,9 @@ def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
 
 
 def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
-    extraction = ideal_extraction(tick_robot(), plan_route(tick_robot(), stations=4, seed=1))
+    extraction = simulated(robot="tick", stations=4, seed=1)
     data = dataset_of(extraction, table(extraction.rig.cameras, extraction.rig.chain))
-    priors = Priors.none(data.layout, Parameters(tick_robot().T_h_c, tick_robot().wheels))
+    priors = Priors.none(data.layout, parameters_of(tick_robot()))
     stated = np.ones(data.layout.size)
     priors = replace(priors, stated_weight=stated, alike=stated > 0).widened({"focal_length": 2.0})
     wide = np.array([name in ("focal_left", "focal_right") for name in data.layout.names])
@@ -95,11 +95,11 @@ def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
 def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(constants):
     """The state is that of a recording without them, so that nothing else can take them up."""
     robot = tick_robot()
-    route, rows = plan_route(robot, "moving", 12, seed=1), table(robot.rig_cameras, chain_of(robot))
+    rows = table(robot.rig_cameras, chain_of(robot))
     exact, data = (
-        dataset_of(imperfect_extraction(robot, route, Imperfection(each)), rows) for each in ({}, constants)
+        dataset_of(simulated("moving", robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
     )
-    state = initial_state(exact, Parameters(robot.T_h_c, robot.wheels), Inliers.all_of(exact))
+    state = initial_state(exact, parameters_of(robot), Inliers.all_of(exact))
     names, shared = list(data.layout.names), np.zeros(data.layout.size)
     for name, value in constants.items():
         shared[data.layout.size - len(names) + names.index(name)] = value

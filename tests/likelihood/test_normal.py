@@ -15,12 +15,13 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals
-from mobilecal_cli.model import Noise, Parameters
+from mobilecal_cli.model import Noise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.robots import chain_of
+from tests.truth import parameters_of
 
 NOISE = Noise(
     0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002, 1.0, {}
@@ -49,7 +50,7 @@ class Case:
         legs, views, readings = (getattr(everything, name).copy() for name in ("legs", "views", "readings"))
         legs[1 + logs], views[3], readings[4, 0] = False, False, False
         inliers = replace(everything, legs=legs, views=views, readings=readings)
-        truth = initial_state(self.data, Parameters(robot.T_h_c, robot.wheels), everything)
+        truth = initial_state(self.data, parameters_of(robot), everything)
         random = np.random.default_rng(0)
         self.width = self.data.base_width
         stations = self.width * STATIONS, self.data.own_width * STATIONS

@@ -9,10 +9,9 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.effects import JointEffect
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.likelihood.test_normal import Case, reduced
 from tests.report.example import made, rows_of
 from tests.robots import chain_of, three_on_pan_tilt
@@ -42,9 +41,7 @@ def table(monkeypatch):
 
 def shaken():
     """A recording of a robot whose torso is pitched further than it reads at odd stations."""
-    robot = paper_robot()
-    noise = Noise(0.2, 0.003, 0.0, np.radians(0.05))
-    extraction = ideal_extraction(robot, plan_route(robot, seed=1), noise, seed=1)
+    extraction = simulated("standard", Noise(0.2, 0.003, 0.0, np.radians(0.05)), seed=1)
     seen = list(extraction.observations)
     for k in range(1, len(seen), 2):
         seen[k] = replace(seen[k], joints=seen[k].joints - SHIFT_RAD * np.eye(len(seen[k].joints))[0])

@@ -1,6 +1,7 @@
 """Any number of cameras from one: one alone, three of which some do not show the board, and each of a pair alone."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,10 +12,9 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import NINE
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from tests.bench.simulated import as_described
-from tests.extractions import STATION_NOISE, Imperfection, Noise, ideal_extraction, imperfect_extraction
+from tests.extractions import STATION_NOISE, Noise, simulated
 from tests.robots import (
     CONFIGURATIONS,
     alone,
@@ -26,7 +26,7 @@ from tests.robots import (
 from tests.truth import nees, parameters_of
 
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
-EXACT = Noise()
+UNEVEN = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4)
 
 
 def shown(robot):
@@ -35,30 +35,45 @@ def shown(robot):
     return np.array([name != "t_z" or hidden is None for name in NINE])
 
 
+@cache
+def recorded(robot, seed):
+    """A recording of a robot, given as the function that describes it, and its fit."""
+    extraction = simulated("standard", NOISE, robot(), 20, seed)
+    return extraction, fitted(extraction)
+
+
 @pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
 def test_exact_measurements_give_the_true_robot(cameras, chain):
     robot = CONFIGURATIONS[cameras, chain]()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=14, seed=1), EXACT)
+    extraction = simulated(robot=robot, stations=14, seed=1)
     assert len(extraction.rig.cameras.each) == cameras
     found = fitted(as_described(extraction))
     error = found.parameters.minus(parameters_of(robot))
     assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
 
 
-@pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+#: One of each number of cameras, and of each head; the others are with the long tests.
+_ALWAYS = {(1, "none"), (2, "pan-tilt"), (3, "pan")}
+
+
+@pytest.mark.parametrize(
+    ("cameras", "chain", "seed"),
+    [
+        pytest.param(*key, seed, marks=[pytest.mark.long] * (seed > 0 or key not in _ALWAYS))
+        for key in CONFIGURATIONS
+        for seed in (0, 1)
+    ],
+)
 def test_stated_sigmas_are_true(cameras, chain, seed):
     robot = CONFIGURATIONS[cameras, chain]()
-    route = plan_route(robot, stations=20, seed=seed)
-    found = fitted(ideal_extraction(robot, route, NOISE, seed))
+    _, found = recorded(CONFIGURATIONS[cameras, chain], seed)
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
 @pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
-    both = ideal_extraction(robot, plan_route(robot, stations=20, seed=3), NOISE, 3)
-    pair = fitted(both)
+    both, pair = recorded(ROBOTS[name], 3)
     for k, T_c_camera in enumerate(both.rig.cameras.T_c_each):
         one, expected = fitted(alone(both, k)), pair.parameters.seen_from(T_c_camera)
         difference = one.parameters.minus(expected)[shown(robot)]
@@ -67,8 +82,7 @@ def test_each_camera_of_a_pair_alone_agrees_with_both(name):
 
 
 def test_a_station_counts_with_the_cameras_that_show_the_board():
-    robot = three_on_pan_tilt()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    extraction, found = recorded(three_on_pan_tilt, 0)
     seen = dataset_of(extraction).seen.any(axis=2)
     assert seen[:, 0].all()
     assert seen[:, 1].any()
@@ -77,9 +91,9 @@ def test_a_station_counts_with_the_cameras_that_show_the_board():
         replace(o, views=tuple(replace(v, pixels=v.pixels + 1000 * ~v.seen[:, None]) for v in o.views))
         for o in extraction.observations
     ]
-    a, b = fitted(extraction), fitted(replace(extraction, observations=tuple(moved)))
+    again = fitted(replace(extraction, observations=tuple(moved)))
     # Unseen pixels mean nothing.
-    np.testing.assert_allclose(a.parameters.vector, b.parameters.vector, atol=1e-12)
+    np.testing.assert_allclose(found.parameters.vector, again.parameters.vector, atol=1e-12)
 
 
 @pytest.mark.parametrize(("cameras", "chain"), [(1, "none"), (1, "pan-tilt"), (2, "pan-tilt")])
@@ -89,7 +103,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
     names = ("principal_camera_x", "principal_camera_y", "focal_camera")
     names = names if cameras == 1 else tuple(name.replace("camera", "right") for name in names)
     off = dict(zip(names, (0.02, -0.015, 0.02), strict=True))
-    extraction = imperfect_extraction(robot, plan_route(robot, seed=1), Imperfection(off, EXACT), 1)
+    extraction = simulated(robot=robot, seed=1, constants=off)
     if cameras == 2:
         extraction = with_one_view(extraction, {2: 1, 3: 1, 8: 0})
     true = parameters_of(robot)
@@ -99,19 +113,25 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
     assert residuals.leg_point_rms_m.max() < 1e-3
 
 
-@pytest.mark.parametrize("square_m", [0.08, None])
-@pytest.mark.parametrize("name", ["tick", "fixed_camera"])
+@pytest.mark.parametrize(
+    ("name", "square_m"),
+    [
+        *(("tick", 0.08), ("fixed_camera", None)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("tick", None), ("fixed_camera", 0.08))),
+    ],
+)
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     """Stations with one camera add to those with both; half of them with each camera alone."""
     robot = ROBOTS[name]()
-    both = ideal_extraction(robot, plan_route(robot, stations=20, seed=3), NOISE, 3)
+    both, whole = recorded(ROBOTS[name], 3)
     single = with_one_view(both, {i: (i // 2) % 2 for i in range(1, 20, 2)})
     pairs = tuple(o for o in single.observations if o.several)
     assert len(pairs) == 10
     stds = []
     for observations in (both.observations, single.observations, pairs):
         part = replace(both, observations=observations, board=replace(both.board, square_m=square_m))
-        found = fitted(part)
+        same = observations is both.observations and square_m == both.board.square_m
+        found = whole if same else fitted(part)
         assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
         stds.append(np.sqrt(np.diag(found.covariance))[shown(robot)])
     every, mixed, half = stds
@@ -127,8 +147,7 @@ def test_other_cameras_have_priors_of_a_drawing():
     assert rows["shift_beside_z"].kind == "camera_position"
     assert "baseline_scale" not in rows
     constants = {"turn_beside_x": 0.01, "shift_beside_z": 0.004, "turn_aside_y": -0.01, "focal_aside": 0.002}
-    what = Imperfection(constants, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
-    found = fitted(imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2))
+    found = fitted(simulated("standard", UNEVEN, robot, 24, 2, constants))
     assert nees(found.parameters, found.covariance, robot) < 2.7
     for name in ("turn_beside_x", "turn_aside_y", "shift_beside_z"):
         constant = found.solution.constants[name]
@@ -144,8 +163,7 @@ def test_other_cameras_have_priors_of_a_drawing():
 )
 def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):
     robot = three_on_pan_tilt()
-    what = Imperfection({name: wrong}, replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4))
-    extraction = imperfect_extraction(robot, plan_route(robot, stations=24, seed=2), what, 2)
+    extraction = simulated("standard", UNEVEN, robot, 24, 2, {name: wrong})
     found = fitted(extraction)
     assert nees(found.parameters, found.covariance, robot) < 2.7
     assert not found.solution.outliers
@@ -160,7 +178,7 @@ def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, 
 def test_the_report_of_one_camera_speaks_of_one():
     robot = one_on_pan_tilt()
     robot = replace(robot, infos=(replace(robot.infos[0], frame_id="optical"),))
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=0), NOISE, 0)
+    extraction = simulated("standard", NOISE, robot, 20, 0)
     report = Report(Data(extraction), fitted(extraction))
     assert report.verdict.level == "PASS"
     shown = report.html.replace("stereo_error", "").replace("stereo_reprojection_px", "")  # names in the JSON
@@ -172,7 +190,7 @@ def test_the_report_of_one_camera_speaks_of_one():
 @pytest.mark.parametrize("cameras", [1, 2, 3])
 def test_gross_corners_are_named_by_their_camera(cameras):
     robot = CONFIGURATIONS[cameras, "pan-tilt"]()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=20, seed=1), NOISE, 1)
+    extraction = simulated("standard", NOISE, robot, 20, 1)
     observations, first = list(extraction.observations), extraction.rig.cameras.names[0]
     view, *others = observations[4].views
     pixels = view.pixels.copy()

@@ -10,17 +10,17 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
-from tests.extractions import Noise, ideal_extraction, joined
+from tests.extractions import Noise, joined, simulated
+from tests.truth import parameters_of
 
 ROBOT = ROBOTS["paper"]()
-TRUTH = Parameters(ROBOT.T_h_c, ROBOT.wheels)
+TRUTH = parameters_of(ROBOT)
 
 
 @pytest.fixture(scope="module")
 def exact():
-    return ideal_extraction(ROBOT, plan_route(ROBOT), nominal=False)
+    return simulated(robot=ROBOT, seed=0, nominal=False)
 
 
 def driven(exact, right_rad, left_rad, T_w_v):
@@ -107,7 +107,7 @@ def test_a_turned_camera_is_seen_as_such(exact):
 
 
 def test_logs_stand_alone():
-    two = [ideal_extraction(ROBOT, plan_route(ROBOT, seed=s), Noise(pixel_px=0.2), seed=s) for s in (0, 1)]
+    two = [simulated("standard", Noise(pixel_px=0.2), ROBOT, seed=seed) for seed in (0, 1)]
     found = evaluate(joined(*two), TRUTH, ROBOT.wheels)
     assert len(found.legs) == 22
     assert set(found.legs[:, 0]) == {0, 1}
@@ -118,31 +118,18 @@ def test_logs_stand_alone():
 
 
 def test_each_of_two_moving_recordings_is_tested_with_its_clocks():
+    """With the offsets that a solution of the recordings gives, a late or early camera clock costs nothing."""
     noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
-    routes = [plan_route(ROBOT, "moving", seed=seed) for seed in (3, 4)]
 
     def recorded(*late_s):
-        each = enumerate(zip(routes, late_s, strict=True))
-        return joined(*(ideal_extraction(ROBOT, route, noise, k, camera_late_s=s) for k, (route, s) in each))
+        each = zip((3, 4), late_s, strict=True)
+        return joined(*(simulated("moving", noise, ROBOT, seed=seed, camera_late_s=s) for seed, s in each))
 
     right, late = recorded(0.0, 0.0), recorded(0.03, -0.03)
     offsets = {"joints": -0.03, "wheels": -0.03, "joints_2": 0.06, "wheels_2": 0.06}
     assert clock_offsets(solve(late)) == pytest.approx(offsets, abs=3e-3)
     found, without = evaluate(late, TRUTH, None, offsets_s=offsets), evaluate(right, TRUTH, None)
-    for name in ("reprojection_px", "rotation_rad", "translation_m"):
-        rms = [np.sqrt(np.mean(getattr(e, name) ** 2)) for e in (found, without)]
-        assert rms[0] < 1.15 * rms[1]
-
-
-def test_clock_offsets_of_a_moving_recording():
-    """With the offsets that a solution of the recording gives, a late camera clock costs nothing."""
-    noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
-    route = plan_route(ROBOT, "moving", seed=3)
-    right, late = (ideal_extraction(ROBOT, route, noise, 3, camera_late_s=s) for s in (0.0, 0.03))
     as_stamped = evaluate(late, TRUTH, None)
-    offsets = clock_offsets(solve(late))
-    assert offsets == pytest.approx({"joints": -0.03, "wheels": -0.03}, abs=2e-3)
-    found, without = evaluate(late, TRUTH, None, offsets_s=offsets), evaluate(right, TRUTH, None)
     for name in ("reprojection_px", "rotation_rad", "translation_m"):
         rms = [np.sqrt(np.mean(getattr(e, name) ** 2)) for e in (found, without, as_stamped)]
         assert rms[0] < 1.15 * rms[1]

@@ -11,18 +11,9 @@ from mobilecal_cli.kinematics import head_pose, unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
-from tests.extractions import (
-    Noise,
-    Outside,
-    OutsideRobot,
-    extraction_of,
-    ideal_extraction,
-    in_view,
-    simulated,
-)
+from tests.extractions import Noise, Outside, in_view, simulated
 from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees, parameters_of
 
@@ -31,7 +22,7 @@ NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 
 def test_all_but_the_height_is_calibrated_and_the_verdict_is_about_it():
-    extraction = ideal_extraction(ROBOT, plan_route(ROBOT, stations=20, seed=0), NOISE)
+    extraction = simulated("standard", NOISE, ROBOT, 20, 0)
     fit = fitted(extraction)
     found = fit.solution.uncertainty
     height = NINE.index("t_z")
@@ -51,27 +42,27 @@ def test_all_but_the_height_is_calibrated_and_the_verdict_is_about_it():
         require_observable(extraction)
 
 
+def rotation_off(extraction):
+    """(3,) error of the camera's rotation in standard deviations."""
+    found = maximum_likelihood(extraction)
+    error = found.lin.state.parameters.minus(parameters_of(ROBOT))[:3]
+    return error / np.sqrt(np.diag(found.covariance)[:3])
+
+
 def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
     """A robot that drives to and fro sees the same slope at the same place: r_y was off by 8 sigmas, with PASS."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=np.radians(0.1), floor_m=5e-4, floor_place_m=1.0)
-    off = []
-    for seed in range(4):
-        route = plan_route(ROBOT, "moving", stations=12, seed=seed)
-        found = maximum_likelihood(extraction_of(OutsideRobot(ROBOT, {}), route, noise, seed, images=80))
-        std = np.sqrt(np.diag(found.covariance)[:9])
-        off.append((found.lin.state.parameters.minus(parameters_of(ROBOT)) / std)[:3])
+    # Without the shape of the floor, the pitch of the second is off by 5.0 sigmas.
+    off = [rotation_off(simulated("moving", noise, ROBOT, 12, seed, images=80)) for seed in (2, 3)]
     assert np.abs(off).max() < 3.0
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
 
 
 def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():
     """Waves of 0.1 px (rms) over the image, the same at every station: rotations were off by 9 sigmas, with PASS."""
-    off = []
-    for seed in range(6):
-        route, actual = plan_route(ROBOT, stations=24, seed=seed), Outside(lens_px=0.1, lens_seed=seed)
-        found = maximum_likelihood(extraction_of(OutsideRobot(ROBOT, {}, actual), route, NOISE, seed))
-        std = np.sqrt(np.diag(found.covariance)[:9])
-        off.append((found.lin.state.parameters.minus(parameters_of(ROBOT)) / std)[:3])
+    # Without waves of the lens, they are off by 9.0 and 3.4 sigmas.
+    lenses = (Outside(lens_px=0.1, lens_seed=seed) for seed in (0, 2))
+    off = [rotation_off(simulated("standard", NOISE, ROBOT, 24, o.lens_seed, outside=o)) for o in lenses]
     assert np.abs(off).max() < 4.0
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
 
@@ -79,7 +70,7 @@ def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():
 @pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
 def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configuration):
     robot = CONFIGURATIONS[configuration]()
-    extraction = ideal_extraction(robot, plan_route(robot, stations=8, seed=1), NOISE, 1)
+    extraction = simulated("standard", NOISE, robot, 8, 1)
     solution = fitted(extraction).solution
     assert solution.suggestions
     assert all(s.worst != "t_z" and s.gain > 0 for s in solution.suggestions)

@@ -18,6 +18,7 @@ from mobilecal_cli.solvers.solve import solve
 from tests.extractions import Noise, ideal_extraction
 from tests.report.schema import validated
 from tests.robots import chain_of
+from tests.truth import parameters_of
 
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
@@ -49,7 +50,7 @@ def test_poses_of_a_target_give_all_nine(stated):
     extraction = from_poses([recorded], tuple(robot.wheels.vector * 1.02), chain_of(robot))
     solution = solve(extraction)
     assert solution.uncertainty.observable.all()
-    assert np.abs(off(solution, Parameters(robot.T_h_c, robot.wheels))).max() < 4
+    assert np.abs(off(solution, parameters_of(robot))).max() < 4
     assert solution.uncertainty.noise.pose_scale == pytest.approx(1 / stated, rel=0.3)
     assert np.sqrt(np.diag(solution.uncertainty.covariance)[:3]).max() < 5e-3
 
@@ -62,7 +63,7 @@ def test_a_wrong_pose_is_left_out():
     given = Drive(poses, recorded.wheel_time_s, recorded.right_rad, recorded.left_rad)
     solution = solve(from_poses([given], tuple(robot.wheels.vector), chain_of(robot)))
     assert len(solution.outliers) == 1
-    assert np.abs(off(solution, Parameters(robot.T_h_c, robot.wheels))).max() < 4
+    assert np.abs(off(solution, parameters_of(robot))).max() < 4
 
 
 WHEELS = WheelGeometry(0.0207, 0.0206, 0.088)

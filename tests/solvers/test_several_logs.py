@@ -22,11 +22,10 @@ from mobilecal_cli.solvers import constraints_of, solve
 from tests import truth
 from tests.extractions import (
     STATION_NOISE,
-    Imperfection,
     Noise,
     ideal_extraction,
-    imperfect_extraction,
     joined,
+    simulated,
 )
 from tests.pairs import with_views
 from tests.report.example import made, rows_of
@@ -142,7 +141,8 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheel_is
 
 
 @pytest.mark.parametrize(
-    ("odd", "turn_rad", "level"), [(0, 0.06, "FAIL"), (1, 0.06, "FAIL"), (1, 0.02, "PASS")]
+    ("odd", "turn_rad", "level"),
+    [pytest.param(0, 0.06, "FAIL", marks=pytest.mark.long), (1, 0.06, "FAIL"), (1, 0.02, "PASS")],
 )
 def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn_rad, level):
     """A warning where all expected errors are within their limits with the spread included."""
@@ -159,7 +159,9 @@ def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn
 
 
 def test_recordings_that_hide_a_parameter_by_their_difference_need_no_more_motion():
-    extraction = joined(recorded("standard", 1), recorded("standard", 2, grown_m=0.02))
+    extraction = joined(
+        *(recorded("standard", seed, stations=8, grown_m=m) for seed, m in ((1, 0.0), (2, 0.02)))
+    )
     check = judge(solve(extraction), extraction).checks["observable"]
     assert check.why.endswith("not determined: the recordings differ from one another.")
     assert check.next_step.startswith("Calibrate each recording alone")
@@ -258,11 +260,9 @@ def test_many_short_legs_without_a_turn_do_not_show_the_separation():
 def test_recordings_of_different_cameras(second):
     """The right camera is turned by 1.1 degrees against camera_info: in both recordings alike, or not."""
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
-    made = []
-    for seed, turn in enumerate((0.02, second)):
-        route, what = plan_route(ROBOT, stations=10, seed=seed), Imperfection({"stereo_r_x": turn}, noise)
-        made.append(imperfect_extraction(ROBOT, route, what, seed=seed))
-    found = solve(joined(*made))
+    turns = enumerate((0.02, second))
+    parts = (simulated("standard", noise, ROBOT, 8, seed, {"stereo_r_x": turn}) for seed, turn in turns)
+    found = solve(joined(*parts))
     assert found.contradictions
     if second > 0:
         assert found.diagnosis is None
@@ -289,8 +289,7 @@ def with_late_readings(extraction, late_s):
 def test_each_recording_in_motion_has_clocks_of_its_own():
     """One offset for all of them would leave 50 ms of motion to the time stamps of the images: FAIL."""
     robot, noise = tick_robot(), Noise(0.1, 0.003, 0.0, 5e-4)
-    routes = [plan_route(robot, "moving", stations=8, seed=seed) for seed in (0, 1)]
-    alone = [ideal_extraction(robot, route, noise, seed) for seed, route in enumerate(routes)]
+    alone = [simulated("moving", noise, robot, 8, seed, images=30) for seed in (0, 1)]
     extraction = joined(with_late_readings(alone[0], 0.05), with_late_readings(alone[1], -0.05))
     found = solve(extraction)
     assert judge(found, extraction).level == "PASS"

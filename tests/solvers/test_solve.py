@@ -7,15 +7,15 @@ from mobilecal_cli import se3
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.bench.simulated import errors
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, simulated
+from tests.truth import errors
 
 
 @pytest.mark.parametrize("method", ["linear", "lm", "paper"])
 @pytest.mark.parametrize("name", ["paper", "tick"])
 def test_exact_data_gives_the_truth(name, method):
     robot = ROBOTS[name]()
-    extraction = ideal_extraction(robot, plan_route(robot), nominal=False)
+    extraction = simulated(robot=robot, seed=0, nominal=False)
     solution = solve(extraction, method)
     assert np.abs(errors(solution.parameters, robot)).max() < 1e-9
     assert solution.reprojection_rms_px < 1e-9
@@ -25,8 +25,7 @@ def test_exact_data_gives_the_truth(name, method):
 @pytest.mark.parametrize("motion", ["large_turns", "moving"])
 def test_other_motions_give_the_truth(motion):
     robot = ROBOTS["paper"]()
-    extraction = ideal_extraction(robot, plan_route(robot, motion), nominal=False)
-    solution = solve(extraction)
+    solution = solve(simulated(motion, robot=robot, seed=0, nominal=False))
     # Stamps are whole nanoseconds: 0.5 ns at 5 rad/s of a turning wheel is what is left in motion.
     assert np.abs(errors(solution.parameters, robot)).max() < (1e-9 if motion == "large_turns" else 1e-7)
 
@@ -52,8 +51,7 @@ def test_noise_of_the_paper_s_robot_stays_near_the_reference():
     noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=np.radians(0.05))
     squares = []
     for seed in range(8):
-        route = plan_route(robot, seed=seed)
-        parameters = solve(ideal_extraction(robot, route, noise, seed), "linear").parameters
+        parameters = solve(simulated("standard", noise, robot, seed=seed), "linear").parameters
         turn = np.degrees(np.linalg.norm(se3.log_so3(robot.T_h_c[:3, :3].T @ parameters.T_h_c[:3, :3])))
         move = 1e3 * np.linalg.norm(parameters.T_h_c[:3, 3] - robot.T_h_c[:3, 3])
         b = 1e3 * (parameters.wheels.separation_m - robot.wheels.separation_m)
@@ -65,8 +63,7 @@ def test_noise_of_the_paper_s_robot_stays_near_the_reference():
 
 
 def test_motion_is_told():
-    robot = ROBOTS["paper"]()
-    motion = solve(ideal_extraction(robot, plan_route(robot))).motion
+    motion = solve(simulated(seed=0)).motion
     assert set(motion) == {"pan_range_deg", "tilt_range_deg", "turned_deg", "largest_turn_deg", "driven_m"}
     assert 40 < motion["pan_range_deg"] < 150
     assert 2 < motion["driven_m"] < 20
