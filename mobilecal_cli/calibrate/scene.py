@@ -49,15 +49,12 @@ def scene_of(
     at_estimate, pairs = at_constants(extraction, parameters, constants)
     residuals = residuals_of(at_estimate, pairs, parameters)
     images = _images(extraction, logs) if logs else {}
-    square_m = extraction.board.square_m
-    if square_m is None:
-        square_m = float(np.median([o.square_m for o in extraction.observations]))
     cameras = improved_cameras(rig, constants)[0]
     return Scene(
         robot=robot,
         extraction=extraction,
         cameras=cameras,
-        board=replace(extraction.board, square_m=square_m),
+        board=replace(extraction.board, square_m=extraction.square_m),
         motions={
             log: _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
             for log in sorted({o.log for o in extraction.observations})

@@ -62,9 +62,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     ]
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     joints = np.stack([o.joints for o in observations])
-    square_m = extraction.board.square_m
-    if square_m is None:
-        square_m = float(np.median([o.square_m for o in observations]))
     steps = encoder_steps_rad(extraction.wheels)
     moving = np.array([not o.at_rest for o in observations])
     tracks = extraction.wheels
@@ -94,7 +91,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     return Dataset(
         cameras=extraction.rig.cameras,
         chain=extraction.rig.chain,
-        points_k=extraction.board.grid() * square_m,
+        points_k=extraction.board.grid() * extraction.square_m,
         pixels=np.stack([[view.pixels for view in o.views] for o in observations]),
         seen=shown,
         whitening=_whitening(observations, claims / usual),

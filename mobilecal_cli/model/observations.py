@@ -211,6 +211,17 @@ class Extraction:
         """Whether poses were measured in place of corners."""
         return not any(o.shown for o in self.observations)
 
+    @property
+    def square_m(self) -> float:
+        """Size of the squares, m: as stated, otherwise the median that several cameras measure."""
+        stated = self.board.square_m
+        return float(np.median([o.square_m for o in self.observations])) if stated is None else stated
+
+    @property
+    def board_distance_m(self) -> float:
+        """Median distance from the first camera to the corners, m."""
+        return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in self.observations]))
+
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""
         return replace(

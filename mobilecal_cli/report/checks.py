@@ -32,7 +32,6 @@ from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, c
 from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
-    board_distance_m,
     odometry_factors,
     plain_names,
     reference_std,
@@ -429,7 +428,7 @@ def second_solution(made: Calibration) -> Iterator[Check]:
     limit, fitting_share = 1.5, 0.1
     kept, rival = made.solution.linear.point_rms_m, made.solution.linear.rival_point_rms_m
     ratio = rival / kept if kept > 0 else math.inf
-    fits = kept < fitting_share * board_distance_m(made.extraction)
+    fits = kept < fitting_share * made.extraction.board_distance_m
     errors = f"point errors {kept * 1e3:.1f} and {rival * 1e3:.1f} mm"
     measured = "all starts converge to one solution"
     if math.isfinite(ratio):
@@ -700,7 +699,7 @@ def leg_outlier(made: Calibration) -> Iterator[Check]:
     step_rad = (wheels.radius_right_m * right_rad + wheels.radius_left_m * left_rad) / wheels.separation_m
     bad = max(bad, encoder_steps * step_rad)
     for kind, unit, errors, scale in (
-        ("point", "mm", residuals.leg_point_rms_m * 1e3, board_distance_m(made.extraction) * 1e3),
+        ("point", "mm", residuals.leg_point_rms_m * 1e3, made.extraction.board_distance_m * 1e3),
         ("reprojection", "px", residuals.leg_reprojection_px, float(made.solution.cameras.first.K[0, 0])),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
@@ -741,7 +740,7 @@ def errors(made: Calibration) -> Iterator[Check]:
     solution, bad, sigmas = made.solution, 100 * ERROR_BAD, 3.0
     if not len(solution.residuals.legs):
         return
-    error, distance = solution.point_rms_m, board_distance_m(made.extraction)
+    error, distance = solution.point_rms_m, made.extraction.board_distance_m
     predicted, every = solution.residuals.corner_noise_m, solution.error_parts
     parts = [part for name, part in every.items() if name != "corners"]
     legs = len(solution.residuals.legs)

@@ -248,18 +248,6 @@ def reference_std(solution: Solution) -> tuple[float | None, ...]:
     )
 
 
-def board_distance_m(extraction: Extraction) -> float:
-    """Median distance from the camera to the corners, m."""
-    return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
-
-
-def square_size_mm(extraction: Extraction) -> float:
-    """Square size, mm: as stated, otherwise the median that the stereo pair measures."""
-    if extraction.board.square_m is not None:
-        return extraction.board.square_m * 1e3
-    return float(np.median([o.square_m * 1e3 for o in extraction.observations]))
-
-
 def stations_looked_at(extraction: Extraction) -> int:
     """Number of stations found, whether used or rejected."""
     return max(extraction.counts.get("stations", 0), len(extraction.observations))

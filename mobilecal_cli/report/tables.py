@@ -15,7 +15,6 @@ from mobilecal_cli.report.numbers import (
     DEG,
     parameters_of,
     reference_std,
-    square_size_mm,
     std_text,
     value_text,
 )
@@ -246,7 +245,7 @@ def inputs(case: Case) -> Rows:
         if wheel.sign < 0:
             parts.append("sign reversed")
         rows.append((f"{side} wheel", ", ".join(parts)))
-    square_mm = square_size_mm(case.extraction)
+    square_mm = case.extraction.square_m * 1e3
     size = f"stated square size {square_mm:g} mm"
     if board.square_m is None:
         size = f"square size {square_mm:.2f} mm, measured by the stereo pair"

@@ -56,14 +56,12 @@ from mobilecal_cli.report.formats import (
 )
 from mobilecal_cli.report.numbers import (
     NumberData,
-    board_distance_m,
     image_coverage,
     numbers_of,
     odometry_factors,
     reference_pose,
     rejection_counts,
     rotation_std_deg,
-    square_size_mm,
     stations_looked_at,
     stations_text,
     std_text,
@@ -506,7 +504,7 @@ def build_report(case: Case) -> ReportData:
         board=like(
             BoardData,
             extraction.board,
-            square_mm=square_size_mm(extraction),
+            square_mm=extraction.square_m * 1e3,
             square_from="measured" if extraction.board.square_m is None else "stated",
         ),
         rejections=RejectionsData(
@@ -568,7 +566,7 @@ def _quality(solution: Solution, extraction: Extraction) -> QualityData:
         point_rms_predicted_by_depth_noise_mm=solution.residuals.corner_noise_m * 1e3,
         reprojection_parts_px=parts,
         reprojection_text=reprojection_sentence(parts, noise_px),
-        board_distance_m=board_distance_m(extraction),
+        board_distance_m=extraction.board_distance_m,
     )
 
 

@@ -103,8 +103,7 @@ class Readings:
 def readings_of(extraction: Extraction) -> Readings:
     """The readings of an extraction with at least one leg."""
     observations, board = extraction.observations, extraction.board
-    square_m = board.square_m or float(np.median([o.square_m for o in observations]))
-    grid = board.grid().reshape(-1, 3) * square_m
+    grid = board.grid().reshape(-1, 3) * extraction.square_m
     ends = [0, board.columns - 1, len(grid) - board.columns, len(grid) - 1]
     return Readings(
         extraction.rig,

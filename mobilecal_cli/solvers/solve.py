@@ -197,7 +197,7 @@ def _linear_start(
         near = _near_nominal(inference)
         if near.parameters.wheels.positive and linear.point_rms_m >= CLEARLY_BETTER * near.point_rms_m:
             linear = near
-    distance_m = _board_distance_m(extraction)
+    distance_m = extraction.board_distance_m
     if linear.point_rms_m < _BAD_SHARE * distance_m:
         # Another unit of the wheels. Wider priors of squares and baseline would explain it, too.
         other = other_wheels(linear.parameters.wheels, extraction.rig.nominal.wheels)
@@ -237,7 +237,7 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     except SolveError:
         return False
     each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)
-    return float(np.median(each_m)) < _HOPELESS_SHARE * _board_distance_m(extraction)
+    return float(np.median(each_m)) < _HOPELESS_SHARE * extraction.board_distance_m
 
 
 def _by_points(
@@ -312,10 +312,6 @@ def _require_positive(wheels: WheelGeometry) -> None:
     )
 
 
-def _board_distance_m(extraction: Extraction) -> float:
-    return float(np.mean([np.linalg.norm(o.points_c, axis=-1).mean() for o in extraction.observations]))
-
-
 def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
     """The mistake because of which a recording cannot be solved, or how badly it fits; None if neither is known."""
     if extraction.motions:  # mistakes are searched for with a target
@@ -346,7 +342,7 @@ def _refused(diagnosis: Diagnosis) -> SolveError:
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     """Whether the point error is more than corners and encoders explain, or many stations have an outlier."""
     gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
-    distance_m = _board_distance_m(extraction)
+    distance_m = extraction.board_distance_m
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
     step_rad = (
@@ -397,7 +393,7 @@ def _different_cameras(
         )
     if together_px < _DIFFERENT * alone_px:
         return None
-    distance_m = _board_distance_m(extraction)
+    distance_m = extraction.board_distance_m
     return Diagnosis(
         f"the recordings have different cameras or boards: the corner noise is {alone_px:.2g} px or less in "
         f"each recording alone, and {together_px:.2g} px in all together",
