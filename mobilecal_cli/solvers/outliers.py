@@ -22,7 +22,6 @@ _CORNER_SIGMAS = 5.5
 _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
 _LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
-CONSENSUS_REDUNDANCY = 20.0  # of the noise level that the consensus legs show
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
@@ -107,7 +106,8 @@ def worst(fit: Fit) -> float:
     """Largest statistic of an inlier over its limit, for known noise levels."""
     count = fit.data.stations
     return max(
-        float(getattr(fit.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+        float(np.max(getattr(fit.tests, kind)[getattr(fit.inliers, kind)], initial=0))
+        / limit(count, dof, _MANY)
         for kind, dof in _DEGREES.items()
     )
 
@@ -118,48 +118,10 @@ def plausible(fit: Fit) -> bool:
     return worst(fit) < bound and bool(fit.inliers.views.all())
 
 
-def consistent_legs(fit: Fit) -> BoolArray | None:
-    """Inlier legs with consistent ones restored; None where there is none.
-
-    Along a stretch without a used image, legs agree with anything one by one, until the last of them closes the
-    stretch: only one of them is restored at a time.
-    """
-    inliers, one_taken = fit.inliers, False
-    legs = inliers.legs.copy()
-    statistic = np.where(~legs, fit.tests.predicted_legs, np.inf)
-    for leg in np.argsort(statistic):
-        if statistic[leg] > limit(fit.data.stations, 3, CONSENSUS_REDUNDANCY):
-            break
-        blind = not inliers.views[fit.data.legs[leg]].all()
-        if not (blind and one_taken):
-            legs[leg], one_taken = True, one_taken or blind
-    return None if np.array_equal(legs, inliers.legs) else legs
-
-
 def usable(fit: Fit) -> BoolArray:
     """(N,) stations most of whose corners fit the board's shape."""
     most = fit.inliers.corners.sum(axis=2) >= 0.5 * fit.data.seen.sum(axis=2)
     return np.asarray(most.all(axis=1), dtype=np.bool_)
-
-
-def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
-    """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
-    inliers = fit.inliers
-    out = ~inliers.views & usable(fit)
-    if not out.any():
-        return None
-    as_read, freed = fit.tests.predicted_views
-    near = fit.tests.small_views
-    agree = out & (near | (as_read < limit(fit.data.stations, 6, redundancy)))
-    if agree.any():
-        return replace(inliers, views=inliers.views | agree)
-    least = np.where(out, freed.min(axis=1, initial=np.inf), np.inf)  # a fixed camera has no joint
-    best = int(np.argmin(least))
-    if least[best] < limit(fit.data.stations, 5, redundancy):
-        views, readings = inliers.views.copy(), inliers.readings.copy()
-        views[best], readings[best, int(np.argmin(freed[best]))] = True, False
-        return replace(inliers, views=views, readings=readings)
-    return None
 
 
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
@@ -167,7 +129,7 @@ def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     tests = fit.tests
     striking_most = []
     for kind, dof in _DEGREES.items():
-        values = getattr(tests, kind)
+        values = np.where(getattr(fit.inliers, kind), getattr(tests, kind), 0.0)
         if not values.size:
             continue
         usual = float(chdtri(dof, _STRIKING / values.size))
@@ -195,12 +157,10 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
     return [at for beside in some.values() for at in beside]
 
 
-def external(fit: Fit, kind: str) -> FloatArray:
-    """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-    tests = fit.tests
-    statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
-    beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
-    return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
+def beyond(fit: Fit, kind: str) -> FloatArray:
+    """Statistic of each measurement over its limit, against what all others predict; 0 where it does not matter."""
+    statistic = getattr(fit.tests, kind) / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
+    return np.where(getattr(fit.tests, f"small_{kind}"), 0.0, statistic)
 
 
 def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
@@ -215,7 +175,7 @@ def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
     for kind, log in (("views", data.log), ("legs", data.log[data.legs[:, 0]])):
         back = getattr(inliers, kind) & ~getattr(was, kind)
         if agreeing and back.any():
-            back &= getattr(fit.tests, kind) < limit(data.stations, _DEGREES[kind], known_by(fit, kind))
+            back &= beyond(fit, kind) < 1
         count += np.bincount(log[back], minlength=len(count))
     return count
 
