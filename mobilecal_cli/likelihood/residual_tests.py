@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.noise import FREE_JOINT
+from mobilecal_cli.likelihood.noise import Inliers, joint_sigmas
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
@@ -42,7 +42,7 @@ class ResidualTests:
     def _all_views(self) -> Views:
         """All images, used or not."""
         lin = self._lin
-        return lin.with_inliers(replace(lin.inliers, views=np.ones(lin.data.stations, dtype=np.bool_))).views
+        return lin.with_inliers(replace(lin.inliers, views=np.ones_like(lin.inliers.views))).views
 
     @cached_property
     def views(self) -> FloatArray:
@@ -62,42 +62,21 @@ class ResidualTests:
     @cached_property
     def readings(self) -> FloatArray:
         """(N, J) of each joint reading, one degree of freedom."""
-        lin, units = self._lin, self._lin.data.joint_units
-        sigma = np.where(lin.inliers.readings, lin.own_sigmas[:, : len(units)], lin.noise.joint_rad * units)
-        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : len(units)] / sigma**2
+        lin = self._lin
+        sigma = joint_sigmas(lin.data, Inliers.all_of(lin.data), lin.noise)
+        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : sigma.shape[1]] / sigma**2
         left = np.where(lin.inliers.readings, 1 - share, 1 + share)
         usable = left > _NO_REDUNDANCY
         return np.where(usable, (lin.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
-
-    @cached_property
-    def views_freed(self) -> FloatArray:
-        """(N, J) of each outlier station's images with one joint reading unknown, five degrees of freedom."""
-        lin, views = self._lin, self._all_views
-        off, spread = self._off
-        freed = np.empty_like(lin.data.joints)
-        for j in range(lin.data.joints.shape[1]):
-            k = views.by_own[..., j : j + 1]
-            wide = spread + FREE_JOINT**2 * (k @ np.swapaxes(k, 1, 2))
-            freed[:, j] = np.einsum("na,na->n", off, np.linalg.solve(wide, off[..., None])[..., 0])
-        return freed
-
-    @cached_property
-    def _off(self) -> tuple[FloatArray, FloatArray]:
-        """The boards' poses by the images against the predicted ones as left twists (N, 6), and their covariance."""
-        views = self._all_views
-        inverse: FloatArray = np.asarray(
-            np.linalg.pinv(views.information[:, :6, :6], hermitian=True), np.float64
-        )
-        off = -np.einsum("nab,nb->na", inverse, views.gradient[:, :6])
-        return off, inverse + self._lin.marginals.views
 
     # -- what does not matter ---------------------------------------------------------------------
 
     @cached_property
     def small_views(self) -> BoolArray:
         """(N,) stations whose images show the board where it is predicted, to `SMALL_RAD` and `SMALL_M`."""
-        lin = self._lin
-        off, _ = self._off
+        lin, views = self._lin, self._all_views
+        inverse = np.linalg.pinv(views.information[:, :6, :6], hermitian=True)
+        off = np.einsum("nab,nb->na", inverse, views.gradient[:, :6])
         middle = se3.act(board_in_camera(lin.data, lin.state), lin.data.points_k.mean(axis=0)[None])[:, 0]
         shift = off[:, 3:] + np.cross(off[:, :3], middle)
         return _small(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(shift, axis=1))

@@ -13,7 +13,6 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.patterns import patterns
@@ -27,7 +26,7 @@ from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import InitialPrior
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     Component,
@@ -176,12 +175,6 @@ class Inference:
         if self.full_motion:
             return linear_estimate(self.data.pairs, self.nominal.wheels).parameters
         return initial_with_prior(self.data.pairs, self.nominal, self.motion)
-
-    def initial_of(self, pairs: MotionPairs, near: Parameters) -> Parameters:
-        """Linear parameters from a few legs, from parameters that are nearly right."""
-        if self.full_motion:
-            return Rounds(pairs).after(ratios_of(near.wheels), FEW_ROUNDS)
-        return initial_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -------------------------------------------------------------------------------------
 

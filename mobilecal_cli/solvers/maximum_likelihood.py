@@ -55,12 +55,17 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     Raises:
         SolveError: see `maximum_likelihood`.
     """
-    supposed = _supposed(inference, start or inference.initial(), {})
-    fit = _as_described(inference, supposed)
+    first = _supposed(inference, start or inference.initial(), {})
+    try:
+        of_all = inference.fit(first.state, first.inliers, first.noise)
+        fit = _as_described(inference, of_all)
+        first = of_all.lin
+    except SolveError:
+        fit = None  # outliers may be so large that no optimum is found
     if fit is not None:
         return fit
     held = replace(inference, scales_stay=True)
-    fit = _without_outliers(held, supposed)
+    fit = _without_outliers(held, first)
     try:
         return _with_scales(inference, held, fit)
     except SolveError:
@@ -69,12 +74,15 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return held.estimate_noise(fit, FINE)
 
 
-def _as_described(inference: Inference, supposed: Posterior) -> Fit | None:
-    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide."""
+def _as_described(inference: Inference, fit: Fit) -> Fit | None:
+    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide.
+
+    Args:
+        inference, fit: a first fit of all, with supposed noise.
+    """
+    if not outliers.plausible(fit):
+        return None
     try:
-        fit = inference.fit(supposed.state, supposed.inliers, supposed.noise)
-        if not outliers.plausible(fit):
-            return None
         fit = _corners_decided(inference, inference.estimate_noise(fit))
         wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
         if wide or not fit.inliers.views.all() or any(_suspects(inference, fit)):
