@@ -1,8 +1,8 @@
-"""Which measurements agree, without any estimate to begin with: graduated non-convexity (Yang et al., 2020).
+"""Which measurements agree, whatever the others say: graduated non-convexity (Yang et al., 2020).
 
 Truncated least squares count a measurement by its squared distance, but at most by a limit: one that is farther off has
-no influence. The sum has many minima. So each measurement has a weight, and the distance over which weights fall from 1
-to 0 begins so wide that all count, and is halved again and again, between steps of all unknowns.
+no influence. Their sum has many minima. So each measurement has a weight, and the width in which weights fall from 1 to
+0 begins so large that all count. It is halved again and again, between steps of all unknowns.
 """
 
 from __future__ import annotations
@@ -28,10 +28,8 @@ _LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in (("views", 6), ("le
 _USUAL = {
     kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in (("views", 6), ("legs", 3), ("readings", 1))
 }
-_WIDE, _NARROW = (
-    2.0,
-    0.05,
-)  # widths in which weights fall, over the largest distance and over the limit: first and last
+_FIRST_WIDTH = 2.0  # over the largest squared distance: all measurements count
+_LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and rejected
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
 _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
@@ -50,9 +48,9 @@ def agreeing(lin: Posterior) -> tuple[State, Inliers]:
     lin = lin.after(Step.of_shared(lin.data, lin.priors.step_to_mean(lin.state)))
     weights = {"readings": np.ones(lin.data.joints.shape)}
     width, damping = np.inf, 0.0
-    while width > _NARROW:
+    while width > _LAST_WIDTH:
         beyond = _beyond_limits(lin, weights["readings"])
-        width = min(width / 2, _WIDE * max(float(of.max(initial=0.0)) for of in beyond.values()))
+        width = min(width / 2, _FIRST_WIDTH * max(float(of.max(initial=0.0)) for of in beyond.values()))
         weights = {kind: _weight(of, width, _USUAL[kind]) for kind, of in beyond.items()}
         weights["views"] = weights["views"] * lin.inliers.views
         for _ in range(_STEPS):
