@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.noise import Inliers, joint_sigmas
+from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
@@ -68,6 +68,18 @@ class ResidualTests:
         left = np.where(lin.inliers.readings, 1 - share, 1 + share)
         usable = left > _NO_REDUNDANCY
         return np.where(usable, (lin.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
+
+    @cached_property
+    def views_freed(self) -> FloatArray:
+        """(N, J) of each outlier station's images with one joint reading unknown, five degrees of freedom."""
+        lin, views = self._lin, self._all_views
+        freed = np.empty_like(lin.data.joints)
+        for j in range(freed.shape[1]):
+            by_reading = views.by_own[..., j : j + 1]
+            marginal = lin.marginals.views + FREE_JOINT**2 * by_reading @ np.swapaxes(by_reading, 1, 2)
+            G, g = views.information[:, :6, :6], views.gradient[:, :6]
+            freed[:, j] = _left_out(G, g, marginal, np.zeros_like(lin.inliers.views))
+        return freed
 
     # -- what does not matter ---------------------------------------------------------------------
 

@@ -55,13 +55,9 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     Raises:
         SolveError: see `maximum_likelihood`.
     """
-    first = _supposed(inference, start or inference.initial(), {})
-    try:
-        of_all = inference.fit(first.state, first.inliers, first.noise)
-        fit = _as_described(inference, of_all)
-        first = of_all.lin
-    except SolveError:
-        fit = None  # outliers may be so large that no optimum is found
+    supposed = _supposed(inference, start or inference.initial(), {})
+    first = _first_fit(inference, supposed)
+    fit = _as_described(inference, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
     held = replace(inference, scales_stay=True)
@@ -74,16 +70,10 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return held.estimate_noise(fit, FINE)
 
 
-def _as_described(inference: Inference, fit: Fit) -> Fit | None:
-    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide.
-
-    Args:
-        inference, fit: a first fit of all, with supposed noise.
-    """
-    if not outliers.plausible(fit):
-        return None
+def _as_described(inference: Inference, first: Fit) -> Fit | None:
+    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide."""
     try:
-        fit = _corners_decided(inference, inference.estimate_noise(fit))
+        fit = _corners_decided(inference, inference.estimate_noise(first))
         wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
         if wide or not fit.inliers.views.all() or any(_suspects(inference, fit)):
             return None
@@ -99,15 +89,16 @@ def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
     were any. Meanwhile the scales stay.
     """
     # Anew from the supposed levels: a wrong description may have made them large.
-    supposed = inference.first_noise(np.array([fit.noise.pixel_px]))
-    fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, supposed))
+    levels = inference.first_noise(np.array([fit.noise.pixel_px]))
+    fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, levels))
     wider = fit.noise.wider
     if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
         if fit.inliers.same(Inliers.all_of(inference.data)):
             fit = _decided(held, fit)
         else:
-            fit = _without_outliers(held, _supposed(held, fit.lin.state.parameters, wider))
-    noisy = outliers.too_many(fit)
+            supposed = _supposed(held, fit.lin.state.parameters, wider)
+            fit = _without_outliers(held, _first_fit(held, supposed))
+    noisy = outliers.too_many(fit.inliers)
     fit = _with_all(inference, fit, noisy) if noisy else fit
     return replace(inference.estimate_noise(fit, FINE), noisy=noisy)
 
@@ -145,6 +136,9 @@ def once_decided(inference: Inference, fit: Fit) -> Fit | None:
         back = outliers.some_of(inference.data, kind, np.argwhere(agree))
         if back:
             return _refitted(inference, fit, outliers.changed(fit.inliers, kind, back, to=True))
+    freed = outliers.with_reading_freed(fit)
+    if freed is not None:
+        return _refitted(inference, fit, freed)
     for kind, wrong in _suspects(inference, fit):
         try:
             trial = _refitted(inference, fit, outliers.changed(fit.inliers, kind, wrong, to=False))
@@ -191,11 +185,27 @@ def _supposed(inference: Inference, initial: Parameters, wider: Mapping[str, flo
     return Posterior.at(inference.data, state, inliers, noise, inference.priors(state))
 
 
-def _without_outliers(inference: Inference, supposed: Posterior) -> Fit:
-    """Noise levels and outliers, from the measurements most of which agree under supposed levels."""
-    state, inliers = agreeing(supposed)
-    fit = inference.estimate_noise(inference.fit(state, inliers, supposed.noise))
-    return _decided(inference, _corners_decided(inference, fit))
+def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
+    """A fit of all measurements, or of those that agree if all together are implausible.
+
+    Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements.
+    """
+    fit: Fit | None = None
+    try:
+        fit = inference.fit(supposed.state, supposed.inliers, supposed.noise)
+        if outliers.plausible(fit):
+            return fit
+    except SolveError as error:
+        _LOG.info("no fit of all measurements: %s", error.message)
+    state, inliers = agreeing(fit.lin if fit is not None else supposed)
+    if fit is not None and outliers.too_many(inliers):
+        return fit
+    return inference.fit(state, inliers, supposed.noise)
+
+
+def _without_outliers(inference: Inference, first: Fit) -> Fit:
+    """Noise levels and outliers, from a first fit."""
+    return _decided(inference, _corners_decided(inference, inference.estimate_noise(first)))
 
 
 def _decided(inference: Inference, fit: Fit) -> Fit:

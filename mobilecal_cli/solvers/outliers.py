@@ -124,6 +124,18 @@ def usable(fit: Fit) -> BoolArray:
     return np.asarray(most.all(axis=1), dtype=np.bool_)
 
 
+def with_reading_freed(fit: Fit) -> Inliers | None:
+    """The inliers with the images of the outlier station that fits best, and one of its readings rejected instead."""
+    least = np.where(
+        ~fit.inliers.views & usable(fit), fit.tests.views_freed.min(axis=1, initial=np.inf), np.inf
+    )
+    best = int(np.argmin(least))
+    if least[best] > limit(fit.data.stations, _DEGREES["views"] - 1, known_by(fit, "views")):
+        return None
+    reading = best, int(np.argmin(fit.tests.views_freed[best]))
+    return changed(changed(fit.inliers, "views", [(best,)], to=True), "readings", [reading], to=False)
+
+
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
     tests = fit.tests
@@ -212,10 +224,11 @@ def known_by(fit: Fit, kind: str) -> float:
     return redundancy + guess_worth(redundancy)
 
 
-def too_many(fit: Fit) -> tuple[str, ...]:
-    """Kinds of measurements more than a third of which are outliers."""
-    used = {kind: getattr(fit.inliers, kind) for kind in _DEGREES}
-    return tuple(kind for kind, of in used.items() if np.sum(~of) > _TOO_MANY * of.size)
+def too_many(inliers: Inliers) -> tuple[str, ...]:
+    """Kinds of measurements more than a third of which are outliers; at a station, images or readings are."""
+    stations = inliers.views & inliers.readings.all(axis=1)
+    shares = {"readings": stations, "legs": inliers.legs, "views": stations}
+    return tuple(kind for kind, of in shares.items() if np.sum(~of) > _TOO_MANY * of.size)
 
 
 def changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:
