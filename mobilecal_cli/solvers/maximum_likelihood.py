@@ -197,7 +197,7 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
             return fit
     except SolveError as error:
         _LOG.info("no fit of all measurements: %s", error.message)
-    state, inliers = agreeing(fit.lin if fit is not None else supposed)
+    state, inliers = agreeing([supposed] if fit is None else [fit.lin, supposed])
     if fit is not None and outliers.too_many(inliers):
         return fit
     return inference.fit(state, inliers, supposed.noise)

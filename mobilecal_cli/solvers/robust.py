@@ -7,7 +7,7 @@ no influence. Their sum has many minima. So each measurement has a weight, and t
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -17,17 +17,15 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import BoolArray, FloatArray
 from mobilecal_cli.solvers.optimize import proposed
 
 _CHANCE = 1e-4  # that a good measurement is beyond its limit
-#: Largest squared distance of each kind: chi-squared with six degrees of freedom for a station's images, three for a
-#: leg. That of a joint reading is a station's: either explains the same images.
-_LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in (("views", 6), ("legs", 3), ("readings", 6))}
-#: Median of the squared distances of good measurements of each kind, over the limit.
-_USUAL = {
-    kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in (("views", 6), ("legs", 3), ("readings", 1))
-}
+#: Degrees of freedom of a station's images, of a leg and of a joint reading.
+_DEGREES = {"views": 6, "legs": 3, "readings": 1}
+#: Largest squared distance of each kind: chi-squared. And the median of good measurements over it.
+_LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in _DEGREES.items()}
+_USUAL = {kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in _DEGREES.items()}
 _FIRST_WIDTH = 2.0  # over the largest squared distance: all measurements count
 _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and rejected
 _STEPS = 2  # of all unknowns at each width
@@ -36,15 +34,24 @@ _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the dampi
 _TINY = 1e-9  # weight and distance that stand for 0
 
 
-def agreeing(lin: Posterior) -> tuple[State, Inliers]:
-    """The state on which most measurements agree, and those that do.
+def agreeing(starts: Iterable[Posterior]) -> tuple[State, Inliers]:
+    """The state on which most measurements agree, and those that do: of the minima from some starts, the least.
 
     A station that takes several wrong readings to fit is one with wrong images.
 
     Args:
-        lin: a first state, the corners and images that may be used, and supposed noise levels. The limit of a kind is
-            larger where most of its measurements are farther off than these explain.
+        starts: with the corners and images that may be used, and supposed noise levels. The limit of a kind is larger
+            where most of its measurements are farther off than these explain.
     """
+    minima = (_minimum(lin) for lin in starts)
+    lin, used, _ = min(minima, key=lambda minimum: minimum[2])
+    views = used["views"] & (np.sum(~used["readings"], axis=1) <= 1)
+    readings = used["readings"] | ~views[:, None]
+    return lin.state, replace(lin.inliers, views=views, legs=used["legs"], readings=readings)
+
+
+def _minimum(lin: Posterior) -> tuple[Posterior, dict[str, BoolArray], float]:
+    """The minimum to which falling widths lead, the measurements within their limits, and the truncated cost."""
     lin = lin.after(Step.of_shared(lin.data, lin.priors.step_to_mean(lin.state)))
     weights = {"readings": np.ones(lin.data.joints.shape)}
     width, damping = np.inf, 0.0
@@ -58,9 +65,8 @@ def agreeing(lin: Posterior) -> tuple[State, Inliers]:
             if gain < _LITTLE:
                 break
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
-    views = used["views"] & (np.sum(~used["readings"], axis=1) <= 1)
-    readings = used["readings"] | ~views[:, None]
-    return lin.state, replace(lin.inliers, views=views, legs=used["legs"], readings=readings)
+    cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
+    return lin, used, cost + sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
 
 
 def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatArray]:
