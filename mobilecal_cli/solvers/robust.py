@@ -2,7 +2,7 @@
 
 Truncated least squares count a measurement by its squared distance, but at most by a limit: one that is farther off has
 no influence. Their sum has many minima. So each measurement has a weight, and the width in which weights fall from 1 to
-0 begins so large that all count. It is halved again and again, between steps of all unknowns.
+0 begins so large that all count. It shrinks again and again, between steps of all unknowns.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ _LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in _DEGREES.items()}
 _USUAL = {kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in _DEGREES.items()}
 _FIRST_WIDTH = 2.0  # over the largest squared distance: all measurements count
 _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and rejected
+_NARROWER = 3.0  # width over the next one
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
 _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
@@ -57,7 +58,9 @@ def _minimum(lin: Posterior) -> tuple[Posterior, dict[str, BoolArray], float]:
     width, damping = np.inf, 0.0
     while width > _LAST_WIDTH:
         beyond = _beyond_limits(lin, weights["readings"])
-        width = min(width / 2, _FIRST_WIDTH * max(float(of.max(initial=0.0)) for of in beyond.values()))
+        width = min(
+            width / _NARROWER, _FIRST_WIDTH * max(float(of.max(initial=0.0)) for of in beyond.values())
+        )
         weights = {kind: _weight(of, width, _USUAL[kind]) for kind, of in beyond.items()}
         weights["views"] = weights["views"] * lin.inliers.views
         for _ in range(_STEPS):
@@ -66,7 +69,15 @@ def _minimum(lin: Posterior) -> tuple[Posterior, dict[str, BoolArray], float]:
                 break
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
     cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
-    return lin, used, cost + sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
+    cost += sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
+    return lin, used, cost + float(_own_misfit(lin)[~used["views"]].sum())
+
+
+def _own_misfit(lin: Posterior) -> FloatArray:
+    """(N,) sum of squares of each station's corners around the board that fits them best: no pose removes it."""
+    G, g = lin.views.information[:, :6, :6], lin.views.gradient[:, :6]
+    explained = np.einsum("na,nab,nb->n", g, np.linalg.pinv(G, hermitian=True), g)
+    return np.asarray(lin.views.cost - explained, dtype=np.float64)
 
 
 def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatArray]:
