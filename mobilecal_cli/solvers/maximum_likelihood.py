@@ -189,6 +189,9 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     """A fit of all measurements, or of those that agree if all together are implausible.
 
     Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements.
+
+    Raises:
+        SolveError: neither has a fit.
     """
     fit: Fit | None = None
     try:
@@ -200,7 +203,12 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     state, inliers = agreeing([supposed] if fit is None else [fit.lin, supposed])
     if fit is not None and outliers.too_many(inliers):
         return fit
-    return inference.fit(state, inliers, supposed.noise)
+    try:
+        return inference.fit(state, inliers, supposed.noise)
+    except SolveError:
+        if fit is None:
+            raise
+        return fit
 
 
 def _without_outliers(inference: Inference, first: Fit) -> Fit:
