@@ -367,10 +367,10 @@ class Inference:
         return worst, replace(fit, lin=lin)
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
+        """The jump with which several outliers of a recording fit the others, and the fit without it.
 
-        All legs on one side of a large one look like slips, or like stations between slips. Without the legs beside
-        them, the images agree; the jump then explains these legs. Jumps of other parts show in the images themselves.
+        All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without the
+        legs beside outlier stations, the images agree better; the jump then explains these measurements.
         """
         was = fit.inliers
         images = replace(
@@ -386,7 +386,7 @@ class Inference:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
-            if not ranked or not ranked[0].part.endswith("wheel"):
+            if not ranked:
                 return None
             lin, jump = _past(lin, ranked[0]), ranked[0]
             jump, without = _sized(fit, jumps.again(lin, jump), lin), replace(fit, lin=lin)

@@ -176,7 +176,7 @@ def beyond(fit: Fit, kind: str) -> FloatArray:
 
 
 def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
-    """(logs,) number of former outliers of each recording, stations and legs, that this fit uses.
+    """(logs,) number of former outliers of each recording that this fit uses.
 
     Args:
         was: the former inliers.
@@ -184,11 +184,12 @@ def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
     """
     data, inliers = fit.data, fit.inliers
     count = np.zeros(data.log.max() + 1, dtype=np.int64)
-    for kind, log in (("views", data.log), ("legs", data.log[data.legs[:, 0]])):
+    for kind in _DEGREES:
         back = getattr(inliers, kind) & ~getattr(was, kind)
         if agreeing and back.any():
             back &= beyond(fit, kind) < 1
-        count += np.bincount(log[back], minlength=len(count))
+        first = np.nonzero(back)[0]
+        count += np.bincount(data.log[data.legs[first, 0] if kind == "legs" else first], minlength=len(count))
     return count
 
 
