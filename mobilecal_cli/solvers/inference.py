@@ -369,8 +369,8 @@ class Inference:
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The jump with which several outliers of a recording fit the others, and the fit without it.
 
-        All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without the
-        legs beside outlier stations, the images agree better; the jump then explains these measurements.
+        All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
+        the legs beside outlier stations, the images agree better; the jump then explains these measurements.
         """
         was = fit.inliers
         images = replace(
