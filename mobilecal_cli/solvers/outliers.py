@@ -34,7 +34,7 @@ _APART = 5
 #: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
 #: that their cost does not grow with the recording.
 LONG_RECORDING = 100
-_MUCH = 4.0  # a first fit with statistics beyond this many times their limit calls for a consensus
+_MUCH = 4.0  # a first fit with statistics beyond this many times their limit is implausible
 #: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.
 _JUDGED_BY = {
     "views": ("pose_scale", "joint_rad", "wheel_rad_per_sqrt_rad"),
