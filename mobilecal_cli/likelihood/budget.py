@@ -126,8 +126,7 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
             np.swapaxes(part[stations], 1, 2) @ root[:, :6]
             for part in (views.by_base, views.by_own, views.by_board)
         )
-        shared = np.swapaxes(views.by_shared[stations], 1, 2) @ root[:, :6]
-        shared[:, views.direct] += root[:, 6:]
+        shared = np.swapaxes(views.onto_shared(transposed, stations), 1, 2)
         yield Influence(
             C @ lin.normal.onto_shared(stations, base, own, board, shared),
             (inverse @ views.gradient[stations, :, None])[..., 0],

@@ -174,6 +174,13 @@ class _Test:
         return gradient, own, base, start, np.zeros((count, 6, m)), shared
 
 
+def _terms(
+    lin: Posterior, part: str, stations: IntArray, lasting: bool = True
+) -> list[tuple[FloatArray, FloatArray]]:
+    """`_Test.terms` of one part."""
+    return list(_Test(lin).terms(dict(_parts(lin))[part], stations, lasting)) if len(stations) else []
+
+
 def _score(g: FloatArray, information: FloatArray) -> tuple[float, int, FloatArray]:
     values, vectors = np.linalg.eigh(information)
     shown = values > _FAINT
@@ -199,7 +206,7 @@ def without(lin: Posterior, jump: Jump) -> Posterior:
 
 def again(lin: Posterior, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
-    ((gradient, information),) = _Test(lin).terms(dict(_parts(lin))[jump.part], np.array([jump.station]))
+    ((gradient, information),) = _terms(lin, jump.part, np.array([jump.station]))
     value = jump.value + _score(gradient, information)[2]
     chi2 = float(value @ information @ value)
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
@@ -216,9 +223,9 @@ def scatter(lin: Posterior, jump: Jump) -> float:
     """
     stations = np.unique(lin.data.legs[lin.inliers.legs, 1])
     stations = stations[lin.inliers.views[stations]][:: max(1, len(stations) // _MOST_MOMENTS)]
-    single = _Test(lin).terms(dict(_parts(lin))[jump.part], stations, lasting=False)
-    chi2, dof = np.sum([_score(*each)[:2] for each in single], axis=0)
-    return max(1.0, float(chi2 / dof)) if dof else 1.0
+    scores = [_score(*each) for each in _terms(lin, jump.part, stations, lasting=False)]
+    dof = sum(score[1] for score in scores)
+    return max(1.0, sum(score[0] for score in scores) / dof) if dof else 1.0
 
 
 def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump) -> float:
@@ -293,9 +300,7 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
         lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
-    ((gradient, information),) = _Test(optimum).terms(
-        dict(_parts(optimum))[jump.part], np.array([jump.station])
-    )
+    ((gradient, information),) = _terms(optimum, jump.part, np.array([jump.station]))
     score, dof, _ = _score(gradient, information)
     chi2 = jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
@@ -362,10 +367,11 @@ def lasts(lin: Posterior, jump: Jump) -> bool:
         lin: the optimum with its residuals.
         jump: from `likeliest` there.
     """
+    legs, log = lin.data.legs, lin.data.log
     beside = np.arange(jump.station - _FEWEST_EACH_SIDE, jump.station + _FEWEST_EACH_SIDE)
-    beside = np.intersect1d(beside, lin.data.legs[:, 1])
-    single = _Test(lin).terms(dict(_parts(lin))[jump.part], beside, lasting=False)
-    return max(_score(*each)[0] for each in single) < jump.chi2
+    beside = np.intersect1d(beside, legs[log[legs[:, 1]] == log[jump.station], 1])
+    single = _terms(lin, jump.part, beside, lasting=False)
+    return max((_score(*each)[0] for each in single), default=0.0) < jump.chi2
 
 
 def _best(test: _Test, name: str, part: _Part, moments: Sequence[int]) -> tuple[float, Jump] | None:

@@ -73,9 +73,9 @@ class Views:
     log: IntArray
     direct: IntArray
 
-    def onto_shared(self, A: FloatArray) -> FloatArray:
-        """(N, k, Q) derivatives by (delta, direct constants) as derivatives by the shared parameters, (N, k, P)."""
-        out: FloatArray = A[:, :, :6] @ self.by_shared
+    def onto_shared(self, A: FloatArray, stations: IntArray | slice = slice(None)) -> FloatArray:
+        """(n, k, Q) derivatives by (delta, direct constants) of some stations → (n, k, P) by the shared parameters."""
+        out: FloatArray = A[:, :, :6] @ self.by_shared[stations]
         out[:, :, self.direct] += A[:, :, 6:]
         return out
 

@@ -362,8 +362,10 @@ class Inference:
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
             noise = lin.noise
-        jump = replace(jump, sigmas=jumps.significance(fit.lin, lin, jump))
         if jump.sigmas < JUMP_SIGMAS or not jumps.lasts(optimum, ranked[0]):
+            return None
+        jump = replace(jump, sigmas=jumps.significance(fit.lin, lin, jump))
+        if jump.sigmas < JUMP_SIGMAS:
             return None
         points = [(jump, lin)]
         for other in jumps.alike(ranked):
