@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import reprlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
@@ -478,7 +478,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
             f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
             f"replace each {TODO} by its value; the comments of the draft explain them",
         )
-    rig = _validated(data, "" if path is None else f"{path}: ")
+    rig = _validated(data, "" if path is None else f"{path}: ", given)
     if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
         head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
         rig = rig.model_copy(update={"head": head})
@@ -622,11 +622,12 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
 _NOT_A_SECTION = ("model_type", "dict_type")
 
 
-def _validated(data: Mapping[str, Any], where: str) -> RigConfig:
+def _validated(data: Mapping[str, Any], where: str, given: Collection[str] = ()) -> RigConfig:
     """The configuration.
 
     Raises:
-        ConfigError: with the keys in question and what to write; `where` comes first.
+        ConfigError: with the keys in question and what to write; `where` comes first, unless all of them are given as
+            options.
     """
     try:
         return RigConfig.model_validate(data)
@@ -650,4 +651,7 @@ def _validated(data: Mapping[str, Any], where: str) -> RigConfig:
         else:
             problems.append(problem_of(item))
     hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
+    keys = (f"{'.'.join(map(str, item['loc']))}." for item in items)
+    if all(any(key.startswith(f"{option}.") for option in given) for key in keys):
+        where = ""
     raise ConfigError(where + "; ".join(problems), hint) from cause

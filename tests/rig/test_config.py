@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -167,6 +168,19 @@ def test_bad_files(write, case):
     assert str(path) in caught.value.message
     assert message in caught.value.message
     assert all(hint in caught.value.hint for hint in hints)
+
+
+def test_a_bad_option_is_no_mistake_of_the_file(write):
+    path = write("board: {columns: 9}")
+    for text, flag, where in (("", 80, ""), ("board: {rows: -1}", 80, f"{path}: "), ("", 0.08, None)):
+        path.write_text(text)
+        if where is None:
+            assert load_rig(path, {"board.square_m": flag}).board.square_m == flag
+            continue
+        with pytest.raises(ConfigError) as caught:
+            load_rig(path, {"board.square_m": flag})
+        assert re.match(re.escape(f"{where}board."), caught.value.message)
+        assert "80 looks like millimeters: 0.08 m" in caught.value.message
 
 
 def test_urdf_is_found_beside_the_file(write, tmp_path):
