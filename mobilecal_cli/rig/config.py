@@ -652,6 +652,5 @@ def _validated(data: Mapping[str, Any], where: str, given: Collection[str] = ())
             problems.append(problem_of(item))
     hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
     keys = (f"{'.'.join(map(str, item['loc']))}." for item in items)
-    if all(any(key.startswith(f"{option}.") for option in given) for key in keys):
-        where = ""
-    raise ConfigError(where + "; ".join(problems), hint) from cause
+    options_only = all(any(key.startswith(f"{option}.") for option in given) for key in keys)
+    raise ConfigError(("" if options_only else where) + "; ".join(problems), hint) from cause
