@@ -13,7 +13,6 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.patterns import patterns
@@ -27,7 +26,7 @@ from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import InitialPrior
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     Component,
@@ -175,12 +174,6 @@ class Inference:
         if self.full_motion:
             return linear_estimate(self.data.pairs, self.nominal.wheels).parameters
         return initial_with_prior(self.data.pairs, self.nominal, self.motion)
-
-    def initial_of(self, pairs: MotionPairs, near: Parameters) -> Parameters:
-        """Linear parameters from a few legs, from parameters that are nearly right."""
-        if self.full_motion:
-            return Rounds(pairs).after(ratios_of(near.wheels), FEW_ROUNDS)
-        return initial_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -------------------------------------------------------------------------------------
 
@@ -375,10 +368,10 @@ class Inference:
         return worst, replace(fit, lin=lin)
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
+        """The jump with which several outliers of a recording fit the others, and the fit without it.
 
-        All legs on one side of a large one look like slips, or like stations between slips. Without the legs beside
-        them, the images agree; the jump then explains these legs. Jumps of other parts show in the images themselves.
+        All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
+        the legs beside outlier stations, the images agree better; the jump then explains these measurements.
         """
         was = fit.inliers
         images = replace(
@@ -394,7 +387,7 @@ class Inference:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
-            if not ranked or not ranked[0].part.endswith("wheel") or not jumps.lasts(lin, ranked[0]):
+            if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
             lin = _past(lin, ranked[0])
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
