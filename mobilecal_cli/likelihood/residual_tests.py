@@ -49,7 +49,7 @@ class ResidualTests:
         """(N,) of each station's images as a whole, six degrees of freedom."""
         lin, views = self._lin, self._all_views
         G, g = views.information[:, :6, :6], views.gradient[:, :6]
-        return _left_out(G, g, lin.marginals.views, lin.inliers.views)
+        return _left_out(G, g, lin.marginals.of_gradient(views.information), lin.inliers.views)
 
     @cached_property
     def legs(self) -> FloatArray:
@@ -57,7 +57,7 @@ class ResidualTests:
         lin = self._lin
         W = np.asarray(np.linalg.inv(lin.leg_covariance), dtype=np.float64)
         g = np.einsum("lab,lb->la", W, lin.legs.residual)
-        return _left_out(W, g, lin.marginals.legs, lin.inliers.legs)
+        return _left_out(W, g, W @ lin.marginals.legs @ W, lin.inliers.legs)
 
     @cached_property
     def readings(self) -> FloatArray:
@@ -73,12 +73,12 @@ class ResidualTests:
     def views_freed(self) -> FloatArray:
         """(N, J) of each outlier station's images with one joint reading unknown, five degrees of freedom."""
         lin, views = self._lin, self._all_views
-        freed = np.empty_like(lin.data.joints)
+        G, g = views.information[:, :6, :6], views.gradient[:, :6]
+        predicted, freed = lin.marginals.of_gradient(views.information), np.empty_like(lin.data.joints)
         for j in range(freed.shape[1]):
-            by_reading = views.by_own[..., j : j + 1]
-            marginal = lin.marginals.views + FREE_JOINT**2 * by_reading @ np.swapaxes(by_reading, 1, 2)
-            G, g = views.information[:, :6, :6], views.gradient[:, :6]
-            freed[:, j] = _left_out(G, g, marginal, np.zeros_like(lin.inliers.views))
+            by_reading = FREE_JOINT * G @ views.by_own[..., j : j + 1]
+            spread = predicted + by_reading @ np.swapaxes(by_reading, 1, 2)
+            freed[:, j] = _left_out(G, g, spread, np.zeros_like(lin.inliers.views))
         return freed
 
     # -- what does not matter ---------------------------------------------------------------------
@@ -109,17 +109,21 @@ def _small(turn_rad: FloatArray, shift_m: FloatArray) -> BoolArray:
     return np.asarray((turn_rad < SMALL_RAD) & (shift_m < SMALL_M))
 
 
-def _left_out(G: FloatArray, g: FloatArray, marginal: FloatArray, used: BoolArray) -> FloatArray:
-    """Leave-out distance over redundant directions: ``v^T (I -+ h)^-1 v``, - for those used, + for the others.
+def _left_out(G: FloatArray, g: FloatArray, predicted: FloatArray, used: BoolArray) -> FloatArray:
+    """Leave-out distance over redundant directions: ``g^T (G -+ H)^-1 g``, - for those used, + for the others.
 
-    With G = R R^T, v = R^-1 g and h = R^T marginal R: (n, k, k), (n, k), (n, k, k), (n,) → (n,).
+    Args:
+        G: (n, k, k) information of each measurement.
+        g: (n, k) its gradient.
+        predicted: (n, k, k) H, covariance that the unknowns give the gradient.
+        used: (n,) which are part of the fit.
     """
     values, vectors = np.linalg.eigh(G)
     size = np.sqrt(np.maximum(values, 0.0))
     positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
-    root = vectors * size[:, None, :]
-    v = np.einsum("nab,na->nb", vectors, g) * np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    leverage = np.swapaxes(root, 1, 2) @ marginal @ root
+    whiten = vectors * np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)[:, None, :]
+    v = np.einsum("nab,na->nb", whiten, g)
+    leverage = np.swapaxes(whiten, 1, 2) @ predicted @ whiten
     sign = np.where(used, -1.0, 1.0)[:, None, None]
     values, vectors = np.linalg.eigh(np.eye(G.shape[1]) + sign * leverage)
     along = np.einsum("nki,nk->ni", vectors, v)

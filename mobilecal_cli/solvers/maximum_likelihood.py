@@ -200,6 +200,8 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
             return fit
     except SolveError as error:
         _LOG.info("no fit of all measurements: %s", error.message)
+    if fit is None:  # a start that is far off leads nowhere
+        supposed = _supposed(inference, inference.initial(), supposed.noise.wider)
     state, inliers = agreeing([supposed] if fit is None else [fit.lin, supposed])
     if fit is not None and outliers.too_many(inliers):
         return fit

@@ -7,6 +7,7 @@ no influence. Their sum has many minima. So each measurement has a weight, and t
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, Step
@@ -43,8 +45,19 @@ def agreeing(starts: Iterable[Posterior]) -> tuple[State, Inliers]:
     Args:
         starts: with the corners and images that may be used, and supposed noise levels. The limit of a kind is larger
             where most of its measurements are farther off than these explain.
+
+    Raises:
+        SolveError: no start leads to a minimum.
     """
-    minima = (_minimum(lin) for lin in starts)
+    minima = []
+    for start in starts:
+        with contextlib.suppress(SolveError), solvable():
+            minima.append(_minimum(start))
+    if not minima:
+        raise SolveError(
+            "no set of measurements agrees on the parameters",
+            "check the signs and units of joints and wheels in rig.yaml, and that the base turns and drives",
+        )
     lin, used, _ = min(minima, key=lambda minimum: minimum[2])
     views = used["views"] & (np.sum(~used["readings"], axis=1) <= 1)
     readings = used["readings"] | ~views[:, None]
@@ -139,9 +152,8 @@ def _stepped(
         try:
             step, gain = proposed(start, damping)
             trial = lin.after(step)
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # far off, the cost may overflow: no improvement
+            # Far off, the cost may overflow: no improvement.
+            with np.errstate(over="ignore", invalid="ignore"):
                 better = _weighted(trial, weights).cost <= start.cost
             if better and trial.state.parameters.wheels.separation_m > 0:
                 return trial, damping / 10 if damping > _LEAST_DAMPING else 0.0, gain
