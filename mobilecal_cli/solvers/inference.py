@@ -21,7 +21,16 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
-from mobilecal_cli.model import MATERIAL_SIGMAS, NINE, WHEEL_WORDS, Extraction, FloatArray, Noise, Parameters
+from mobilecal_cli.model import (
+    MATERIAL_SIGMAS,
+    NINE,
+    WHEEL_WORDS,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Noise,
+    Parameters,
+)
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
@@ -169,11 +178,16 @@ class Inference:
         motion = self.motion
         return motion.tilts and motion.turns and motion.drives and not self.nominal.head_eye_fixed
 
-    def initial(self) -> Parameters:
-        """Linear parameters from all legs."""
+    def initial(self, legs: IntArray | None = None) -> Parameters:
+        """Linear parameters from some legs, or from all.
+
+        Raises:
+            SolveError: these legs determine none.
+        """
+        pairs = self.data.pairs if legs is None else self.data.pairs.select(legs)
         if self.full_motion:
-            return linear_estimate(self.data.pairs, self.nominal.wheels).parameters
-        return initial_with_prior(self.data.pairs, self.nominal, self.motion)
+            return linear_estimate(pairs, self.nominal.wheels).parameters
+        return initial_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -------------------------------------------------------------------------------------
 

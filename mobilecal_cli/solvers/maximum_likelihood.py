@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import Extraction, Parameters
+from mobilecal_cli.model import Extraction, IntArray, Parameters
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
@@ -200,9 +200,10 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
             return fit
     except SolveError as error:
         _LOG.info("no fit of all measurements: %s", error.message)
-    if fit is None:  # a start that is far off leads nowhere
-        supposed = _supposed(inference, inference.initial(), supposed.noise.wider)
-    state, inliers = agreeing([supposed] if fit is None else [fit.lin, supposed])
+    legs = np.arange(len(inference.data.legs))
+    # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
+    starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
+    state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
     if fit is not None and outliers.too_many(inliers):
         return fit
     try:
@@ -211,6 +212,15 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
         if fit is None:
             raise
         return fit
+
+
+def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -> Iterator[Posterior]:
+    """Linear parameters from sets of legs, with the scales of the priors of `supposed`."""
+    for some in legs:
+        try:
+            yield _supposed(inference, inference.initial(some), supposed.noise.wider)
+        except (SolveError, np.linalg.LinAlgError):
+            continue
 
 
 def _without_outliers(inference: Inference, first: Fit) -> Fit:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -29,15 +29,17 @@ _DEGREES = {"views": 6, "legs": 3, "readings": 1}
 _LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in _DEGREES.items()}
 _USUAL = {kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in _DEGREES.items()}
 _FIRST_WIDTH = 2.0  # over the largest squared distance: all measurements count
+_NEAR_WIDTH = 300.0  # over the limit, from a start that may be near: what is farther off pulls at nothing
 _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and rejected
 _NARROWER = 3.0  # width over the next one
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
 _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
+_MANY = 1 / 4  # share of stations or legs that do not agree, at which more starts are tried
 _TINY = 1e-9  # weight and distance that stand for 0
 
 
-def agreeing(starts: Iterable[Posterior]) -> tuple[State, Inliers]:
+def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[State, Inliers]:
     """The state on which most measurements agree, and those that do: of the minima from some starts, the least.
 
     A station that takes several wrong readings to fit is one with wrong images.
@@ -45,30 +47,54 @@ def agreeing(starts: Iterable[Posterior]) -> tuple[State, Inliers]:
     Args:
         starts: with the corners and images that may be used, and supposed noise levels. The limit of a kind is larger
             where most of its measurements are farther off than these explain.
+        near: starts of which some may be near the minimum, tried while many measurements do not agree. What is very
+            far off there has no say.
 
     Raises:
         SolveError: no start leads to a minimum.
     """
-    minima = []
-    for start in starts:
-        with contextlib.suppress(SolveError), solvable():
-            minima.append(_minimum(start))
+    minima: list[_Minimum] = []
+    for widest, some in ((np.inf, starts), (_NEAR_WIDTH, near)):
+        for start in some:
+            if widest == _NEAR_WIDTH and minima and _least(minima).agree >= 1 - _MANY:
+                break
+            with contextlib.suppress(SolveError), solvable():
+                minima.append(_minimum(start, widest))
     if not minima:
         raise SolveError(
             "no set of measurements agrees on the parameters",
             "check the signs and units of joints and wheels in rig.yaml, and that the base turns and drives",
         )
-    lin, used, _ = min(minima, key=lambda minimum: minimum[2])
-    views = used["views"] & (np.sum(~used["readings"], axis=1) <= 1)
-    readings = used["readings"] | ~views[:, None]
-    return lin.state, replace(lin.inliers, views=views, legs=used["legs"], readings=readings)
+    least = _least(minima)
+    views = least.used["views"] & (np.sum(~least.used["readings"], axis=1) <= 1)
+    readings = least.used["readings"] | ~views[:, None]
+    return least.lin.state, replace(
+        least.lin.inliers, views=views, legs=least.used["legs"], readings=readings
+    )
 
 
-def _minimum(lin: Posterior) -> tuple[Posterior, dict[str, BoolArray], float]:
-    """The minimum to which falling widths lead, the measurements within their limits, and the truncated cost."""
+@dataclass(frozen=True, eq=False)
+class _Minimum:
+    """Where falling widths lead: the point, the measurements of each kind within their limits, the truncated cost."""
+
+    lin: Posterior
+    used: Mapping[str, BoolArray]
+    cost: float
+
+    @property
+    def agree(self) -> float:
+        """Share of the stations or of the legs that agree, the smaller one."""
+        return min(float(np.mean(self.used[kind])) for kind in ("views", "legs"))
+
+
+def _least(minima: Iterable[_Minimum]) -> _Minimum:
+    return min(minima, key=lambda minimum: minimum.cost)
+
+
+def _minimum(lin: Posterior, width: float) -> _Minimum:
     lin = lin.after(Step.of_shared(lin.data, lin.priors.step_to_mean(lin.state)))
     weights = {"readings": np.ones(lin.data.joints.shape)}
-    width, damping = np.inf, 0.0
+    damping = 0.0
     while width > _LAST_WIDTH:
         beyond = _beyond_limits(lin, weights["readings"])
         width = min(
@@ -83,7 +109,7 @@ def _minimum(lin: Posterior) -> tuple[Posterior, dict[str, BoolArray], float]:
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
     cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
     cost += sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
-    return lin, used, cost + float(_own_misfit(lin)[~used["views"]].sum())
+    return _Minimum(lin, used, cost + float(_own_misfit(lin)[~used["views"]].sum()))
 
 
 def _own_misfit(lin: Posterior) -> FloatArray:

@@ -22,7 +22,8 @@ def agreeing_of(extraction):
     everything = Inliers.all_of(inference.data)
     state = initial_state(inference.data, inference.initial(), everything)
     noise = inference.first_noise(np.array([NOISE.pixel_px]))
-    _, inliers = agreeing([Posterior.at(inference.data, state, everything, noise, inference.priors(state))])
+    start = Posterior.at(inference.data, state, everything, noise, inference.priors(state))
+    _, inliers = agreeing([start], [])
     return inliers
 
 
