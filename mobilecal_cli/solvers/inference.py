@@ -46,7 +46,7 @@ from mobilecal_cli.solvers.noise import (
     lengths,
     widths,
 )
-from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
+from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, proposed
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
@@ -271,24 +271,24 @@ class Inference:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
 
-    def fit(self, state: State, inliers: Inliers, noise: Noise, tolerances: Tolerances | None = None) -> Fit:
-        """Optimize. Unobservable directions keep their prior; repeated until these directions do not change.
+    def fit(self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS) -> Fit:
+        """Optimize coarsely. Unobservable directions keep their prior; repeated until these do not change.
 
         Args:
             state: where to start.
             inliers, noise: the measurements that are used, and their noise.
-            tolerances: `coarse` by default.
+            most_steps: of one optimization.
         """
         start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
-        return self._fit_from(start, (tolerances or self.coarse).near)
+        return self._fit_from(start, self.coarse.near, most_steps)
 
-    def _fit_from(self, start: Posterior, near: float) -> Fit:
+    def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
             unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
-            optimum = optimize(start, near, self.on_step)
+            optimum = optimize(start, near, self.on_step, most_steps)
             shown = directions(optimum.lin, user)
             again = self.priors(optimum.lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))

@@ -20,6 +20,8 @@ from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.robust import agreeing
 
 _LOG = logging.getLogger(__name__)
+#: Tried, of a first fit: of recordings that fit, ten are usual; from nominal values and with outliers, 50.
+FIRST_STEPS = 60
 _MOST_DECISIONS = 60
 _CORNER_ROUNDS = 4
 #: Scale of priors beyond which the outliers are decided again.
@@ -195,7 +197,7 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     """
     fit: Fit | None = None
     try:
-        fit = inference.fit(supposed.state, supposed.inliers, supposed.noise)
+        fit = inference.fit(supposed.state, supposed.inliers, supposed.noise, FIRST_STEPS)
         if outliers.plausible(fit):
             return fit
     except SolveError as error:

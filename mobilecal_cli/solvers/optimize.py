@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
-_MAX_STEPS = 120
+MOST_STEPS = 120  # tried, of one optimization
 _LARGEST_DAMPING = 1e6
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
@@ -67,7 +67,7 @@ def optimize(
     start: Posterior,
     near: float = NEAR,
     on_step: Callable[[], None] = lambda: None,
-    most_steps: int = _MAX_STEPS,
+    most_steps: int = MOST_STEPS,
 ) -> Optimum:
     """Minimize the sum of squares of all inliers and priors.
 
@@ -79,7 +79,7 @@ def optimize(
         near: a step that promises a smaller decrease of the cost is not taken. The result is about the root of this
             from the minimum, in standard deviations.
         on_step: called before each step.
-        most_steps: within which a minimum must be reached.
+        most_steps: tried, within which a minimum must be reached.
 
     Raises:
         SolveError: no minimum within these steps, or a singular matrix even under the largest damping.
@@ -90,7 +90,7 @@ def optimize(
         state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
         lin = Posterior.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
     damping, history, converged = 0.0, [lin.cost], False
-    while len(history) <= most_steps + 1:
+    for trials in range(most_steps + 1):
         on_step()
         try:
             step, gain = proposed(lin, damping)
@@ -109,7 +109,7 @@ def optimize(
             converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
             lin = trial
             history.append(lin.cost)
-            converged |= len(history) > most_steps and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW * lin.cost
             converged |= _stalls(history)
             damping = damping / 10 if damping > 1e-9 and not converged else 0.0
         else:
