@@ -172,15 +172,21 @@ def _refitted(inference: Inference, fit: Fit, inliers: Inliers) -> Fit:
     return inference.estimate_noise(inference.fit(fit.lin.state, inliers, fit.noise))
 
 
-def _supposed(inference: Inference, initial: Parameters, wider: Mapping[str, float]) -> Posterior:
+def _supposed(
+    inference: Inference, initial: Parameters, wider: Mapping[str, float], legs: IntArray | None = None
+) -> Posterior:
     """A first point, with supposed noise levels and without corners and boards that do not fit the board's shape.
 
     Args:
         inference, initial: where.
         wider: scales of the priors.
+        legs: those by which base poses follow from one another, all by default. Between the others, images place them.
     """
     everything = Inliers.all_of(inference.data)
-    state = initial_state(inference.data, initial, everything)
+    driven = np.ones_like(everything.legs)
+    if legs is not None:
+        driven = np.isin(np.arange(len(driven)), legs)
+    state = initial_state(inference.data, initial, replace(everything, legs=driven))
     corners, boards, own_px = outliers.gross_corners(inference.data, state)
     noise = replace(inference.first_noise(own_px), wider=wider)
     inliers = replace(everything, corners=corners, views=boards)
@@ -220,7 +226,7 @@ def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -
     """Linear parameters from sets of legs, with the scales of the priors of `supposed`."""
     for some in legs:
         try:
-            yield _supposed(inference, inference.initial(some), supposed.noise.wider)
+            yield _supposed(inference, inference.initial(some), supposed.noise.wider, some)
         except (SolveError, np.linalg.LinAlgError):
             continue
 
