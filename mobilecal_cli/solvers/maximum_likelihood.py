@@ -212,10 +212,11 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
     starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
     state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
-    if fit is not None and outliers.too_many(inliers):
+    noisy = outliers.too_many(inliers)
+    if fit is not None and noisy:
         return fit
     try:
-        return inference.fit(state, inliers, supposed.noise)
+        return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)
     except SolveError:
         if fit is None:
             raise
