@@ -351,6 +351,17 @@ def test_a_raw_camera_that_was_calibrated_alone_needs_no_p():
         alone("/camera/image_rect")
 
 
+@pytest.mark.parametrize(
+    ("of_images", "expected"),
+    [({}, "left_optical_frame"), ({"/stereo/left/image_raw": "left_eye"}, "left_eye")],
+)
+def test_a_driver_that_names_no_optical_frame(of_images, expected):
+    infos = {f"/stereo/{side}/camera_info": info(side, frame_id="") for side in ("left", "right")}
+    rig, notes = resolve_rig(config(), description(infos=infos, image_frames=of_images))
+    assert rig.cameras.of_reference.frame_id == expected
+    assert any(expected in note for note in notes) == (not of_images)
+
+
 def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
     why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"
