@@ -262,7 +262,7 @@ def test_names_of_files_are_names_of_robots(sample_logs, tmp_path, name):
 def test_names_that_are_no_directories_everywhere(tmp_path, name):
     robots = json.dumps({"robots": [{"name": name, "logs": ["x.mcap"]}]})
     (tmp_path / "fleet.yaml").write_text(robots, encoding="utf-8")
-    with pytest.raises(ConfigError, match="is not a valid robot name|not a valid manifest"):
+    with pytest.raises(ConfigError, match=r"is not a valid robot name|not a valid manifest"):
         batch_module.fleet_jobs(tmp_path / "fleet.yaml", tmp_path, None, {}, ())
 
 
