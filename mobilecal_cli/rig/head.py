@@ -117,7 +117,8 @@ def head_of(
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     # A joint found by name may be fixed, or that of an arm.
-    chain = replace(chain, **{role: n for role, n in (("pan", pan), ("tilt", tilt)) if n in chain.joints})
+    pan, tilt = (name if name in chain.joints else "" for name in (pan, tilt))
+    chain = replace(chain, pan=pan, tilt=tilt)
     drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
 
