@@ -39,7 +39,8 @@ from mobilecal_cli.rig.config import load_rig, read_urdf
 RECORDS = ".mobilecal_batch"
 #: Files of all robots, in the output directory of a batch.
 SUMMARIES = ("summary.csv", "summary.html")
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,99}")
+#: Names of directories on all systems, in any script; none begins like a formula in a table or an option.
+_NAME = re.compile(r"\w(?:[\w .,()+-]{0,98}[\w.,()+-])?")
 #: Reasons for skipping, in the order of the summary.
 DONE, NO_RECORDING = "already done", "no recording"
 
@@ -128,9 +129,10 @@ def fleet_jobs(
 
 def _check_names(source: Path, names: Sequence[str]) -> None:
     for name in names:
-        if not _NAME.fullmatch(name) or name.startswith("."):
+        if not _NAME.fullmatch(name):
             raise ConfigError(
-                f"{source}: {name!r} is not a valid robot name", "use letters, digits, . _ + and -"
+                f"{source}: {name!r} is not a valid robot name",
+                "use at most 100 letters, digits, spaces and . , _ + - ( ), a letter or a digit first",
             )
         if name in SUMMARIES:
             raise ConfigError(

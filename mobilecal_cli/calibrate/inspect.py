@@ -16,7 +16,7 @@ from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_b
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import lack_of, sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
-from mobilecal_cli.kinematics import cut_at, integrate
+from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
@@ -113,6 +113,7 @@ def inspect(
             progress("motion", 0, None)
             findings.weak += _wrong_chain(config, rig, survey.description)
             findings.add_gaps("priors", rig, _without_priors(rig, config))
+            findings.missing += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings)
         if survey is not None and survey.images is not None:
@@ -189,6 +190,15 @@ def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> 
             "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
             SolveError.exit_code,
         )
+
+
+def _without_height(rig: Rig) -> list[Lack]:
+    """The height of a camera that no joint tilts, if it is not stated: no motion of the robot shows it."""
+    if unseen_height(rig.chain) is None or rig.nominal.T_h_reference is not None:
+        return []
+    what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
+    cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
+    return [Lack("head chain", what, cure, SolveError.exit_code)]
 
 
 def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:

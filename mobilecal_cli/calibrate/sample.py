@@ -80,7 +80,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
                 )
             )
         board = None if vote.size is None else Board(*vote.size)
-        others = sum(vote.votes.values()) - (vote.votes[vote.size] if vote.size else 0)
+        others = sum(count for size, count in vote.votes.items() if not _part_of(size, vote.size))
     if board is None:
         plain = stated is None or stated.markers is None
         what = "a whole checkerboard" if plain else "the configured board"
@@ -107,6 +107,11 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         (weak if wrong.exit_code == QualityError.exit_code else lacks).append(wrong)
     size = board.columns, board.rows
     return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), lacks, weak
+
+
+def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:
+    """Whether a grid of this size can be a board that the edge of an image cuts off, or that board itself."""
+    return whole is not None and size[0] <= whole[0] and size[1] <= whole[1]
 
 
 def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:

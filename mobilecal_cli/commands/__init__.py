@@ -23,7 +23,7 @@ from mobilecal_cli.commands import (
     simulate,
     suggest,
 )
-from mobilecal_cli.errors import MobilecalError, RecordingError, ResourceError
+from mobilecal_cli.errors import MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
 #: Error code of OpenCV where memory cannot be allocated.
@@ -84,6 +84,10 @@ def main() -> None:
     except PermissionError as error:  # of a directory on the way to a file
         hint = "check the permissions of the file and of its directories"
         _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
+    except FileNotFoundError as error:
+        if error.filename is not None:  # os.getcwd names none
+            raise
+        _fail(OutputError("the working directory does not exist any more", "change to another directory"))
     except Exception as error:
         opencv = type(error).__module__ == "cv2" and getattr(error, "code", None) == _OPENCV_NO_MEMORY
         if not (opencv or isinstance(error, MemoryError)):

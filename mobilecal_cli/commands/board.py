@@ -50,6 +50,8 @@ def board(
     """
     from mobilecal_cli.export import check_file, write_file
 
+    if output.suffix.lower() not in ("", ".pdf"):
+        raise ConfigError(f"--output {output}: a board is written as PDF", "use a name that ends with .pdf")
     check_file(output, force)
     columns, rows = counts_of("--corners", corners)
     made = print_board(columns, rows, square, charuco, dictionary, marker_share, paper)

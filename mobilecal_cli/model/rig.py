@@ -315,7 +315,7 @@ class WheelSource:
         joint: a joint name in `sensor_msgs/JointState` messages of that topic, or None.
         field: a path into any message ("data", "left.ticks", "values[0]"), or None.
         ticks_per_revolution: counter steps per turn of the wheel; None: the field is an angle in rad.
-        bits: width of a counter that wraps around; None: it does not wrap.
+        bits: width of a counter that wraps around; None: as its readings show.
         sign: +1, or -1 for a counter that decreases when the robot drives forward.
         baked_in: wheels from which a nav_msgs/Odometry topic was computed; None for other topics.
         assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
@@ -327,7 +327,7 @@ class WheelSource:
     joint: str | None = None
     field: str | None = None
     ticks_per_revolution: float | None = None
-    bits: Literal[8, 16, 32, 64] | None = None
+    bits: int | None = None
     sign: Literal[1, -1] = 1
     baked_in: WheelGeometry | None = None
     assumed: bool = False

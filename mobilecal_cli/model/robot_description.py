@@ -96,7 +96,7 @@ class BoardView:
             board.
         squares_m: measured side in each pair, m.
         stated_m: side of a square as configured, m; None if it is not.
-        other_sizes: number of images that show a whole board of another size.
+        other_sizes: number of images that show a board of another size, which is no part of this one.
     """
 
     pictures: int

@@ -27,6 +27,7 @@ from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
 from mobilecal_cli.readers.messages.types import leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import transforms_of
+from mobilecal_cli.readers.signals.wheels import wraps
 
 T = TypeVar("T")
 
@@ -164,9 +165,6 @@ def _infos(
 _MESSAGES = 20_000
 #: Fields that are no readings.
 _NOT_READINGS = {"header", "stamp", "layout", "timestamp"}
-_WIDTHS = (8, 16, 32)
-#: A counter starts again where it jumps by more than this many times its usual step, at most.
-_JUMP = 5
 _STANDARD = re.compile(r"std_msgs/msg/U?Int(8|16|32|64)")
 
 
@@ -223,20 +221,7 @@ def _of_topic(
 
 
 def _wraps(values: list[int | float]) -> tuple[int | None, int | None]:
-    """How a counter starts again at its end, seen from jumps of nearly its whole range.
-
-    Returns:
-        Its width in bits, if the jumps fit one; else the size of its jumps, if there are any.
-    """
+    """See `wraps`; other numbers than integers do not start again."""
     if not all(isinstance(value, int) for value in values):
         return None, None
-    steps = np.abs(np.diff(np.array(values, dtype=np.float64)))
-    spread = max(values) - min(values)
-    jumps = steps > spread / 2
-    usual = steps[~jumps].max(initial=0.0)
-    if not jumps.any() or usual == 0 or steps[jumps].min() < _JUMP * usual:
-        return None, None
-    for bits in _WIDTHS:
-        if spread < 2**bits and steps[jumps].min() > 2**bits - 2 * usual - 1:
-            return bits, None
-    return None, int(steps[jumps].max())
+    return wraps(np.array(values, dtype=np.float64))

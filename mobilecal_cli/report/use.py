@@ -305,8 +305,8 @@ class Source:
 # fmt: off
 _CAMERA = (
     "camera_info", "calibrate the cameras again with more images", "camera_info",
-    "Check that camera_info belongs to these images (resolution, crop). Calibrate the camera again, or use the "
-    "exported camera_info.",
+    "Check that camera_info belongs to these images (resolution, crop), and cameras.rectified. Calibrate the camera "
+    "again, or use the exported camera_info.",
 )
 _PAIR = (
     "camera_info", "calibrate the stereo pair again with more images", "camera_info",

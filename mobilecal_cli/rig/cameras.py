@@ -288,15 +288,21 @@ _BASELINE_ADVICE = (
 )
 
 
-def _camera(info: CameraInfo, rectified: bool) -> Camera:
+def optical_frame(name: str, info: CameraInfo) -> str:
+    """Name of a camera's optical frame, made of the camera's own where the driver states none."""
+    return info.frame_id or f"{name}_optical_frame"
+
+
+def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
+    frame = optical_frame(name, info)
     if rectified:
         if not info.P.any():
             raise RecordingError(
-                f"the images are rectified, but P in the camera info of {info.frame_id!r} is all zeros",
+                f"the images are rectified, but P in the camera info of {frame!r} is all zeros",
                 "use the raw images (cameras.NAME.image in rig.yaml), which need only K and D, or record P",
             )
-        return Camera(info.frame_id, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
-    return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
+        return Camera(frame, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
+    return Camera(frame, info.width, info.height, info.K, info.D, info.distortion)
 
 
 def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: str = "left") -> CameraRig:
@@ -343,7 +349,7 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
         )
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
-    cameras = _camera(left, rectified), _camera(right, rectified)
+    cameras = _camera("left", left, rectified), _camera("right", right, rectified)
     return CameraRig.pair(*cameras, T_c_r, rectified, left.R, right.R, reference)
 
 
@@ -400,7 +406,7 @@ def camera_rig(
             T = se3.transform(first.R, np.zeros(3)) @ T @ se3.transform(infos[name].R.T, np.zeros(3))
         poses.append(T)
     rotations = tuple(info.R for info in infos.values())
-    each = tuple(_camera(info, rectified) for info in infos.values())
+    each = tuple(_camera(name, info, rectified) for name, info in infos.items())
     return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
 
 

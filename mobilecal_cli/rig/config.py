@@ -252,7 +252,7 @@ class WheelConfig(_Section):
     fields: tuple[Text, ...] = Field((), description="several counters of the side, which are averaged")
     topics: tuple[Text, ...] = Field((), description="topic of each of fields, if not all are on topic")
     ticks_per_revolution: Ticks | None = None
-    bits: Literal[8, 16, 32, 64] | None = None
+    bits: int | None = Field(None, ge=4, le=64, description="width of a counter that wraps around")
     sign: Literal[1, -1] = 1
     signs: tuple[Literal[1, -1], ...] = Field((), description="sign of each of joints or fields")
 

@@ -239,7 +239,7 @@ def _board(draft: Draft, board: BoardView | None) -> None:
         return
     if board.size is None or board.seen < _ENOUGH_BOARDS or board.other_sizes:
         what = f"board of {board.size[0]} x {board.size[1]}" if board.size else "checkerboard of one size"
-        others = f", {board.other_sizes} one of another size" if board.other_sizes else ""
+        others = f", {board.other_sizes} a board of another size" if board.other_sizes else ""
         draft.ask(
             "board",
             f"{board.seen} of {board.pictures} images show a whole {what}{others}; count the inner corners, or set "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Container, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -114,8 +114,11 @@ def head_of(
         base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
     offset, offset_notes = _vehicle_offset(urdf, wheels, base)
-    chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)), pan, tilt)
+    chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
+    # A joint found by name may be fixed, or that of an arm.
+    pan, tilt = (name if name in chain.joints else "" for name in (pan, tilt))
+    chain = replace(chain, pan=pan, tilt=tilt)
     drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
 
@@ -28,6 +28,7 @@ from mobilecal_cli.rig.cameras import (
     info_topic,
     is_rectified,
     note_on_choice,
+    optical_frame,
 )
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_fields, joint_topics, joint_transforms
@@ -160,6 +161,17 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         rectified = is_rectified(next(iter(images.values()))) if told is None else told
         notes = note_on_choice(images, config, of_robot)
     infos = {name: of_robot.infos[topic] for name, topic in topics.items()}
+    infos = {
+        # Some drivers name the optical frame in the images only.
+        name: replace(info, frame_id=info.frame_id or of_robot.image_frames.get((images or {})[name], ""))
+        for name, info in infos.items()
+    }
+    notes += tuple(
+        f"Neither the images nor the camera info of the {camera_words(name)} name its optical frame. "
+        f"The outputs call it {optical_frame(name, info)}."
+        for name, info in infos.items()
+        if not info.frame_id
+    )
     whole = images is not None and len(infos) == len(images)
     if whole:
         tried("camera infos", lambda: check_sizes(infos))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 
@@ -230,11 +230,11 @@ def _with_counters(
     return completed
 
 
-def counter_width(number: NumberField) -> Literal[8, 16, 32, 64] | None:
+def counter_width(number: NumberField) -> int | None:
     """Bits after which a counter starts again: as seen, or those of a narrow type."""
     for bits in (8, 16, 32):
         if number.wraps == bits or (number.bits == bits and bits < 32):
-            return cast("Literal[8, 16, 32, 64]", bits)
+            return bits
     return None
 
 

@@ -252,6 +252,20 @@ def test_a_directory_of_recordings(sample_logs, tmp_path):
         batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
 
 
+@pytest.mark.parametrize("name", ["Halle 3 (Nord), 2. Fahrt", "机器人_1", "Röboter", "a+b"])
+def test_names_of_files_are_names_of_robots(sample_logs, tmp_path, name):
+    (tmp_path / f"{name}.mcap").symlink_to(sample_logs / "tick_robot.mcap")
+    assert [job.name for job in batch_module.fleet_jobs(tmp_path, tmp_path, None, {}, ())] == [name]
+
+
+@pytest.mark.parametrize("name", ["=1+2", "-a", ".a", "a/b", "a\\b", "a ", "a\nb", "a\udcff", "a" * 101])
+def test_names_that_are_no_directories_everywhere(tmp_path, name):
+    robots = json.dumps({"robots": [{"name": name, "logs": ["x.mcap"]}]})
+    (tmp_path / "fleet.yaml").write_text(robots, encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"is not a valid robot name|not a valid manifest"):
+        batch_module.fleet_jobs(tmp_path / "fleet.yaml", tmp_path, None, {}, ())
+
+
 def manifest(folder, *robots):
     path = folder / "fleet.yaml"
     path.write_text("robots:\n" + "\n".join(f"- {robot}" for robot in robots), encoding="utf-8")

@@ -14,6 +14,13 @@ def test_a_board_and_its_line_for_rig_yaml(tmp_path):
     assert out.read_bytes().startswith(b"%PDF-1.6")
 
 
+@pytest.mark.parametrize("name", ["board.svg", "board.png"])
+def test_another_format_is_refused(tmp_path, name):
+    done = run("board", "--corners", "8x5", "--square", "0.08", "--output", name, cwd=tmp_path)
+    assert (done.code, done.left) == (2, [])
+    assert "a board is written as PDF" in done.err
+
+
 def test_warnings(tmp_path):
     done = run("board", "--corners", "8x6", "--square", "0.08", "--output", tmp_path / "board.pdf")
     assert "A board of 8x6 corners looks the same upside down. Prefer counts of different parity" in done.err

@@ -272,3 +272,17 @@ def test_motion_that_only_the_part_that_is_read_lacks_is_a_limit(sample_logs, ri
     part = inspect.check(rig, [sample_logs / "head_fixed.mcap"])
     assert part.motion.share_read < 1
     assert (states(part)["motion"], part.exit_code) == ("limit", 0)
+
+
+def test_the_height_of_a_camera_that_no_joint_tilts(sample_logs, tmp_path):
+    """It ends with the exit code of `calibrate`, unless the nominal value is stated."""
+    rig, log = tmp_path / "rig.yaml", sample_logs / "head_fixed.mcap"
+    rig.write_text("head: {chain: []}", encoding="utf-8")
+    done = run("check", rig, log, cwd=tmp_path)
+    assert (done.code, run("calibrate", log, "--config", rig, cwd=tmp_path).code) == (5, 5)
+    assert "no joint tilts the camera, so the recording does not show its height" in " ".join(
+        done.out.split()
+    )
+    stated = "nominal: {head_eye: {translation_m: [0, 0, 1], quaternion_xyzw: [-0.5, 0.5, -0.5, 0.5]}}"
+    rig.write_text(f"head: {{chain: []}}\n{stated}", encoding="utf-8")
+    assert run("check", rig, log, cwd=tmp_path).code == 0

@@ -1,6 +1,10 @@
 """`mobilecal init`: the draft of a rig.yaml, and what is listed on the terminal."""
 
+import itertools
 from dataclasses import replace
+
+import cv2
+import numpy as np
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.commands.init import draft
@@ -40,6 +44,21 @@ def test_standard_output_holds_the_file_alone(sample_logs, tmp_path):
     assert done.out.startswith("# rig.yaml for mobilecal")
     assert done.err.startswith("Filled in\n")
     assert_golden(done.err, "init")
+
+
+def test_a_board_that_the_image_cuts_off_is_no_other_board(sample_logs, tmp_path):
+    left = itertools.count()
+
+    def cut_off(topic, message):
+        """The first half of the left images, moved by 220 pixels: most show a board of 7 x 6 or less."""
+        if topic != "/stereo/left/image_raw/compressed" or next(left) >= 12:
+            return message
+        image = cv2.imdecode(np.asarray(message.data), cv2.IMREAD_GRAYSCALE)
+        image = np.pad(image, ((0, 0), (0, 220)), mode="edge")[:, 220:]
+        return replace(message, data=cv2.imencode(".jpg", image)[1].reshape(-1))
+
+    made = draft([edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", cut_off)])
+    assert (keys(made)["board.columns"], keys(made)["board.rows"]) == ("9", "6")
 
 
 def test_a_urdf_file_is_written_relative_to_the_rig(sample_logs, tmp_path, few):

@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from itertools import groupby
 
@@ -141,3 +143,12 @@ def test_links_as_outputs(sample_logs, tmp_path, command, name):
     assert not (tmp_path / "nowhere").exists()
     names = ["dangling", "file", "link", "precious", "precious.txt"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+def test_a_working_directory_that_is_removed(tmp_path):
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    command = f"rmdir ../gone; exec {sys.executable} -m mobilecal_cli calibrate log.mcap"
+    done = subprocess.run(["sh", "-c", command], cwd=gone, capture_output=True, text=True)
+    assert (done.returncode, "Traceback" in done.stderr) == (7, False)
+    assert "the working directory does not exist any more" in done.stderr

@@ -179,6 +179,15 @@ def test_wrapped_positions_are_unwrapped_and_noted(tmp_path):
     assert any("wrapped to one turn; 3 jumps are undone" in note for note in signals.notes)
 
 
+def test_positions_that_never_change_beside_velocities(tmp_path):
+    """Some drivers fill in zeros in place of the positions that they do not know."""
+    stuck = [(0.1 * k, at(0.1 * k), NAMES, [0, 0, 0], [0, 2.0, min(k, 1) * 1.0]) for k in range(11)]
+    signals = signals_of(tmp_path, [*images(), *joints(stuck)])
+    assert signals.wheels["left"].value[-1] == 0  # neither changes
+    assert signals.wheels["right"].value[-1] == pytest.approx(0.95)
+    assert any("positions that never change; velocities are integrated" in note for note in signals.notes)
+
+
 @pytest.mark.parametrize("pause_s", [1.2, 3.0])
 def test_a_pause_does_not_switch_unwrapping_off(tmp_path, pause_s):
     """The wheel turns on during the pause at the speed that it had before and has after it."""
@@ -295,6 +304,25 @@ def test_counters_of_any_width_wrap_round(bits, signed, start, steps, sign, floa
     angle = turned(readings, WheelSource("/t", field="data", ticks_per_revolution=360, bits=bits, sign=sign))
     expected = sign * np.radians((counts - start).astype(np.float64))
     np.testing.assert_allclose(angle, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("span", "ticks", "start"),
+    [(2**8, 1000, 200), (2**16, 1000, 65_000), (2**32, 4096, -500), (4096, 4096, 7)],
+)
+@pytest.mark.parametrize("signed", [False, True])
+def test_counters_without_a_stated_width_wrap_where_they_are_seen_to(span, ticks, start, signed):
+    counts = start + np.cumsum([0, 3, 9, *[20] * 40, *[-30] * 40, *[25] * 60])
+    readings = (counts + span // 2) % span - span // 2 if signed else counts % span
+    angle = turned(readings.tolist(), WheelSource("/t", field="data", ticks_per_revolution=ticks))
+    np.testing.assert_allclose(angle, (counts - start) * 2 * np.pi / ticks, atol=1e-9)
+
+
+@pytest.mark.parametrize("start", [0.0, 2.0, 4.0])
+def test_angles_of_any_field_within_one_turn(start):
+    angles = start + 0.3 * np.arange(60)
+    angle = turned((angles % (2 * np.pi)).tolist(), WheelSource("/t", field="data"))
+    np.testing.assert_allclose(angle, angles - start, atol=1e-9)
 
 
 def test_counter_without_width_never_wraps_and_keeps_large_numbers_exact():

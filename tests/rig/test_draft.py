@@ -111,7 +111,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     ("seen", "words"),
     [
         (board(seen=2), "2 of 12 images show a whole board of 9 x 6;"),
-        (board(other_sizes=1), "show a whole board of 9 x 6, 1 one of another size;"),
+        (board(other_sizes=1), "show a whole board of 9 x 6, 1 a board of another size;"),
         (board(seen=0, size=None, squares_m=(), square_m=None), "0 of 12 images show a whole checkerboard"),
     ],
 )

@@ -221,6 +221,15 @@ def test_the_camera_may_be_beside_the_head_link():
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.03, 0.06, -0.05])
 
 
+def test_a_tilt_joint_that_is_fixed_is_none_of_the_head_and_not_drafted():
+    urdf = AT_BASE.replace('"head_tilt_joint" type="revolute"', '"head_tilt_joint" type="fixed"')
+    recorded = description(urdf=urdf, joint_names={"/joint_states": (*JOINTS[:3], "arm_pan")})
+    rig = resolve_rig(config(), recorded)[0]
+    assert (rig.chain.pan, rig.chain.tilt, rig.chain.joints) == ("head_pan_joint", "", ("head_pan_joint",))
+    drafted = {one.key for one in draft_rig(survey_rig(config(), recorded), "log.mcap").filled}
+    assert drafted & {"joints.pan", "joints.tilt"} == {"joints.pan"}
+
+
 def test_flag_file_and_log_are_told_apart(tmp_path):
     path = tmp_path / "rig.yaml"
     path.write_text("joints: {pan: head_pan_joint}", encoding="utf-8")
@@ -349,6 +358,17 @@ def test_a_raw_camera_that_was_calibrated_alone_needs_no_p():
     assert alone("/camera/image_raw").each[0].K[0, 0] == 550.0
     with pytest.raises(RecordingError, match="the images are rectified, but P in the camera info of"):
         alone("/camera/image_rect")
+
+
+@pytest.mark.parametrize(
+    ("of_images", "expected"),
+    [({}, "left_optical_frame"), ({"/stereo/left/image_raw": "left_eye"}, "left_eye")],
+)
+def test_a_driver_that_names_no_optical_frame(of_images, expected):
+    infos = {f"/stereo/{side}/camera_info": info(side, frame_id="") for side in ("left", "right")}
+    rig, notes = resolve_rig(config(), description(infos=infos, image_frames=of_images))
+    assert rig.cameras.of_reference.frame_id == expected
+    assert any(expected in note for note in notes) == (not of_images)
 
 
 def test_cameras_of_an_unknown_model_are_refused_and_drafted():

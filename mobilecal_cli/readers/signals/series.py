@@ -104,6 +104,11 @@ class Series:
     def __len__(self) -> int:
         return len(self._stamp_ns)
 
+    @property
+    def still(self) -> bool:
+        """Whether all readings are the same; also without any."""
+        return not len(self) or min(self._value) == max(self._value)
+
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
         """Append a reading; one that is not finite or impossibly large is counted and dropped."""
         for number in value:

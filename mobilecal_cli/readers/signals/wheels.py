@@ -31,7 +31,10 @@ GAP_RAD = 0.01
 #: After a longer pause, a wheel may have turned by more than half the range of its readings.
 PAUSE_S = 1.0
 _TURN = 2 * math.pi
-_SLACK = 1e-3
+_SLACK = 1e-3  # of a turn, by which rounded positions leave it
+#: Widths at which counters start again. They jump then by more than this many times their usual step, at most.
+_WIDTHS, _JUMP = (8, 16, 32), 5
+_MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider ones start again there, too
 
 
 def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> Track:
@@ -41,13 +44,17 @@ def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> 
         RecordingError: readings do not fit the counter's width.
     """
     time_ns, readings = position.ordered(notes)
-    value = readings[:, 0]
-    if source.bits is not None:
-        check_width(position.label, (value.min(), value.max()), source.bits)
-        value = unwrap(time_ns, value, 2.0**source.bits)
-    elif source.ticks_per_revolution is None and (jumps := _jumps_of_a_turn(time_ns, value)):
+    value, turn = readings[:, 0], source.ticks_per_revolution or _TURN
+    bits = source.bits
+    if bits is not None:
+        check_width(position.label, (value.min(), value.max()), bits)
+    elif source.ticks_per_revolution is not None and (bits := wraps(value)[0]) is not None:
+        notes.append(f"{position.label}: the counter starts again after 2^{bits} steps, which is undone")
+    if bits is not None:
+        value = unwrap(time_ns, value, 2.0**bits)
+    elif jumps := _jumps_of_a_turn(time_ns, value, turn):
         notes.append(f"{position.label}: positions are wrapped to one turn; {jumps} jumps are undone")
-        value = unwrap(time_ns, value, _TURN)
+        value = unwrap(time_ns, value, turn)
     return Track(time_ns, value * _scale(source))
 
 
@@ -77,7 +84,7 @@ class JointWheel(StatedJoint):
         self._log, self._side, self._source, self._velocity = log, side, source, velocity.series
 
     def check(self, notes: list[str]) -> None:
-        """Use the velocities if there are no positions.
+        """Use the velocities if there are no positions, or if these never change while the velocities do.
 
         Raises:
             RecordingError: there are neither, or the positions alternate between two values.
@@ -94,10 +101,11 @@ class JointWheel(StatedJoint):
                 "set another source for the wheel in rig.yaml",
             )
         series.check_alternation()
-        if not len(series) and len(self._velocity):
-            if series.not_finite:
+        if series.still and len(self._velocity) and not (len(series) and self._velocity.still):
+            if series.not_finite and not len(series):
                 notes.append(f"{series.label}: all {series.not_finite} positions are NaN or infinite")
-            notes.append(f"{series.label}: no positions; velocities are integrated")
+            instead = "positions that never change" if len(series) else "no positions"
+            notes.append(f"{series.label}: {instead}; velocities are integrated")
             self.series = self._velocity
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
@@ -120,17 +128,15 @@ class FieldWheel(FieldSource):
         self._range: tuple[float, float] = (0, 0)
 
     def reading(self, value: float) -> float:
-        """Ticks since the first reading; of a counter that wraps, at most half its range to either side."""
+        """Ticks since the first reading, at most half the counter's range to either side."""
         if not math.isfinite(value):
             return value
         if self._first is None:
             self._first = value
         self._range = min(self._range[0], value), max(self._range[1], value)
         since = value - self._first
-        if self._source.bits is None:
-            return since
-        half = 1 << (self._source.bits - 1)
-        return (since + half) % (2 * half) - half
+        half = 1 << ((self._source.bits or _MOST_BITS) - 1)
+        return since if -half <= since < half else (since + half) % (2 * half) - half
 
     def check(self, notes: list[str]) -> None:
         """See `check_width`, and `FieldSource.check`."""
@@ -179,19 +185,39 @@ def unwrap(time_ns: IntArray, value: FloatArray, span: float) -> FloatArray:
     return np.asarray(value + span * np.concatenate([[0.0], np.cumsum(turns)]), dtype=np.float64)
 
 
-def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray) -> int:
+def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray, turn: float) -> int:
     """Number of jumps in positions that a driver wraps to one turn; 0 for other positions.
 
-    Positions are wrapped if they never leave [-pi, pi] or [0, 2 pi], and jump, but always by more than three quarters
-    of a turn. Changes over a pause tell nothing.
+    Positions are wrapped if they stay within one turn, and jump, but always by more than three quarters of it. Changes
+    over a pause tell nothing.
+
+    Args:
+        time_ns: (n,) increasing.
+        value: (n,) positions.
+        turn: one turn, in their unit.
     """
-    low, high = value.min(), value.max()
-    turns = ((-math.pi, math.pi), (0.0, _TURN))
-    if not any(low >= start - _SLACK and high <= end + _SLACK for start, end in turns):
+    if np.ptp(value) > turn * (1 + _SLACK):
         return 0
     step = np.abs(np.diff(value)[np.diff(time_ns) <= PAUSE_S * 1e9])
-    jumps = step[step > math.pi]
-    return 0 if np.any(jumps < 1.5 * math.pi) else len(jumps)
+    jumps = step[step > turn / 2]
+    return 0 if np.any(jumps < 0.75 * turn) else len(jumps)
+
+
+def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
+    """How a counter starts again at its end, seen from jumps of nearly its whole range.
+
+    Returns:
+        Its width in bits, if the jumps fit one; else the size of its jumps, if there are any.
+    """
+    steps, spread = np.abs(np.diff(ticks)), np.ptp(ticks)
+    jumps = steps > spread / 2
+    usual = steps[~jumps].max(initial=0.0)
+    if not jumps.any() or usual == 0 or steps[jumps].min() < _JUMP * usual:
+        return None, None
+    for bits in _WIDTHS:
+        if spread < 2**bits and steps[jumps].min() > 2**bits - 2 * usual - 1:
+            return bits, None
+    return None, int(steps[jumps].max())
 
 
 def gap_notes(label: str, track: Track) -> list[str]:
