@@ -254,15 +254,16 @@ class Inference:
         if missing:
             # Rotations are relative to the nominal one.
             fixable = [name for name in needed if name not in NINE[:3]]
-            other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
+            cures = [f"set {' and '.join(missing)} in rig.yaml"]
+            cures += [f"use --fix {name}=VALUE" for name in fixable[:1]]
+            cures += ["record the missing motion"] * (unseen_height(self.data.chain) is None)
             words = head_eye_words(needed, self.data.chain, self.data.joints)
             of_wheels = zip(NINE[6:], WHEEL_WORDS, strict=True)
             words += [f"the {word}" for name, word in of_wheels if name in needed]
             raise SolveError(
                 f"the recording does not show {' and '.join(words)} ({', '.join(needed)}), and "
                 f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated",
-                f"set {' and '.join(missing)} in rig.yaml{other}"
-                + (", or record the missing motion" if unseen_height(self.data.chain) is None else ""),
+                ", or ".join(cures),
             )
 
     # -- fits ---------------------------------------------------------------------------------------
