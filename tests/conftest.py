@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from functools import wraps
 from pathlib import Path
 
 # Two test processes on two cores: threads of the linear algebra would only wait for one another.
@@ -42,6 +44,41 @@ def every_report_fits_its_schema():
 
         patched.setattr(Report, "save", checked)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def each_image_is_searched_once():
+    """Many tests read the sample recordings: where find_board and identify_size have searched, they know the result.
+
+    `fresh_search` searches anew; so do tests that call `vision.detect`.
+    """
+    from mobilecal_cli.vision import detection
+
+    known = {}
+
+    def remembered(search):
+        @wraps(search)
+        def found(image, *given):
+            key = search.__name__, hashlib.sha256(image.tobytes()).digest(), image.shape, given
+            if key not in known:
+                known[key] = search(image, *given)
+            return known[key]
+
+        return found
+
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("detect", "_size_in"):
+            patched.setattr(detection, name, remembered(getattr(detection, name)))
+        yield
+
+
+@pytest.fixture
+def fresh_search(monkeypatch):
+    """Search images anew that other tests or earlier lines have searched."""
+    from mobilecal_cli.vision import detection
+
+    for name in ("detect", "_size_in"):
+        monkeypatch.setattr(detection, name, getattr(detection, name).__wrapped__)
 
 
 @pytest.fixture(scope="session")
