@@ -2,26 +2,39 @@
 
 import errno
 import os
+import shutil
 import sys
 from contextlib import suppress
+from pathlib import Path
 
+from mobilecal_cli import __version__
 from mobilecal_cli.files import interruption
 
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, as a shell shows it for other programs
 _OUTPUT = 7  # as OutputError, which is not imported this early
+#: What `mobilecal --help` prints where a line has `HELP_COLUMNS` or more; `make docs` writes it.
+HELP = Path(__file__).with_name("help.txt")
+HELP_COLUMNS = 80  # the command-line library fills no more
+#: Name of the program, by its file.
+_PROGRAMS = {"__main__.py": "python -m mobilecal_cli", "mobilecal": "mobilecal"}
 
 
 def main() -> None:
     """Run the command line; exit with 128 plus the number of the signal that ended it."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # small matrices: more threads only wait for each other
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # no search for them in all packages
     _open_standard_streams()
     interruption.unwind_on_signals()
     try:
-        with interruption.naming_interruptions():
-            from mobilecal_cli.commands import main as run
+        text = _text_without_commands()
+        if text is None:
+            with interruption.naming_interruptions():
+                from mobilecal_cli.commands import main as run
 
-        run()
+            run()
+        else:
+            print(text)
         sys.stdout.flush()
     except interruption.Interrupted:
         placed = ", ".join(interruption.placed())
@@ -40,6 +53,16 @@ def main() -> None:
         _complain(f"error: standard output cannot be written: {error.strerror}")
         _complain("hint: check free space where standard output goes")
         sys.exit(_OUTPUT)
+
+
+def _text_without_commands() -> str | None:
+    """The text of `--help` or `--version`, if it is known without the command-line library, which starts slowly."""
+    arguments, program = sys.argv[1:], _PROGRAMS.get(Path(sys.argv[0]).name)
+    if arguments == ["--version"]:
+        return f"mobilecal {__version__}"
+    if arguments == ["--help"] and program and shutil.get_terminal_size().columns >= HELP_COLUMNS:
+        return HELP.read_text(encoding="utf-8").removesuffix("\n").replace("mobilecal", program, 1)
+    return None
 
 
 def _complain(line: str) -> None:

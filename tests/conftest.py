@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import gc
+import hashlib
 import os
+from functools import wraps
 from pathlib import Path
 
 # Two test processes on two cores: threads of the linear algebra would only wait for one another.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# The commands that tests start keep their byte code, as on a user's machine: compiling takes a quarter of their start.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import pytest
 from hypothesis import settings
@@ -16,6 +21,11 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 REPOSITORY = Path(__file__).resolve().parent.parent
+
+
+def pytest_collection_finish() -> None:
+    """Modules and collected tests stay to the end: the garbage collector need not look at them again and again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
@@ -42,6 +52,41 @@ def every_report_fits_its_schema():
 
         patched.setattr(Report, "save", checked)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def each_image_is_searched_once():
+    """Many tests read the sample recordings: where find_board and identify_size have searched, they know the result.
+
+    `fresh_search` searches anew; so do tests that call `vision.detect`.
+    """
+    from mobilecal_cli.vision import detection
+
+    known = {}
+
+    def remembered(search):
+        @wraps(search)
+        def found(image, *given):
+            key = search.__name__, hashlib.sha256(image.tobytes()).digest(), image.shape, given
+            if key not in known:
+                known[key] = search(image, *given)
+            return known[key]
+
+        return found
+
+    with pytest.MonkeyPatch.context() as patched:
+        for name in ("detect", "_size_in"):
+            patched.setattr(detection, name, remembered(getattr(detection, name)))
+        yield
+
+
+@pytest.fixture
+def fresh_search(monkeypatch):
+    """Search images anew that other tests or earlier lines have searched."""
+    from mobilecal_cli.vision import detection
+
+    for name in ("detect", "_size_in"):
+        monkeypatch.setattr(detection, name, getattr(detection, name).__wrapped__)
 
 
 @pytest.fixture(scope="session")

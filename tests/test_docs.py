@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from mobilecal_cli import errors
+from mobilecal_cli.__main__ import HELP
 from mobilecal_cli.export.extraction import _OLDEST_READ, SCHEMA_VERSION
 from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.command import python, run
@@ -46,6 +47,10 @@ def test_every_error_has_its_own_code_and_exit_code_and_says_what_to_do():
     lines = [line.split(" | ") for line in generator.catalogue().splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
     assert without == {"readers/pixels"}
+
+
+def test_the_overview_of_the_commands_is_up_to_date():
+    assert HELP.read_text(encoding="utf-8") == generator_of("options").overview(), "run: make docs"
 
 
 def test_the_table_of_formats_is_up_to_date():

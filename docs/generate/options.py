@@ -1,4 +1,4 @@
-"""From the code: `docs/generate/options.py` writes docs/reference/options.md and the table of formats of cli.md."""
+"""From the code: `docs/generate/options.py` writes help.txt, docs/reference/options.md and the formats of cli.md."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import typer
 
+from mobilecal_cli.__main__ import HELP, HELP_COLUMNS
 from mobilecal_cli.commands import app
 from mobilecal_cli.export.formats import format_of
 from mobilecal_cli.targets import Target
@@ -19,6 +20,12 @@ HEAD = """\
 
 Generated from the code by `make docs`. [Command line](cli.md) explains the commands.
 """
+
+
+def overview(program: str = "mobilecal", columns: int = HELP_COLUMNS) -> str:
+    """What `--help` prints in a terminal of this width, with a margin of two columns."""
+    group: Any = typer.main.get_command(app)
+    return f"{group.context_class(group, info_name=program, terminal_width=columns - 2).get_help()}\n"
 
 
 def page() -> str:
@@ -67,4 +74,5 @@ def with_formats(page: str) -> str:
 if __name__ == "__main__":
     TARGET.write_text(page(), encoding="utf-8")
     COMMANDS.write_text(with_formats(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
+    HELP.write_text(overview(), encoding="utf-8")
     print(f"written: {TARGET.relative_to(TARGET.parents[2])}")

@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
@@ -97,6 +96,8 @@ def without_correction(camera: Camera, kalibr: bool = False) -> tuple[Camera, Fl
     """
     if camera.correction is None:
         return camera, np.zeros(1)
+    from scipy.optimize import least_squares  # slow to import; only corrected lenses need it
+
     plain = replace(camera, correction=None)
     if camera.distortion == "none":
         plain = replace(plain, distortion="plumb_bob", D=np.zeros(5))

@@ -117,7 +117,7 @@ def test_three_cameras_from_a_recording(tmp_path):
     path = tmp_path / "three.mcap"
     messages = published(World(scenario, robot, route), lambda done, total: None)
     write("mcap", path, messages)
-    settings = {**SQUARE}
+    settings = {**SQUARE, "board.columns": 9, "board.rows": 6}
     for side in ("left", "right"):
         wheel = {"topic": f"/wheel_ticks/{side}", "field": "data", "ticks_per_revolution": 4096, "bits": 16}
         settings[f"wheels.{side}"] = wheel

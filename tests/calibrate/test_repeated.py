@@ -61,15 +61,13 @@ def test_equal_images_and_files():
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        (recorded(), recorded(1)),
-        (recorded(), recorded(0, 1)),
-        (recorded(noise=None), recorded(1, noise=None)),
-    ],
+    ("seeds", "noise"),
+    [((1, 0), {}), ((0, 1), {}), ((1, 0), {"noise": None})],
+    ids=["another drive", "other noise", "another drive without noise"],
 )
-def test_other_recordings_at_the_same_times(one, other):
+def test_other_recordings_at_the_same_times(seeds, noise):
     """Simulated recordings all begin at the same time."""
+    one, other = recorded(**noise), recorded(*seeds, **noise)
     refuse_equal_recordings(joined(one, other), ["a.mcap", "b.mcap"])
 
 

@@ -16,7 +16,7 @@ from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.solvers import constraints_of
 from tests.command import run
 from tests.conftest import REPOSITORY
-from tests.report.example import make_extraction
+from tests.report.example import make_extraction, make_solution, report_on
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def data():
 
 @pytest.fixture(scope="module")
 def report(data):
-    return mc.Report(data, mc.solve(data))
+    return report_on(make_solution(data.extraction, "ml"), data.extraction)
 
 
 @pytest.mark.parametrize(
@@ -78,11 +78,11 @@ def test_numbers_of_any_kind(data, monkeypatch, number):
     assert {type(value) for value in values} == {float}
 
 
-def test_one_name_needs_no_list_and_numbers_may_be_numpys(data, tmp_path):
+def test_one_name_needs_no_list_and_numbers_may_be_numpys(data, report, tmp_path):
     with pytest.raises(ConfigError, match="--fix separation: relative to nominal"):
         mc.solve(data, fix="separation")
     wide = mc.solve(data, estimate="pan_zero").solution.constants["pan_zero"]
-    assert wide.prior > mc.solve(data).solution.constants["pan_zero"].prior
+    assert wide.prior > report.fit.solution.constants["pan_zero"].prior
     fixed = mc.solve(data, fix={"t_x": np.int64(0), "separation": np.float64(0.34)}).parameters
     assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
     (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))

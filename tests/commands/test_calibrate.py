@@ -265,7 +265,7 @@ def test_the_right_camera_as_reference(npz, workplace):
 
 
 @pytest.mark.long
-def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch):
+def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch, fresh_search):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
     for name in ("a", "b"):
         assert run("calibrate", sample_logs / "paper_robot.bag", "--output", name, cwd=workplace).code == 0

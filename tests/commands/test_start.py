@@ -6,24 +6,37 @@ import tomllib
 
 import pytest
 
+from tests.command import python
 from tests.conftest import REPOSITORY
 
-#: pydantic is not among them: typer itself loads it where an option has a range.
+#: pydantic is not among them: typer itself loads it for the options of the group.
 HEAVY = ("numpy", "scipy", "cv2", "rosbags", "mcap", "jinja2", "rich", "distributed")
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["--version"]])
-def test_help_loads_nothing_heavy(arguments):
+@pytest.mark.parametrize(
+    ("arguments", "heavy"),
+    [(["calibrate", "--help"], HEAVY), (["--help"], (*HEAVY, "typer")), (["--version"], (*HEAVY, "typer"))],
+)
+def test_help_loads_nothing_heavy(arguments, heavy):
     code = (
         "import sys\n"
         f"sys.argv = ['mobilecal', *{arguments!r}]\n"
         "from mobilecal_cli.__main__ import main\n"
         "try:\n    main()\nexcept SystemExit as leaving:\n    assert not leaving.code\n"
-        f"loaded = sorted(set({HEAVY!r}) & set(sys.modules))\n"
+        f"loaded = sorted(set({heavy!r}) & set(sys.modules))\n"
         "assert not loaded, loaded\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("argument", "columns"), [("--help", 79), ("--help", 200), ("--version", 80)])
+def test_texts_are_the_same_without_the_command_line_library(argument, columns):
+    library = "from mobilecal_cli.commands import main; main()"
+    commands = ["-m", "mobilecal_cli"], ["-c", f"import sys; sys.argv[0] = 'mobilecal'; {library}"]
+    quick, slow = (python(*command, argument, COLUMNS=str(columns)) for command in commands)
+    assert quick.returncode == slow.returncode == 0
+    assert quick.stdout == slow.stdout.replace("Usage: mobilecal", "Usage: python -m mobilecal_cli")
 
 
 def test_every_command_teaches_with_an_example():

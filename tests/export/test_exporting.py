@@ -43,9 +43,9 @@ def recorded(motion, name="paper", seed=3, log="0"):
     )
 
 
-def saved(folder, extraction):
+def saved(folder, extraction, fit=None):
     data = Data(extraction, (), {})
-    mc.Report(data, mc.solve(data)).save(folder)
+    mc.Report(data, fit or mc.solve(data)).save(folder)
     (folder.parent / "robot.urdf").write_text(urdf_text(ROBOT), encoding="utf-8")
     return folder / "params.yaml"
 
@@ -57,9 +57,15 @@ def straight(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def passed(tmp_path_factory):
-    """params.yaml with the verdict PASS."""
-    return saved(tmp_path_factory.mktemp("passed") / "result", recorded("standard"))
+def fit():
+    """A fit with the verdict PASS."""
+    return mc.solve(Data(recorded("standard"), (), {}))
+
+
+@pytest.fixture(scope="module")
+def passed(fit, tmp_path_factory):
+    """params.yaml of it."""
+    return saved(tmp_path_factory.mktemp("passed") / "result", fit.extraction, fit)
 
 
 def options(params, target):
@@ -245,11 +251,8 @@ def test_measurements_of_another_robot_are_refused(passed, tmp_path, target):
     assert "nominal wheels in mm" in caught.value.message
 
 
-def test_a_report_on_the_data_of_another_robot_is_refused():
-    mine, other = (
-        Data(recorded("standard", name, log=log), (), {}) for name, log in (("paper", "0"), ("tick", "1"))
-    )
-    fit = mc.solve(mine)
+def test_a_report_on_the_data_of_another_robot_is_refused(fit):
+    other = Data(recorded("standard", "tick", log="1"), (), {})
     with pytest.raises(ConfigError, match="the fit was not made from these data: recordings"):
         mc.Report(other, fit)
     again = Data(recorded("standard", seed=4), (), {})

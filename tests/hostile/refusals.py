@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +56,15 @@ class Case:
     environment: Mapping[str, str] = field(default_factory=dict)
 
 
+@cache
+def _extraction() -> bytes:
+    made = replace(simulated("standard", NOISE, seed=0), logs=(LogSource("log.mcap", "0" * 64),))
+    return extraction_to_npz(made)
+
+
 def extraction(folder: Path) -> None:
     """extraction.npz of a simulated robot."""
-    made = replace(simulated("standard", NOISE, seed=0), logs=(LogSource("log.mcap", "0" * 64),))
-    (folder / "e.npz").write_bytes(extraction_to_npz(made))
+    (folder / "e.npz").write_bytes(_extraction())
 
 
 def text(name: str, content: str) -> Make:
@@ -73,9 +79,12 @@ def log(edit: Callable[[str, Any], Any]) -> Make:
 
 def pictures(data: Callable[[], bytes]) -> Make:
     """The sample recording with other images."""
-    content = data()
-    image = np.frombuffer(content, np.uint8)
-    return log(lambda topic, m: replace(m, data=image) if topic in IMAGES else m)
+
+    def make(folder: Path) -> None:
+        image = np.frombuffer(data(), np.uint8)
+        log(lambda topic, m: replace(m, data=image) if topic in IMAGES else m)(folder)
+
+    return make
 
 
 def pixels(topics: Sequence[str], change: Callable[[Any], Any]) -> Make:

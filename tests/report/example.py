@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
+from mobilecal_cli.calibrate.steps import Data, Fit, Report
 from mobilecal_cli.export import params_yaml
 from mobilecal_cli.model import (
     Board,
@@ -79,6 +80,11 @@ def with_nominal(extraction: Extraction, nominal: Nominal) -> Extraction:
 @cache
 def make_solution(extraction: Extraction, method: Method = "lm") -> Solution:
     return solve(extraction, method)
+
+
+def report_on(solution: Solution, extraction: Extraction) -> Report:
+    """The report on a solution by the default method."""
+    return Report(Data(extraction), Fit(solution, extraction, "ml"))
 
 
 def make_provenance(extraction: Extraction) -> Provenance:

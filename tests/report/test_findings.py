@@ -151,9 +151,12 @@ def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
     sigmas, shift = solution.uncertainty.asked["t_x"]
     assert sigmas > 4
     assert (shift > 2) == (level == "FAIL")
-    agreeing = solve(
-        extraction, constraints=constraints_of([], [f"t_x={right.parameters.T_h_c[0, 3]:.6f}+-0.001"], [])
-    )
+
+
+def test_a_prior_of_the_user_that_the_data_confirm_is_not_named():
+    right, extraction = drawn()
+    prior = f"t_x={right.parameters.T_h_c[0, 3]:.6f}+-0.001"
+    agreeing = solve(extraction, constraints=constraints_of([], [prior], []))
     assert agreeing.uncertainty.asked["t_x"][0] < 1
     assert "--prior" not in judge(agreeing, extraction).next_step
 

@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.steps import Data, Report, solve
 from mobilecal_cli.export import parameters_from_yaml
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.numbers import decimals_of
 from mobilecal_cli.report.text import summary_text
-from tests.report.example import make_extraction, solved
+from tests.report.example import make_extraction, make_solution, report_on, solved
 
 NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 
@@ -24,10 +23,10 @@ NUMBER = r"(-?[\d.]+(?:e-?\d+)?)"
 def report(request):
     if request.param == "standard":
         extraction = make_extraction()
-        return Report(Data(extraction), solve(extraction))
-    _, extraction = solved(motion="base_fixed" if request.param == "base_fixed" else "standard")
-    fix = ["separation"] if request.param == "fixed" else ()
-    return Report(Data(extraction), solve(extraction, fix=fix))
+        return report_on(make_solution(extraction, "ml"), extraction)
+    if request.param == "base_fixed":
+        return report_on(*solved(motion="base_fixed"))
+    return report_on(*solved(fixed=("separation",)))
 
 
 def read(label, text):

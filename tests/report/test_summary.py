@@ -10,13 +10,12 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from mobilecal_cli.calibrate.steps import Data, Report, solve
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import job_summary
 from tests.command import run
 from tests.conftest import REPOSITORY
-from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution
+from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution, report_on
 
 NOTEBOOK = REPOSITORY / "docs" / "tutorial" / "notebook.ipynb"
 
@@ -55,7 +54,7 @@ def test_every_cell_of_the_notebook_runs(sample_logs, tmp_path, monkeypatch):
 
 def test_a_notebook_shows_verdict_numbers_and_one_picture():
     extraction = make_extraction()
-    report = Report(Data(extraction), solve(extraction))
+    report = report_on(make_solution(extraction, "ml"), extraction)
     card = report._repr_html_()
     page = Page(f"<main>{card}</main>")
     assert page.text.startswith(report.verdict.level)

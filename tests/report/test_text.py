@@ -108,7 +108,8 @@ def test_what_is_noted_of_the_recording_is_on_the_terminal(extraction):
     """A cable that was pulled half-way left a PASS of half the stations without a word."""
     notes = tuple(f"{k} images are not used: no readings around them\x1b[2J" for k in (21, 22, 23, 24))
     noted = replace(extraction, notes=notes)
-    report = made(make_solution(noted, "ml"), noted)
+    solution = make_solution(extraction, "ml")
+    report = made(solution, noted)
     short, everything = (summary_text(report, verbose) for verbose in (False, True))
     assert [line for line in short.splitlines() if line.startswith("Note")] == [
         *(f"Note: {k} images are not used: no readings around them\\x1b[2J" for k in (21, 22, 23)),
@@ -116,7 +117,7 @@ def test_what_is_noted_of_the_recording_is_on_the_terminal(extraction):
     ]
     assert "Note: 24 images" in everything
     plain = replace(extraction, notes=())
-    assert "Note" not in summary_text(made(make_solution(plain, "ml"), plain))
+    assert "Note" not in summary_text(made(solution, plain))
 
 
 def test_the_terminal_has_at_most_twenty_lines(texts, extraction):
