@@ -35,7 +35,8 @@ _NARROWER = 3.0  # width over the next one
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
 _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
-_MANY = 1 / 4  # share of stations or legs that do not agree, at which more starts are tried
+#: Share of stations or legs that do not agree, or median distance over the usual one: then more starts are tried.
+_MANY, _MUCH = 1 / 4, 4.0
 _TINY = 1e-9  # weight and distance that stand for 0
 
 
@@ -47,8 +48,8 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
     Args:
         starts: with the corners and images that may be used, and supposed noise levels. The limit of a kind is larger
             where most of its measurements are farther off than these explain.
-        near: starts of which some may be near the minimum, tried while many measurements do not agree. What is very
-            far off there has no say.
+        near: starts of which some may be near the minimum, tried while no minimum is sure. What is very far off there
+            has no say.
 
     Raises:
         SolveError: no start leads to a minimum.
@@ -56,7 +57,7 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
     minima: list[_Minimum] = []
     for widest, some in ((np.inf, starts), (_NEAR_WIDTH, near)):
         for start in some:
-            if widest == _NEAR_WIDTH and minima and _least(minima).agree >= 1 - _MANY:
+            if widest == _NEAR_WIDTH and minima and _least(minima).sure:
                 break
             with contextlib.suppress(SolveError), solvable():
                 minima.append(_minimum(start, widest))
@@ -75,16 +76,25 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
 
 @dataclass(frozen=True, eq=False)
 class _Minimum:
-    """Where falling widths lead: the point, the measurements of each kind within their limits, the truncated cost."""
+    """Where falling widths lead.
+
+    Attributes:
+        lin: the point.
+        used: the measurements of each kind within their limits.
+        usual: median distance of each kind over that of good measurements.
+        cost: truncated.
+    """
 
     lin: Posterior
     used: Mapping[str, BoolArray]
+    usual: Mapping[str, float]
     cost: float
 
     @property
-    def agree(self) -> float:
-        """Share of the stations or of the legs that agree, the smaller one."""
-        return min(float(np.mean(self.used[kind])) for kind in ("views", "legs"))
+    def sure(self) -> bool:
+        """Most stations and legs agree, about as well as the noise levels say."""
+        agree = min(float(np.mean(self.used[kind])) for kind in ("views", "legs"))
+        return agree >= 1 - _MANY and max(self.usual.values()) < _MUCH
 
 
 def _least(minima: Iterable[_Minimum]) -> _Minimum:
@@ -100,7 +110,8 @@ def _minimum(lin: Posterior, width: float) -> _Minimum:
         width = min(
             width / _NARROWER, _FIRST_WIDTH * max(float(of.max(initial=0.0)) for of in beyond.values())
         )
-        weights = {kind: _weight(of, width, _USUAL[kind]) for kind, of in beyond.items()}
+        usual = {kind: float(np.median(of)) / _USUAL[kind] if of.size else 1.0 for kind, of in beyond.items()}
+        weights = {kind: _weight(of, width, max(usual[kind], 1.0)) for kind, of in beyond.items()}
         weights["views"] = weights["views"] * lin.inliers.views
         for _ in range(_STEPS):
             lin, damping, gain = _stepped(lin, weights, damping)
@@ -109,7 +120,7 @@ def _minimum(lin: Posterior, width: float) -> _Minimum:
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
     cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
     cost += sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
-    return _Minimum(lin, used, cost + float(_own_misfit(lin)[~used["views"]].sum()))
+    return _Minimum(lin, used, usual, cost + float(_own_misfit(lin)[~used["views"]].sum()))
 
 
 def _own_misfit(lin: Posterior) -> FloatArray:
@@ -133,15 +144,14 @@ def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatAr
     return {kind: of / _LIMIT[kind] for kind, of in distance.items()}
 
 
-def _weight(beyond: FloatArray, width: float, usual: float) -> FloatArray:
-    """Weights in [0, 1] of squared distances over their limit (eq. 14 of Yang et al. with mu = limit / width).
+def _weight(beyond: FloatArray, width: float, limit: float) -> FloatArray:
+    """Weights in [0, 1] of squared distances (eq. 14 of Yang et al. with mu = limit / width).
 
     Args:
-        beyond: of one kind.
+        beyond: distances over the usual limit.
         width: by how much a distance exceeds the limit where the weight is 0.
-        usual: median of good measurements: as many times as the median here exceeds it, the limit is larger.
+        limit: over the usual one.
     """
-    limit = max(float(np.median(beyond)) / usual, 1.0) if beyond.size else 1.0
     far = np.sqrt((limit + width) / np.maximum(beyond, _TINY))
     return np.asarray(np.clip(limit / width * (far - 1), 0.0, 1.0))
 
