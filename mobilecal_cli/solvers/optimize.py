@@ -16,7 +16,9 @@ from mobilecal_cli.model import FloatArray
 
 MOST_STEPS = 250  # tried, of one optimization
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e6
-_GROWTH, _LARGEST_FALL = 2.0, 10.0  # of the damping: after a step that does not help, once more after each; and back
+#: Of the damping: growth after a step that does not help, twice as fast after each further one; largest fall after one
+#: that does.
+_GROWTH, _LARGEST_FALL = 2.0, 10.0
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
