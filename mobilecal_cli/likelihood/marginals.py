@@ -56,6 +56,13 @@ class Marginals:
         mixed = np.einsum("nqr,nqr->n", information[:, :6, 6:], self.mixed)
         return np.asarray(of_poses + 2 * mixed + of_direct)
 
+    def of_gradient(self, information: FloatArray) -> FloatArray:
+        """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
+        G, across = information[:, :6, :6], information[:, :6, 6:]
+        mixed = G @ self.mixed @ np.swapaxes(across, 1, 2)
+        out: FloatArray = _sandwich(G, self.views) + mixed + np.swapaxes(mixed, 1, 2)
+        return out + _sandwich(across, self.direct)
+
     def images(self) -> FloatArray:
         """(N, Q, Q) of (delta, direct constants)."""
         count, _, direct = self.mixed.shape

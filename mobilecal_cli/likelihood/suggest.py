@@ -222,7 +222,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     across = A @ joint
     nine, spread = across[:, :, :9], across @ np.swapaxes(A, 1, 2)
     shrunk = G @ np.linalg.solve(np.eye(G.shape[1]) + spread @ G, nine)
-    then = np.sqrt(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1))
+    then = np.sqrt(np.maximum(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1), 0.0))  # rounding
     gain = 1 - np.max(then / needed, axis=1) / np.max(now / needed)
     best: dict[tuple[float, ...], Suggestion] = {}
     for c in np.argsort(-gain, kind="stable"):

@@ -150,6 +150,17 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
         )
 
 
+def _all_in_degrees(readings: Readings) -> Iterator[Hypothesis]:
+    """One driver that publishes joints and wheels in degrees."""
+    if readings.rig.chain.joints and readings.rig.sources.assumed_odometry is None:
+        factor = math.pi / 180
+        yield Hypothesis(
+            "the readings of the joints and of the wheels are in degrees",
+            "correct the driver that publishes them, or convert the recording to rad",
+            lambda r: _wheels_times(_joints_times(r, factor), factor),
+        )
+
+
 def interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
     for log, track in enumerate(readings.wheels):
@@ -432,6 +443,6 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 
 #: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
 #: say nothing.
-WHOLE: Stages = ((_joints, _wheels, interruptions), (_delays, _neighbors))
+WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, interruptions), (_delays, _neighbors))
 FROZEN: Stages = ((_frozen_joints,),)
 FREE: Stages = ((_free_joints,), (_free_wheels,))

@@ -13,7 +13,6 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.observability import Directions, directions
 from mobilecal_cli.likelihood.patterns import patterns
@@ -22,12 +21,21 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
-from mobilecal_cli.model import MATERIAL_SIGMAS, NINE, WHEEL_WORDS, Extraction, FloatArray, Noise, Parameters
+from mobilecal_cli.model import (
+    MATERIAL_SIGMAS,
+    NINE,
+    WHEEL_WORDS,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Noise,
+    Parameters,
+)
 from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import FEW_ROUNDS, InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import InitialPrior
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     Component,
@@ -38,7 +46,7 @@ from mobilecal_cli.solvers.noise import (
     lengths,
     widths,
 )
-from mobilecal_cli.solvers.optimize import NEAR, optimize, proposed
+from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, proposed
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
@@ -170,16 +178,15 @@ class Inference:
         motion = self.motion
         return motion.tilts and motion.turns and motion.drives and not self.nominal.head_eye_fixed
 
-    def initial(self) -> Parameters:
-        """Linear parameters from all legs."""
-        if self.full_motion:
-            return linear_estimate(self.data.pairs, self.nominal.wheels).parameters
-        return initial_with_prior(self.data.pairs, self.nominal, self.motion)
+    def initial(self, legs: IntArray | None = None) -> Parameters:
+        """Linear parameters from some legs, or from all.
 
-    def initial_of(self, pairs: MotionPairs, near: Parameters) -> Parameters:
-        """Linear parameters from a few legs, from parameters that are nearly right."""
+        Raises:
+            SolveError: these legs determine none.
+        """
+        pairs = self.data.pairs if legs is None else self.data.pairs.select(legs)
         if self.full_motion:
-            return Rounds(pairs).after(ratios_of(near.wheels), FEW_ROUNDS)
+            return linear_estimate(pairs, self.nominal.wheels).parameters
         return initial_with_prior(pairs, self.nominal, self.motion)
 
     # -- priors -------------------------------------------------------------------------------------
@@ -247,15 +254,16 @@ class Inference:
         if missing:
             # Rotations are relative to the nominal one.
             fixable = [name for name in needed if name not in NINE[:3]]
-            other = f", use --fix {fixable[0]}=VALUE" if fixable else ""
+            cures = [f"set {' and '.join(missing)} in rig.yaml"]
+            cures += [f"use --fix {name}=VALUE" for name in fixable[:1]]
+            cures += ["record the missing motion"] * (unseen_height(self.data.chain) is None)
             words = head_eye_words(needed, self.data.chain, self.data.joints)
             of_wheels = zip(NINE[6:], WHEEL_WORDS, strict=True)
             words += [f"the {word}" for name, word in of_wheels if name in needed]
             raise SolveError(
                 f"the recording does not show {' and '.join(words)} ({', '.join(needed)}), and "
                 f"{' and '.join(missing)} {'is' if len(missing) == 1 else 'are'} not stated",
-                f"set {' and '.join(missing)} in rig.yaml{other}"
-                + (", or record the missing motion" if unseen_height(self.data.chain) is None else ""),
+                ", or ".join(cures),
             )
 
     # -- fits ---------------------------------------------------------------------------------------
@@ -264,24 +272,24 @@ class Inference:
         """Supposed levels: given ones, the corners' own scatter, and a guess."""
         return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
 
-    def fit(self, state: State, inliers: Inliers, noise: Noise, tolerances: Tolerances | None = None) -> Fit:
-        """Optimize. Unobservable directions keep their prior; repeated until these directions do not change.
+    def fit(self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS) -> Fit:
+        """Optimize coarsely. Unobservable directions keep their prior; repeated until these do not change.
 
         Args:
             state: where to start.
             inliers, noise: the measurements that are used, and their noise.
-            tolerances: `coarse` by default.
+            most_steps: of one optimization.
         """
         start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
-        return self._fit_from(start, (tolerances or self.coarse).near)
+        return self._fit_from(start, self.coarse.near, most_steps)
 
-    def _fit_from(self, start: Posterior, near: float) -> Fit:
+    def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
             unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
-            optimum = optimize(start, near, self.on_step)
+            optimum = optimize(start, near, self.on_step, most_steps)
             shown = directions(optimum.lin, user)
             again = self.priors(optimum.lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
@@ -375,10 +383,10 @@ class Inference:
         return worst, replace(fit, lin=lin)
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump of a wheel with which several outliers of a recording fit the others, and the fit without it.
+        """The jump with which several outliers of a recording fit the others, and the fit without it.
 
-        All legs on one side of a large one look like slips, or like stations between slips. Without the legs beside
-        them, the images agree; the jump then explains these legs. Jumps of other parts show in the images themselves.
+        All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
+        the legs beside outlier stations, the images agree better; the jump then explains these measurements.
         """
         was = fit.inliers
         images = replace(
@@ -394,7 +402,7 @@ class Inference:
             lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
             lin = lin.predicted(proposed(lin)[0])
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
-            if not ranked or not ranked[0].part.endswith("wheel") or not jumps.lasts(lin, ranked[0]):
+            if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
             lin = _past(lin, ranked[0])
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)

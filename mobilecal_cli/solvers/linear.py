@@ -16,7 +16,6 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
-FEW_ROUNDS = 3  # from parameters that are nearly right
 _PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the recording, not with its square
 _HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.

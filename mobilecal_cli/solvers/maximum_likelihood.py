@@ -10,16 +10,18 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.residual_tests import limit
-from mobilecal_cli.model import Extraction, Noise, Parameters
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.model import Extraction, IntArray, Parameters
 from mobilecal_cli.solvers import outliers
-from mobilecal_cli.solvers.consensus import consensus
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.inference import FINE, Inference
 from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.robust import agreeing
 
 _LOG = logging.getLogger(__name__)
+#: Tried, of a first fit: of recordings that fit, ten are usual; from nominal values and with outliers, 50.
+FIRST_STEPS = 60
 _MOST_DECISIONS = 60
 _CORNER_ROUNDS = 4
 #: Scale of priors beyond which the outliers are decided again.
@@ -55,10 +57,9 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     Raises:
         SolveError: see `maximum_likelihood`.
     """
-    initial = start or inference.initial()
-    noise, inliers = _supposed(inference, initial, {})
-    first = _first_fit(inference, initial, noise, inliers)
-    fit = _as_described(inference, first) if first.inliers.same(inliers) else None
+    supposed = _supposed(inference, start or inference.initial(), {})
+    first = _first_fit(inference, supposed)
+    fit = _as_described(inference, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
     held = replace(inference, scales_stay=True)
@@ -90,33 +91,18 @@ def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
     were any. Meanwhile the scales stay.
     """
     # Anew from the supposed levels: a wrong description may have made them large.
-    supposed = inference.first_noise(np.array([fit.noise.pixel_px]))
-    fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, supposed))
+    levels = inference.first_noise(np.array([fit.noise.pixel_px]))
+    fit = inference.estimate_noise(inference.fit(fit.lin.state, fit.inliers, levels))
     wider = fit.noise.wider
     if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
         if fit.inliers.same(Inliers.all_of(inference.data)):
             fit = _decided(held, fit)
         else:
-            parameters = fit.lin.state.parameters
-            fit = _without_outliers(held, _first_fit(held, parameters, *_supposed(held, parameters, wider)))
-    noisy = outliers.too_many(fit)
+            supposed = _supposed(held, fit.lin.state.parameters, wider)
+            fit = _without_outliers(held, _first_fit(held, supposed))
+    noisy = outliers.too_many(fit.inliers)
     fit = _with_all(inference, fit, noisy) if noisy else fit
     return replace(inference.estimate_noise(fit, FINE), noisy=noisy)
-
-
-def _restored(inference: Inference, fit: Fit) -> Fit:
-    """Restore measurements consistent with the inliers: legs first, as a bad station breaks both of its legs."""
-    for _ in range(2 * len(inference.data.legs)):
-        legs = None if fit.inliers.legs.all() else outliers.consistent_legs(fit)
-        if legs is None:
-            break
-        fit = inference.refit(fit, replace(fit.inliers, legs=legs))
-    for _ in range(inference.data.stations):
-        again = outliers.restored_views(fit, outliers.CONSENSUS_REDUNDANCY)
-        if again is None:
-            break
-        fit = inference.refit(fit, again)
-    return inference.fit(fit.lin.state, fit.inliers, fit.noise)
 
 
 def _swapped(inference: Inference, fit: Fit) -> Fit | None:
@@ -133,8 +119,7 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
             without = replace(inliers, legs=driven)
             try:
                 trial = inference.refit(fit, without)
-                off, _ = trial.tests.predicted_views
-                if off[station] > limit(inference.data.stations, 6, outliers.CONSENSUS_REDUNDANCY):
+                if outliers.beyond(trial, "views")[station] > 1:
                     continue
                 trial = inference.refit(trial, replace(without, views=views))
             except SolveError:
@@ -146,23 +131,20 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
 
 def once_decided(inference: Inference, fit: Fit) -> Fit | None:
     """A fit with measurements restored or rejected; None where all are consistent."""
-    inliers = fit.inliers
-    back = outliers.restored_views(fit, outliers.known_by(fit, "views"))
-    if back is not None:
-        return _refitted(inference, fit, back)
-    for kind in ("legs", "readings"):
-        out = ~getattr(inliers, kind)
-        agreeing = (
-            outliers.some_of(inference.data, kind, np.argwhere(out & (outliers.external(fit, kind) < 1)))
-            if out.any()
-            else []
-        )
-        if agreeing:
-            return _refitted(inference, fit, outliers.changed(inliers, kind, agreeing, to=True))
+    for kind in ("views", "legs", "readings"):
+        agree = ~getattr(fit.inliers, kind) & (outliers.beyond(fit, kind) < 1)
+        if kind == "views":
+            agree &= outliers.usable(fit)
+        back = outliers.some_of(inference.data, kind, np.argwhere(agree))
+        if back:
+            return _refitted(inference, fit, outliers.changed(fit.inliers, kind, back, to=True))
+    freed = outliers.with_reading_freed(fit)
+    if freed is not None:
+        return _refitted(inference, fit, freed)
     for kind, wrong in _suspects(inference, fit):
         try:
-            trial = _refitted(inference, fit, outliers.changed(inliers, kind, wrong, to=False))
-            beyond = outliers.external(trial, kind)
+            trial = _refitted(inference, fit, outliers.changed(fit.inliers, kind, wrong, to=False))
+            beyond = outliers.beyond(trial, kind)
         except SolveError:
             continue  # the other measurements alone do not determine all parameters
         if any(beyond[at] > 1 for at in wrong):
@@ -177,7 +159,7 @@ def _suspects(inference: Inference, fit: Fit) -> Iterator[tuple[str, list[tuple[
         if without.views.sum() < outliers.FEWEST_VIEWS:
             continue
         try:
-            beyond = outliers.external(inference.refit_near(fit, without), kind)
+            beyond = outliers.beyond(inference.refit_near(fit, without), kind)
         except SolveError:
             continue  # the other measurements alone do not determine all parameters
         wrong = [at for at in places if beyond[at] > 1]
@@ -190,13 +172,64 @@ def _refitted(inference: Inference, fit: Fit, inliers: Inliers) -> Fit:
     return inference.estimate_noise(inference.fit(fit.lin.state, inliers, fit.noise))
 
 
-def _supposed(inference: Inference, initial: Parameters, wider: Mapping[str, float]) -> tuple[Noise, Inliers]:
-    """Noise levels and inliers to begin with, for some scales of the priors: no image or board that fits nothing."""
+def _supposed(
+    inference: Inference, initial: Parameters, wider: Mapping[str, float], legs: IntArray | None = None
+) -> Posterior:
+    """A first point, with supposed noise levels and without corners and boards that do not fit the board's shape.
+
+    Args:
+        inference, initial: where.
+        wider: scales of the priors.
+        legs: those by which base poses follow from one another, all by default. Between the others, images place them.
+    """
     everything = Inliers.all_of(inference.data)
-    state = initial_state(inference.data, initial, everything)
+    driven = np.ones_like(everything.legs)
+    if legs is not None:
+        driven = np.isin(np.arange(len(driven)), legs)
+    state = initial_state(inference.data, initial, replace(everything, legs=driven))
     corners, boards, own_px = outliers.gross_corners(inference.data, state)
     noise = replace(inference.first_noise(own_px), wider=wider)
-    return noise, replace(everything, corners=corners, views=boards)
+    inliers = replace(everything, corners=corners, views=boards)
+    return Posterior.at(inference.data, state, inliers, noise, inference.priors(state))
+
+
+def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
+    """A fit of all measurements, or of those that agree if all together are implausible.
+
+    Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements.
+
+    Raises:
+        SolveError: neither has a fit.
+    """
+    fit: Fit | None = None
+    try:
+        fit = inference.fit(supposed.state, supposed.inliers, supposed.noise, FIRST_STEPS)
+        if outliers.plausible(fit):
+            return fit
+    except SolveError as error:
+        _LOG.info("no fit of all measurements: %s", error.message)
+    legs = np.arange(len(inference.data.legs))
+    # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
+    starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
+    state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
+    noisy = outliers.too_many(inliers)
+    if fit is not None and noisy:
+        return fit
+    try:
+        return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)
+    except SolveError:
+        if fit is None:
+            raise
+        return fit
+
+
+def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -> Iterator[Posterior]:
+    """Linear parameters from sets of legs, with the scales of the priors of `supposed`."""
+    for some in legs:
+        try:
+            yield _supposed(inference, inference.initial(some), supposed.noise.wider, some)
+        except (SolveError, np.linalg.LinAlgError):
+            continue
 
 
 def _without_outliers(inference: Inference, first: Fit) -> Fit:
@@ -239,45 +272,3 @@ def _with_all(inference: Inference, fit: Fit, noisy: tuple[str, ...]) -> Fit:
     inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
     _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
     return _refitted(inference, fit, inliers)
-
-
-def _first_fit(inference: Inference, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
-    """A fit of all measurements, or of those on which most legs agree if all together are implausible."""
-    failure: SolveError | None = None
-    fit: Fit | None = None
-    try:
-        state = initial_state(inference.data, initial, Inliers.all_of(inference.data))
-        fit = inference.fit(state, inliers, noise)
-        if outliers.plausible(fit) or not len(inference.data.legs):  # no legs that could agree
-            return fit
-    except SolveError as error:
-        failure = error
-    try:
-        return _by_consensus(inference, initial, noise, inliers)
-    except SolveError as error:
-        # Noise far above the supposed one, and no outliers: all measurements, with noise levels to match.
-        _LOG.info("no consensus of legs: %s", error.message)
-    if fit is None:
-        assert failure is not None
-        raise failure
-    return fit
-
-
-def _by_consensus(inference: Inference, initial: Parameters, noise: Noise, inliers: Inliers) -> Fit:
-    """A fit of the legs that agree, with all measurements restored that are consistent with it."""
-    data = inference.data
-    agreed = consensus(data, initial, noise, lambda pairs: inference.initial_of(pairs, initial))
-    inflated = {
-        name: getattr(noise, name) * agreed.noise_factor
-        for name in ("wheel_rad_per_sqrt_rad", "joint_rad")
-        if name not in inference.given
-    }
-    noise = replace(noise, **inflated)
-    legs = ~agreed.bad
-    touched = np.zeros((data.stations, 2), dtype=np.int64)
-    for (i, j), good in zip(data.legs, legs, strict=True):
-        touched[[i, j], int(good)] += 1
-    lonely = (touched[:, 0] > 0) & (touched[:, 1] == 0)
-    inliers = replace(inliers, legs=legs, views=inliers.views & ~lonely)
-    state = initial_state(data, agreed.parameters, inliers)
-    return _restored(inference, inference.fit(state, inliers, noise))

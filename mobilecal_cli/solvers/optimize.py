@@ -14,8 +14,11 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
-_MAX_STEPS = 120
-_LARGEST_DAMPING = 1e6
+MOST_STEPS = 250  # tried, of one optimization
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e6
+#: Of the damping: growth after a step that does not help, twice as fast after each further one; largest fall after one
+#: that does.
+_GROWTH, _LARGEST_FALL = 2.0, 10.0
 _CONVERGED = 1e-10  # of the cost
 NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
@@ -67,7 +70,7 @@ def optimize(
     start: Posterior,
     near: float = NEAR,
     on_step: Callable[[], None] = lambda: None,
-    most_steps: int = _MAX_STEPS,
+    most_steps: int = MOST_STEPS,
 ) -> Optimum:
     """Minimize the sum of squares of all inliers and priors.
 
@@ -79,7 +82,7 @@ def optimize(
         near: a step that promises a smaller decrease of the cost is not taken. The result is about the root of this
             from the minimum, in standard deviations.
         on_step: called before each step.
-        most_steps: within which a minimum must be reached.
+        most_steps: tried, within which a minimum must be reached.
 
     Raises:
         SolveError: no minimum within these steps, or a singular matrix even under the largest damping.
@@ -89,13 +92,13 @@ def optimize(
     if np.any(shift):
         state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
         lin = Posterior.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
-    damping, history, converged = 0.0, [lin.cost], False
-    while len(history) <= most_steps + 1:
+    damping, growth, history, converged = 0.0, _GROWTH, [lin.cost], False
+    for trials in range(most_steps + 1):
         on_step()
         try:
             step, gain = proposed(lin, damping)
         except SolveError:
-            damping = max(damping * 10, 1e-6)
+            damping, growth = max(damping * growth, _LEAST_DAMPING), growth * _GROWTH
             if damping > _LARGEST_DAMPING:
                 raise
             continue
@@ -109,11 +112,14 @@ def optimize(
             converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
             lin = trial
             history.append(lin.cost)
-            converged |= len(history) > most_steps and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW * lin.cost
             converged |= _stalls(history)
-            damping = damping / 10 if damping > 1e-9 and not converged else 0.0
+            # As much smaller as the promise was kept (Nielsen, 1999).
+            kept = min((history[-2] - lin.cost) / max(gain, _ROUNDING), 1.0)
+            damping *= max(1 / _LARGEST_FALL, 1 - (2 * kept - 1) ** 3)
+            damping, growth = 0.0 if damping < _LEAST_DAMPING or converged else damping, _GROWTH
         else:
-            damping = max(damping * 10, 1e-6)
+            damping, growth = max(damping * growth, _LEAST_DAMPING), growth * _GROWTH
             if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)

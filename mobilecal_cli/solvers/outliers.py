@@ -22,7 +22,6 @@ _CORNER_SIGMAS = 5.5
 _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
 _LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
-CONSENSUS_REDUNDANCY = 20.0  # of the noise level that the consensus legs show
 _MANY = 1e6
 _DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
@@ -35,7 +34,7 @@ _APART = 5
 #: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
 #: that their cost does not grow with the recording.
 LONG_RECORDING = 100
-_MUCH = 4.0  # a first fit with statistics beyond this many times their limit calls for a consensus
+_MUCH = 4.0  # a first fit with statistics beyond this many times their limit is implausible
 #: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.
 _JUDGED_BY = {
     "views": ("pose_scale", "joint_rad", "wheel_rad_per_sqrt_rad"),
@@ -107,7 +106,8 @@ def worst(fit: Fit) -> float:
     """Largest statistic of an inlier over its limit, for known noise levels."""
     count = fit.data.stations
     return max(
-        float(getattr(fit.tests, kind).max(initial=0)) / limit(count, dof, _MANY)
+        float(np.max(getattr(fit.tests, kind)[getattr(fit.inliers, kind)], initial=0))
+        / limit(count, dof, _MANY)
         for kind, dof in _DEGREES.items()
     )
 
@@ -118,48 +118,22 @@ def plausible(fit: Fit) -> bool:
     return worst(fit) < bound and bool(fit.inliers.views.all())
 
 
-def consistent_legs(fit: Fit) -> BoolArray | None:
-    """Inlier legs with consistent ones restored; None where there is none.
-
-    Along a stretch without a used image, legs agree with anything one by one, until the last of them closes the
-    stretch: only one of them is restored at a time.
-    """
-    inliers, one_taken = fit.inliers, False
-    legs = inliers.legs.copy()
-    statistic = np.where(~legs, fit.tests.predicted_legs, np.inf)
-    for leg in np.argsort(statistic):
-        if statistic[leg] > limit(fit.data.stations, 3, CONSENSUS_REDUNDANCY):
-            break
-        blind = not inliers.views[fit.data.legs[leg]].all()
-        if not (blind and one_taken):
-            legs[leg], one_taken = True, one_taken or blind
-    return None if np.array_equal(legs, inliers.legs) else legs
-
-
 def usable(fit: Fit) -> BoolArray:
     """(N,) stations most of whose corners fit the board's shape."""
     most = fit.inliers.corners.sum(axis=2) >= 0.5 * fit.data.seen.sum(axis=2)
     return np.asarray(most.all(axis=1), dtype=np.bool_)
 
 
-def restored_views(fit: Fit, redundancy: float) -> Inliers | None:
-    """The inliers with a station's images restored, as read or with one joint reading rejected instead."""
-    inliers = fit.inliers
-    out = ~inliers.views & usable(fit)
-    if not out.any():
-        return None
-    as_read, freed = fit.tests.predicted_views
-    near = fit.tests.small_views
-    agree = out & (near | (as_read < limit(fit.data.stations, 6, redundancy)))
-    if agree.any():
-        return replace(inliers, views=inliers.views | agree)
-    least = np.where(out, freed.min(axis=1, initial=np.inf), np.inf)  # a fixed camera has no joint
+def with_reading_freed(fit: Fit) -> Inliers | None:
+    """The inliers with the images of the outlier station that fits best, and one of its readings rejected instead."""
+    least = np.where(
+        ~fit.inliers.views & usable(fit), fit.tests.views_freed.min(axis=1, initial=np.inf), np.inf
+    )
     best = int(np.argmin(least))
-    if least[best] < limit(fit.data.stations, 5, redundancy):
-        views, readings = inliers.views.copy(), inliers.readings.copy()
-        views[best], readings[best, int(np.argmin(freed[best]))] = True, False
-        return replace(inliers, views=views, readings=readings)
-    return None
+    if least[best] > limit(fit.data.stations, _DEGREES["views"] - 1, known_by(fit, "views")):
+        return None
+    reading = best, int(np.argmin(fit.tests.views_freed[best]))
+    return changed(changed(fit.inliers, "views", [(best,)], to=True), "readings", [reading], to=False)
 
 
 def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
@@ -167,7 +141,7 @@ def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     tests = fit.tests
     striking_most = []
     for kind, dof in _DEGREES.items():
-        values = getattr(tests, kind)
+        values = np.where(getattr(fit.inliers, kind), getattr(tests, kind), 0.0)
         if not values.size:
             continue
         usual = float(chdtri(dof, _STRIKING / values.size))
@@ -195,16 +169,14 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
     return [at for beside in some.values() for at in beside]
 
 
-def external(fit: Fit, kind: str) -> FloatArray:
-    """Statistic of each measurement over its limit, against what all others predict; for outliers of the fit."""
-    tests = fit.tests
-    statistic = tests.predicted_views[0] if kind == "views" else getattr(tests, f"predicted_{kind}")
-    beyond = statistic / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
-    return np.where(getattr(tests, f"small_{kind}"), 0.0, beyond)
+def beyond(fit: Fit, kind: str) -> FloatArray:
+    """Statistic of each measurement over its limit, against what all others predict; 0 where it does not matter."""
+    statistic = getattr(fit.tests, kind) / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
+    return np.where(getattr(fit.tests, f"small_{kind}"), 0.0, statistic)
 
 
 def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
-    """(logs,) number of former outliers of each recording, stations and legs, that this fit uses.
+    """(logs,) number of former outliers of each recording that this fit uses.
 
     Args:
         was: the former inliers.
@@ -212,11 +184,12 @@ def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
     """
     data, inliers = fit.data, fit.inliers
     count = np.zeros(data.log.max() + 1, dtype=np.int64)
-    for kind, log in (("views", data.log), ("legs", data.log[data.legs[:, 0]])):
+    for kind in _DEGREES:
         back = getattr(inliers, kind) & ~getattr(was, kind)
         if agreeing and back.any():
-            back &= getattr(fit.tests, kind) < limit(data.stations, _DEGREES[kind], known_by(fit, kind))
-        count += np.bincount(log[back], minlength=len(count))
+            back &= beyond(fit, kind) < 1
+        first = np.nonzero(back)[0]
+        count += np.bincount(data.log[data.legs[first, 0] if kind == "legs" else first], minlength=len(count))
     return count
 
 
@@ -252,10 +225,11 @@ def known_by(fit: Fit, kind: str) -> float:
     return redundancy + guess_worth(redundancy)
 
 
-def too_many(fit: Fit) -> tuple[str, ...]:
-    """Kinds of measurements more than a third of which are outliers."""
-    used = {kind: getattr(fit.inliers, kind) for kind in _DEGREES}
-    return tuple(kind for kind, of in used.items() if np.sum(~of) > _TOO_MANY * of.size)
+def too_many(inliers: Inliers) -> tuple[str, ...]:
+    """Kinds of measurements more than a third of which are outliers; at a station, images or readings are."""
+    stations = inliers.views & inliers.readings.all(axis=1)
+    shares = {"readings": stations, "legs": inliers.legs, "views": stations}
+    return tuple(kind for kind, of in shares.items() if np.sum(~of) > _TOO_MANY * of.size)
 
 
 def changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:

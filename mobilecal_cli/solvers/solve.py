@@ -46,7 +46,7 @@ from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
-from mobilecal_cli.solvers.maximum_likelihood import robust_fit
+from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
 from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
@@ -61,8 +61,6 @@ _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
-# A first fit of recordings that fit, from nominal values, takes 6 steps, with outliers 33.
-_FIRST_STEPS = 40
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
 
@@ -233,7 +231,7 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     noise = inference.first_noise(np.array([data.claimed_px]))
     first = Posterior.at(data, state, everything, noise, inference.priors(state))
     try:
-        state = optimize(first, on_step=inference.on_step, most_steps=_FIRST_STEPS).lin.state
+        state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS).lin.state
     except SolveError:
         return False
     each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)

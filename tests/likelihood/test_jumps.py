@@ -195,7 +195,8 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
     assert abs(jump.station - first) <= 1  # the leg across it may look like a slip
     assert jump.move_m == pytest.approx((change - 1) * ROBOT.wheels.radius_left_m, rel=0.2)
     assert solution.contradictions == ()
-    assert solution.diagnosis is None  # the jump explains the misfit
+    # The jump explains the misfit; or the table of mistakes names the same, where noise took up most of it.
+    assert solution.diagnosis is None or "the left wheel's readings become" in solution.diagnosis.cause
 
 
 def slipping(whole, legs):

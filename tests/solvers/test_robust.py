@@ -1,0 +1,72 @@
+"""The measurements that agree, found from a first state that outliers spoil."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.simulate.route import plan_route
+from mobilecal_cli.solvers import Constraints
+from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.robust import _weight, agreeing
+from tests.bench.simulated import spoiled
+from tests.extractions import ideal_extraction
+from tests.solvers.test_several_logs import NOISE, ROBOT, recorded
+
+
+def agreeing_of(extraction):
+    inference = Inference.of(extraction, Constraints())
+    everything = Inliers.all_of(inference.data)
+    state = initial_state(inference.data, inference.initial(), everything)
+    noise = inference.first_noise(np.array([NOISE.pixel_px]))
+    start = Posterior.at(inference.data, state, everything, noise, inference.priors(state))
+    _, inliers = agreeing([start], [])
+    return inliers
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_third_of_bad_stations_and_a_slip(seed):
+    route = plan_route(ROBOT, "standard", stations=20, seed=seed)
+    ideal = ideal_extraction(ROBOT, route, NOISE, seed)
+    extraction, bad, slip = spoiled(ideal, route, np.random.default_rng(seed), share=0.35)
+    inliers = agreeing_of(extraction)
+    assert np.flatnonzero(~inliers.views).tolist() == bad.tolist()
+    # The slip is indistinguishable from one in the next leg where the station between them is bad.
+    legs = np.flatnonzero(~inliers.legs)
+    assert np.abs(legs - slip).min() <= 1
+    # Tests with noise levels of their own decide on the few that the supposed ones reject beside it.
+    assert len(legs) + np.sum(~inliers.readings) <= 3
+
+
+def test_wrong_readings_are_told_from_wrong_images():
+    extraction = recorded("standard", 1)
+    seen = list(extraction.observations)
+    for station, wrong_rad in ((2, 0.05), (7, -0.08)):
+        joints = seen[station].joints.copy()
+        joints[3] += wrong_rad
+        seen[station] = replace(seen[station], joints=joints)
+    inliers = agreeing_of(replace(extraction, observations=tuple(seen)))
+    assert np.argwhere(~inliers.readings).tolist() == [[2, 3], [7, 3]]
+    assert inliers.views.all()
+    assert inliers.legs.all()
+
+
+def test_good_measurements_all_agree():
+    inliers = agreeing_of(recorded("standard", 1))
+    assert inliers.views.all()
+    assert inliers.legs.all()
+    assert inliers.readings.all()
+
+
+def test_weights_fall_from_one_to_zero_around_the_limit():
+    """Over a width that shrinks: beyond it by more, a measurement has no weight."""
+    beyond = np.array([0.0, 0.3, 0.9, 1.1, 2.9, 3.1])
+    wide, narrow = _weight(beyond, 2.0, 1.0), _weight(beyond, 1e-3, 1.0)
+    limit = np.median(beyond)
+    assert np.all(np.diff(wide) <= 0)
+    assert wide[0] == 1
+    assert wide[4] > 0 == wide[5]
+    assert np.array_equal(narrow, beyond <= max(limit, 1.0))
