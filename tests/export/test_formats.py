@@ -28,6 +28,7 @@ from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
+from tests.formats import HEAD_EYE
 from tests.pairs import with_pair
 
 T = se3.transform(se3.from_rpy(np.array([-1.6, 1.56, 0.4])), np.array([0.05, -0.0123456789, 2e-6]))
@@ -52,12 +53,12 @@ DIFF_DRIVE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", [Json, StaticTransformLaunch, StaticTransformYaml, Xacro])
-def test_formats_with_frames_state_the_images(kind):
+@pytest.mark.parametrize("made", HEAD_EYE)
+def test_formats_with_frames_state_the_images(made):
     """`child_frame` means another frame for rectified images: each file says which."""
-    raw, rectified = kind().text(ROBOT), kind().text(replace(ROBOT, rectified=True))
+    raw, rectified = made.text(ROBOT), made.text(replace(ROBOT, rectified=True))
     assert "x_parent = R x_child" in raw
-    if kind is Json:
+    if isinstance(made, Json):
         assert json.loads(raw)["child_frame_images"] == "raw"
         assert json.loads(rectified)["child_frame_images"] == "rectified"
         return

@@ -28,12 +28,8 @@ from mobilecal_cli.commands.init import draft
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
-from mobilecal_cli.export.formats.json import Json
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
-from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
-from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
-from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import (
     CalibratedRobot,
@@ -54,6 +50,7 @@ from mobilecal_cli.simulate.robot import paper_robot, urdf_text
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, ideal_extraction
+from tests.formats import HEAD_EYE
 from tests.readers import recordings as r
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -106,8 +103,8 @@ def _params(path: Path) -> None:
     robot = parameters_from_yaml(path.read_text(encoding="utf-8", errors="replace"), str(path))
     both = (robot, robot)
     comparison_text(Comparison(("a", "b"), both, (difference(*both),), history(both)))
-    for text in (Json().text, StaticTransformLaunch().text, StaticTransformYaml().text, Xacro().text):
-        text(robot)
+    for made in HEAD_EYE:
+        made.text(robot)
     diff_drive_yaml(robot, robot.wheel_joints)
 
 

@@ -294,9 +294,12 @@ def test_a_gate_limits_the_size_of_a_signed_figure():
 
 
 def test_the_page_on_ci_names_every_gate():
-    page = (REPOSITORY / "docs" / "how-to" / "use-in-ci.md").read_text(encoding="utf-8")
+    page = REPOSITORY / "docs" / "how-to" / "use-in-ci.md"
+    text = page.read_text(encoding="utf-8")
     for name in (*gate_metrics(), *gate_metrics(evaluating=True)):
         if not name.startswith(("hold_out.", "std.head_eye.")):
             unit = METRICS[name].unit
-            assert f"`{name}`" in page, name
-            assert unit in ("", "rad", "m") or unit.replace("degrees", "deg") in page, name
+            assert f"`{name}`" in text, f"add {name} to {page}"
+            assert unit in ("", "rad", "m") or unit.replace("degrees", "deg") in text, (
+                f"add its unit to {page}"
+            )
