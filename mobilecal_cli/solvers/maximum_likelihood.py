@@ -202,30 +202,31 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
         SolveError: neither has a fit.
     """
     fit: Fit | None = None
+    why: SolveError | None = None
     try:
         fit = inference.fit(supposed.state, supposed.inliers, supposed.noise, FIRST_STEPS)
         if outliers.plausible(fit):
             return fit
     except SolveError as error:
-        _LOG.info("no fit of all measurements: %s", error.message)
+        why = error
     legs = np.arange(len(inference.data.legs))
     # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
     starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
-    state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
-    noisy = outliers.too_many(inliers)
-    if fit is not None and noisy:
-        return fit
     try:
+        state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
+        noisy = outliers.too_many(inliers)
+        if fit is not None and noisy:
+            return fit
         return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)
-    except SolveError:
+    except SolveError as error:
         if fit is None:
-            raise
+            raise why or error from error
         return fit
 
 
 def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -> Iterator[Posterior]:
     """Linear parameters from sets of legs, with the scales of the priors of `supposed`."""
-    for some in legs:
+    for some in filter(len, legs):
         try:
             yield _supposed(inference, inference.initial(some), supposed.noise.wider, some)
         except (SolveError, np.linalg.LinAlgError):

@@ -79,12 +79,12 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
     assert "therefore" not in jackknife_sentence(right)
     given = replace(
         extraction.rig.noise,
-        pixel_px=0.04,
-        joint_rad=2e-4,
-        wheel_rad_per_sqrt_rad=1e-3,
-        wheel_share=2e-4,
-        floor_rad=np.radians(0.02),
-        floor_m=2e-4,
+        pixel_px=0.02,
+        joint_rad=1e-4,
+        wheel_rad_per_sqrt_rad=5e-4,
+        wheel_share=1e-4,
+        floor_rad=np.radians(0.01),
+        floor_m=1e-4,
         sway_rad=1e-6,
         sway_m=1e-6,
     )
