@@ -67,9 +67,9 @@ class Fit:
 
     @property
     def sure_legs(self) -> BoolArray:
-        """(L,) legs whose wheels are used, and the images at both ends."""
-        i, j = self.data.legs.T
-        return np.asarray(self.inliers.legs & self.inliers.views[i] & self.inliers.views[j])
+        """(L,) legs whose wheels are used, and the images and joint readings at both ends."""
+        stations = self.inliers.views & self.inliers.readings.all(axis=1)
+        return np.asarray(self.inliers.legs & stations[self.data.legs].all(axis=1))
 
     @cached_property
     def tests(self) -> ResidualTests:

@@ -7,8 +7,9 @@ no influence. Their sum has many minima. So each measurement has a weight, and t
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Mapping
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from mobilecal_cli.likelihood.linearization import solvable
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.optimize import proposed
 
 _CHANCE = 1e-4  # that a good measurement is beyond its limit
@@ -34,6 +35,7 @@ _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and r
 _NARROWER = 3.0  # width over the next one
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
+_ROUNDS = 5  # from a minimum that is not sure
 _TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
 #: Share of stations or legs that do not agree, or median distance over the usual one: then more starts are tried.
 _MANY, _MUCH = 1 / 4, 4.0
@@ -54,24 +56,38 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
     Raises:
         SolveError: no start leads to a minimum.
     """
-    minima: list[_Minimum] = []
-    for widest, some in ((np.inf, starts), (_NEAR_WIDTH, near)):
-        for start in some:
-            if widest == _NEAR_WIDTH and minima and _least(minima).sure:
-                break
-            with contextlib.suppress(SolveError), solvable():
-                minima.append(_minimum(start, widest))
+    minima = list(_minima(starts, np.inf))
+    further = _minima(near, _NEAR_WIDTH)
+    while not (minima and _least(minima).sure) and (minimum := next(further, None)) is not None:
+        minima.append(minimum)
     if not minima:
         raise SolveError(
             "no set of measurements agrees on the parameters",
             "check the signs and units of joints and wheels in rig.yaml, and that the base turns and drives",
         )
     least = _least(minima)
+    for again in itertools.islice(_onward(least), _ROUNDS):
+        least = again
     views = least.used["views"] & (np.sum(~least.used["readings"], axis=1) <= 1)
     readings = least.used["readings"] | ~views[:, None]
-    return least.lin.state, replace(
-        least.lin.inliers, views=views, legs=least.used["legs"], readings=readings
-    )
+    legs = _holding(least.lin.data.legs, views, least.used["legs"])
+    return least.lin.state, replace(least.lin.inliers, views=views, legs=legs, readings=readings)
+
+
+def _holding(ends: IntArray, views: BoolArray, legs: BoolArray) -> BoolArray:
+    """(L,) used legs, with one of each station of which nothing else is used: alone, it contradicts nothing.
+
+    Args:
+        ends: (L, 2) stations of each leg.
+        views, legs: (N,) and (L,) those that are used.
+    """
+    held = views.copy()
+    held[ends[legs]] = True
+    used = legs.copy()
+    for leg, stations in enumerate(ends):
+        if not held[stations].all():
+            used[leg] = held[stations] = True
+    return used
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +109,34 @@ class _Minimum:
     @property
     def sure(self) -> bool:
         """Most stations and legs agree, about as well as the noise levels say."""
-        agree = min(float(np.mean(self.used[kind])) for kind in ("views", "legs"))
+        agree = min(float(np.mean(used)) for used in (self.used["views"], self.used["legs"]) if used.size)
         return agree >= 1 - _MANY and max(self.usual.values()) < _MUCH
 
 
 def _least(minima: Iterable[_Minimum]) -> _Minimum:
     return min(minima, key=lambda minimum: minimum.cost)
+
+
+def _minima(starts: Iterable[Posterior], width: float) -> Iterator[_Minimum]:
+    """Those to which the starts lead; a start that leads nowhere, or beyond all numbers, is left out."""
+    for start in starts:
+        try:
+            with solvable():
+                minimum = _minimum(start, width)
+        except SolveError:
+            continue
+        if math.isfinite(minimum.cost):
+            yield minimum
+
+
+def _onward(minimum: _Minimum) -> Iterator[_Minimum]:
+    """Lower minima, each from the one before, until one is sure: what was far off at a start may be near by then."""
+    while not minimum.sure:
+        again = next(_minima([minimum.lin], _NEAR_WIDTH), minimum)
+        if again.cost > minimum.cost - _LITTLE:
+            return
+        minimum = again
+        yield minimum
 
 
 def _minimum(lin: Posterior, width: float) -> _Minimum:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
@@ -55,8 +56,8 @@ from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
-# distance to the board and than the steps of the encoders make it, or where more than this share of the stations have
-# an outlier.
+# distance to the board and than the steps of the encoders make it, or where more than this share of the stations of a
+# recording have an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
@@ -338,8 +339,9 @@ def _refused(diagnosis: Diagnosis) -> SolveError:
 
 
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
-    """Whether the point error is more than corners and encoders explain, or many stations have an outlier."""
-    gross = sum(outlier.kind != "corners" for outlier in solution.outliers)
+    """Whether corners and encoders do not explain the point error, or many stations of a recording have an outlier."""
+    stations = Counter(o.log for o in extraction.observations)
+    gross = Counter(outlier.log for outlier in solution.outliers if outlier.kind != "corners")
     distance_m = extraction.board_distance_m
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
@@ -348,7 +350,7 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     )  # heading by one step of each wheel
     error_m = max(_BAD_SHARE, step_rad) * distance_m
     misfits = solution.point_rms_m**2 - of_corners_m**2 > error_m**2
-    return misfits or gross > _MANY_OUTLIERS * len(extraction.observations)
+    return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 
 
 def _diagnosis(

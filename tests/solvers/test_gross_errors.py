@@ -1,0 +1,61 @@
+"""One gross error in the recording of a robot drawn from its priors: it is left out, and the result is right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mobilecal_cli.report.verdict import judge
+from mobilecal_cli.solvers import solve
+from tests.bench.imperfect import ROBOTS, USUAL, Case, true_robot
+from tests.extractions import slipped
+from tests.truth import errors
+
+SEED, STATION = 50, 13
+
+
+def one_turn(extraction):
+    return slipped(extraction, STATION, 2 * np.pi)
+
+
+def reset(extraction):
+    return slipped(extraction, STATION, -300.0, -300.0)
+
+
+def misread(extraction):
+    observations = list(extraction.observations)
+    o = observations[STATION]
+    tilt = np.arange(len(o.joints)) == len(o.joints) - 1
+    observations[STATION] = replace(o, joints=o.joints + 0.17 * tilt)
+    return replace(extraction, observations=tuple(observations))
+
+
+def exchanged(extraction):
+    """The images of two stations."""
+    observations = list(extraction.observations)
+    at = [0, STATION]
+    first, second = (observations[k] for k in at)
+    for k, own, other in ((0, first, second), (STATION, second, first)):
+        images = {name: getattr(other, name) for name in ("views", "points_c", "points_cov", "T_c_k")}
+        observations[k] = replace(own, **images)
+    return replace(extraction, observations=tuple(observations))
+
+
+@pytest.mark.parametrize(
+    ("name", "spoil", "kinds"),
+    [
+        ("camera on the base", one_turn, {"slip"}),  # far images of one camera: no half of the legs is near
+        ("pan-tilt", reset, {"slip"}),
+        ("camera on pan-tilt", misread, {"joint"}),  # the reading as it was is no error of the calibration
+        ("three cameras", exchanged, {"station"}),  # also of the first one, which only its leg holds
+    ],
+)
+def test_it_is_left_out(name, spoil, kinds):
+    case = Case(name, 20).drawn(noise=USUAL)
+    extraction = case.extraction(SEED)
+    robot = true_robot(ROBOTS[name](), extraction, case.route(SEED))
+    spoilt = spoil(extraction)
+    solution = solve(spoilt)
+    assert {outlier.kind for outlier in solution.outliers if outlier.kind != "corners"} == kinds
+    assert np.max(np.abs(errors(solution.parameters, robot)) / solution.uncertainty.std) < 4
+    assert judge(solution, spoilt).level == "PASS"
