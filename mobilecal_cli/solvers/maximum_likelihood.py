@@ -196,37 +196,32 @@ def _supposed(
 def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     """A fit of all measurements, or of those that agree if all together are implausible.
 
-    Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements, where
-    these have a fit.
+    Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements.
 
     Raises:
         SolveError: neither has a fit.
     """
-    fit, refusals = None, list[SolveError]()
+    fit: Fit | None = None
+    why: SolveError | None = None
     try:
         fit = inference.fit(supposed.state, supposed.inliers, supposed.noise, FIRST_STEPS)
         if outliers.plausible(fit):
             return fit
     except SolveError as error:
-        refusals.append(error)
+        why = error
     legs = np.arange(len(inference.data.legs))
     # A start that is far off leads nowhere. A gross error of one leg is in one half of the legs only.
     starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
     try:
         state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
-        noisy = bool(outliers.too_many(inliers))
-        tried = () if noisy and fit is not None else (supposed.inliers,) * noisy + (inliers,)
+        noisy = outliers.too_many(inliers)
+        if fit is not None and noisy:
+            return fit
+        return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)
     except SolveError as error:
-        refusals.append(error)
-        tried = ()
-    for some in tried:
-        try:
-            return inference.fit(state, some, supposed.noise)
-        except SolveError as error:
-            refusals.append(error)
-    if fit is None:
-        raise refusals[0]
-    return fit
+        if fit is None:
+            raise why or error from error
+        return fit
 
 
 def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -> Iterator[Posterior]:
