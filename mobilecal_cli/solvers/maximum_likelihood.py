@@ -48,8 +48,9 @@ def maximum_likelihood(
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     """Scales of the priors and outliers, decided one under the other, and a fine fit at the end.
 
-    Usually there are no outliers, and no scale is clearly above 1: then all measurements decide at once. Else, the
-    outliers come first, under the stated priors: a gross error of a measurement must not look like a wrong description.
+    Usually there are no outliers, under the stated priors nor with their scales: then all measurements decide at once.
+    Else, the outliers come first, under the stated priors: a gross error of a measurement must not look like a wrong
+    description.
 
     A part that moves in the middle of the recording may drive the scales so far that the fit has no end. Then it is
     the one under the stated priors: the jump explains the misfit, not the description.
@@ -58,11 +59,10 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         SolveError: see `maximum_likelihood`.
     """
     supposed = _supposed(inference, start or inference.initial(), {})
-    first = _first_fit(inference, supposed)
-    fit = _as_described(inference, first) if first.inliers.same(supposed.inliers) else None
+    first, held = _first_fit(inference, supposed), replace(inference, scales_stay=True)
+    fit = _of_all(inference, held, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
-    held = replace(inference, scales_stay=True)
     fit = _without_outliers(held, first)
     try:
         return _with_scales(inference, held, fit)
@@ -72,12 +72,20 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return held.estimate_noise(fit, FINE)
 
 
-def _as_described(inference: Inference, first: Fit) -> Fit | None:
-    """The fit of all measurements with the scales of the priors; None where one is an outlier or a scale is wide."""
+def _of_all(inference: Inference, held: Inference, first: Fit) -> Fit | None:
+    """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described.
+
+    Args:
+        inference: where.
+        held: the same, in which the scales stay.
+        first: of all measurements.
+    """
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
-        wide = max(fit.noise.wider.values(), default=1.0) > _CLEARLY_WIDER
-        if wide or not fit.inliers.views.all() or any(_suspects(inference, fit)):
+        if not fit.inliers.views.all() or any(_suspects(inference, fit)):
+            return None
+        stated = replace(fit, lin=fit.lin.with_noise(replace(fit.noise, wider={})))
+        if any(_suspects(held, held.refit_near(stated, fit.inliers))):
             return None
         return inference.estimate_noise(fit, FINE)
     except (SolveError, np.linalg.LinAlgError):
@@ -132,12 +140,12 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
 def once_decided(inference: Inference, fit: Fit) -> Fit | None:
     """A fit with measurements restored or rejected; None where all are consistent."""
     for kind in ("views", "legs", "readings"):
-        agree = ~getattr(fit.inliers, kind) & (outliers.beyond(fit, kind) < 1)
+        used = getattr(fit.inliers, kind)
+        agree = ~used & (outliers.beyond(fit, kind) < 1)
         if kind == "views":
             agree &= outliers.usable(fit)
-        back = outliers.some_of(inference.data, kind, np.argwhere(agree))
-        if back:
-            return _refitted(inference, fit, outliers.changed(fit.inliers, kind, back, to=True))
+        if agree.any():
+            return _refitted(inference, fit, replace(fit.inliers, **{kind: used | agree}))
     freed = outliers.with_reading_freed(fit)
     if freed is not None:
         return _refitted(inference, fit, freed)
