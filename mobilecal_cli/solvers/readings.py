@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
-_CONSISTENT_PX = 1.5  # stereo reprojection error beyond which the images are wrong, not a joint or the wheels
+_CONSISTENT_PX = 1.5  # reprojection error beyond which the images are wrong, not a joint or the wheels
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
 
 
@@ -28,7 +28,7 @@ class Readings:
         joints: (N, J) readings, rad or m.
         time_ns, log: (N,) stamps, and index of the recording.
         wheels, joint_tracks: see `Extraction`.
-        consistent: the images fit camera_info and the board.
+        reprojection_px: at most stations, of the board where the images show it.
     """
 
     rig: Rig
@@ -39,7 +39,7 @@ class Readings:
     log: IntArray
     wheels: tuple[WheelTrack, ...]
     joint_tracks: tuple[tuple[Track, ...], ...]
-    consistent: bool
+    reprojection_px: float
 
     def of(self, stations: IntArray | BoolArray | slice) -> Readings:
         """Some stations alone."""
@@ -50,6 +50,11 @@ class Readings:
         """Time of a station from the beginning of its recording."""
         begin = self.wheels[int(self.log[station])].time_ns[0]
         return f"{(int(self.time_ns[station]) - int(begin)) / 1e9:.1f}"
+
+    @property
+    def consistent(self) -> bool:
+        """Whether the images of a station fit camera_info, the board and one another."""
+        return self.reprojection_px < _CONSISTENT_PX
 
     @property
     def legs(self) -> int:
@@ -114,5 +119,5 @@ def readings_of(extraction: Extraction) -> Readings:
         np.array([o.log for o in observations], dtype=np.int64),
         extraction.wheels,
         extraction.joint_tracks,
-        float(np.median([o.reprojection_px for o in observations])) < _CONSISTENT_PX,
+        float(np.median([o.reprojection_px for o in observations])),
     )

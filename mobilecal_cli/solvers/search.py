@@ -125,7 +125,7 @@ class Search:
             return self._of_one_log()
         if self._fits:
             return None
-        return self._from_a_station_on or self.frozen or self._free_part()
+        return self._from_a_station_on or self.frozen or self._free_part() or self._images
 
     @cached_property
     def interrupted(self) -> Diagnosis | None:
@@ -145,6 +145,21 @@ class Search:
         if not self._readings.consistent or self._from_a_station_on is not None:
             return None
         return self._named(self._readings, FROZEN, _FITS_FREE)
+
+    @property
+    def _images(self) -> Diagnosis | None:
+        """Images that do not even show the board as a board: what moves the robot explains nothing then."""
+        if self._readings.consistent:
+            return None
+        several = len(self._readings.rig.cameras.names) > 1
+        return Diagnosis(
+            f"the images of a station do not fit camera_info and the board{', or one another' * several}: the "
+            f"reprojection error is {self._readings.reprojection_px:.2g} px at most stations (usual: 0.3 px)",
+            "check that camera_info is of these cameras and of this resolution, the board's size"
+            f"{', that the images of all cameras are of one moment, and that no camera moved' * several}",
+            self._base,
+            None,
+        )
 
     def _free_part(self) -> Diagnosis | None:
         """The one sensor whose readings say nothing.
@@ -270,10 +285,12 @@ class Search:
             before = fit_of(slice(cut))
             if before is None:
                 continue
-            after = fit_of(slice(cut, None))
+            others = readings.of(slice(cut, None))
+            diagnosis = _same_view(others)
+            after = None if diagnosis is not None else fit_of(slice(cut, None))
             if after is not None:
                 return self._change(cut, before, after)
-            diagnosis = self._named(readings.of(slice(cut, None)), WHOLE[:1])
+            diagnosis = diagnosis or self._named(others, WHOLE[:1])
             if diagnosis is not None:
                 return replace(diagnosis, cause=f"from about {readings.at_s(cut)} s on, {diagnosis.cause}")
         return None

@@ -291,20 +291,33 @@ def test_a_change_that_jumps_name_has_no_other_cause(name):
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        *("images of two stations exchanged", "joints in steps of 5 degrees", "board held in a hand"),
-        *(
-            pytest.param(name, marks=pytest.mark.long)
-            for name in (
-                *("images of half the resolution", "infos of left and right exchanged"),
-                *("right images of the previous station", "right images of the next station"),
-            )
-        ),
-    ],
+    "name", ["images of two stations exchanged", "joints in steps of 5 degrees", "board held in a hand"]
 )
 def test_nothing_is_named_for_what_no_hypothesis_explains(name):
     assert Search(WRONG[name].change(meaning.recorded())).diagnosis is None
+
+
+@pytest.mark.parametrize(
+    ("name", "px"),
+    [
+        ("right images of the previous station", 18),
+        pytest.param("right images of the next station", 18, marks=pytest.mark.long),
+        pytest.param("infos of left and right exchanged", 18, marks=pytest.mark.long),
+        pytest.param("images of half the resolution", 5.0, marks=pytest.mark.long),
+    ],
+)
+def test_images_of_a_station_that_do_not_show_one_board(name, px):
+    """No signs, units or delays explain that: it is said of the images, with the number."""
+    diagnosis = Search(WRONG[name].change(meaning.recorded())).diagnosis
+    assert diagnosis.cause.startswith(
+        "the images of a station do not fit camera_info and the board, or one another"
+    )
+    assert float(re.search(r"([\d.]+) px", diagnosis.cause)[1]) == pytest.approx(px, rel=0.1)
+
+
+def test_images_that_freeze_are_named_with_their_time():
+    diagnosis = Search(WRONG["both images frozen from the middle"].change(meaning.recorded())).diagnosis
+    assert diagnosis.cause.startswith("from about 42.6 s on, all stations show the board at the same place")
 
 
 @pytest.mark.parametrize(
