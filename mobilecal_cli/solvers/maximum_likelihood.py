@@ -59,25 +59,25 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         SolveError: see `maximum_likelihood`.
     """
     supposed = _supposed(inference, start or inference.initial(), {})
-    first, held = _first_fit(inference, supposed), replace(inference, scales_stay=True)
-    fit = _of_all(inference, held, first) if first.inliers.same(supposed.inliers) else None
+    first, as_stated = _first_fit(inference, supposed), replace(inference, scales_stay=True)
+    fit = _of_all(inference, as_stated, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
-    fit = _without_outliers(held, first)
+    fit = _without_outliers(as_stated, first)
     try:
-        return _with_scales(inference, held, fit)
+        return _with_scales(inference, as_stated, fit)
     except SolveError:
-        if held.jump(fit) is None:
+        if as_stated.jump(fit) is None:
             raise
-        return held.estimate_noise(fit, FINE)
+        return as_stated.estimate_noise(fit, FINE)
 
 
-def _of_all(inference: Inference, held: Inference, first: Fit) -> Fit | None:
+def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:
     """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described.
 
     Args:
         inference: where.
-        held: the same, in which the scales stay.
+        as_stated: the same, in which the scales stay.
         first: of all measurements.
     """
     try:
@@ -85,14 +85,14 @@ def _of_all(inference: Inference, held: Inference, first: Fit) -> Fit | None:
         if not fit.inliers.views.all() or any(_suspects(inference, fit)):
             return None
         stated = replace(fit, lin=fit.lin.with_noise(replace(fit.noise, wider={})))
-        if any(_suspects(held, held.refit_near(stated, fit.inliers))):
+        if any(_suspects(as_stated, as_stated.refit_near(stated, fit.inliers))):
             return None
         return inference.estimate_noise(fit, FINE)
     except (SolveError, np.linalg.LinAlgError):
         return None
 
 
-def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
+def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
     """The fit with the scales of the priors, from one under the stated priors.
 
     Where scales are clearly above 1, the outliers are decided again under these scales: from the beginning, if there
@@ -104,10 +104,10 @@ def _with_scales(inference: Inference, held: Inference, fit: Fit) -> Fit:
     wider = fit.noise.wider
     if max(wider.values(), default=1.0) > _CLEARLY_WIDER:
         if fit.inliers.same(Inliers.all_of(inference.data)):
-            fit = _decided(held, fit)
+            fit = _decided(as_stated, fit)
         else:
-            supposed = _supposed(held, fit.lin.state.parameters, wider)
-            fit = _without_outliers(held, _first_fit(held, supposed))
+            supposed = _supposed(as_stated, fit.lin.state.parameters, wider)
+            fit = _without_outliers(as_stated, _first_fit(as_stated, supposed))
     noisy = outliers.too_many(fit.inliers)
     fit = _with_all(inference, fit, noisy) if noisy else fit
     return replace(inference.estimate_noise(fit, FINE), noisy=noisy)
