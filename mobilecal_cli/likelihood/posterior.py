@@ -1,15 +1,20 @@
-"""What the likelihood says of the parameters at one point: normal equations, covariances, steps."""
+"""What the likelihood says of the parameters at one point: normal equations, covariances, steps.
+
+And covariances of the predicted measurements, for redundancies and for outlier tests.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
-from mobilecal_cli.likelihood.marginals import Marginals, marginals
+from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
+from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -77,6 +82,65 @@ class Posterior(Linearization):
         return self.changed(known=known, state=self.state.plus(self.data, step))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Marginals:
+    """Posterior covariances at an optimum.
+
+    Attributes:
+        views: (N, 6, 6) of each station's board pose in the camera (delta).
+        mixed: (N, 6, D) of these with the direct constants.
+        direct: (D, D) of the direct constants.
+        own: (N, J + 3, J + 3) of the joint errors and of the sway.
+        legs: (L, 3, 3) of the legs' residuals.
+        encoders: (N, 2) variances of the encoder errors.
+        stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
+        bases: (N, 3, 3) of the base poses, as body twists (x, y, heading).
+        processes: (N, 5, 5) of the processes.
+        before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
+    """
+
+    views: FloatArray
+    mixed: FloatArray
+    direct: FloatArray
+    own: FloatArray
+    legs: FloatArray
+    encoders: FloatArray
+    stamps: FloatArray
+    bases: FloatArray
+    processes: FloatArray
+    before: FloatArray
+
+    def innovations(self, rho: FloatArray) -> FloatArray:
+        """(N, 5, 5) of the processes' innovations f_j - rho f_i; rho: (N, 5)."""
+        previous = np.zeros_like(self.processes)
+        previous[1:] = self.processes[:-1]
+        mixed = rho[:, :, None] * self.before
+        out: FloatArray = self.processes - mixed - np.swapaxes(mixed, 1, 2)
+        return out + rho[:, :, None] * previous * rho[:, None, :]
+
+    def leverage(self, information: FloatArray) -> FloatArray:
+        """(N,) how much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
+        of_poses = np.einsum("nqr,nrq->n", information[:, :6, :6], self.views)
+        of_direct = np.einsum("nqr,rq->n", information[:, 6:, 6:], self.direct)
+        mixed = np.einsum("nqr,nqr->n", information[:, :6, 6:], self.mixed)
+        return np.asarray(of_poses + 2 * mixed + of_direct)
+
+    def of_gradient(self, information: FloatArray) -> FloatArray:
+        """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
+        G, across = information[:, :6, :6], information[:, :6, 6:]
+        mixed = G @ self.mixed @ np.swapaxes(across, 1, 2)
+        out: FloatArray = _sandwich(G, self.views) + mixed + np.swapaxes(mixed, 1, 2)
+        return out + _sandwich(across, self.direct)
+
+    def images(self) -> FloatArray:
+        """(N, Q, Q) of (delta, direct constants)."""
+        count, _, direct = self.mixed.shape
+        out = np.empty((count, 6 + direct, 6 + direct))
+        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
+        out[:, 6:, :6] = np.swapaxes(self.mixed, 1, 2)
+        return out
+
+
 def _positive(values: FloatArray) -> FloatArray:
     """The values.
 
@@ -86,3 +150,57 @@ def _positive(values: FloatArray) -> FloatArray:
     if not np.all(values > 0):
         raise np.linalg.LinAlgError("not positive definite")
     return values
+
+
+def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
+    out: FloatArray = A @ C @ np.swapaxes(A, -1, -2)
+    return out
+
+
+def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
+    """Marginal covariances of every station and leg, given correct values along unobservable directions.
+
+    Args:
+        lin, normal: an optimum.
+        C: (P, P) covariance of the shared parameters there.
+
+    Raises:
+        LinAlgError: a singular matrix.
+    """
+    follow, with_board = normal.base_by_shared, normal.base_by_board
+    E_inverse, by_base, by_board, by_shared = normal.own_conditional()
+    views, legs, log = lin.views, lin.legs, lin.data.log
+    # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
+    V = normal.board_covariance[log]
+    known, cross = normal.base_covariance()
+    own = known + _sandwich(with_board, V)
+    cross[:-1] += with_board[:-1] @ V[:-1] @ np.swapaxes(with_board[1:], 1, 2)
+
+    A = views.by_base + views.by_own @ by_base
+    F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
+    K = A @ with_board + views.by_board + views.by_own @ by_board
+    FC = F @ C
+    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    of_views += _sandwich(views.by_own, E_inverse)
+    F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
+    errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
+    bases = own + _sandwich(follow, C)
+
+    i, j = lin.data.legs.T
+    along, before = PROCESSES, np.zeros((len(own), COUNT, COUNT))
+    before[j] = cross[i, along, along] + follow[i, along] @ C @ np.swapaxes(follow[j, along], 1, 2)
+    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
+    mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
+    both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
+    return Marginals(
+        views=of_views,
+        mixed=FC[:, :, views.direct],
+        direct=C[np.ix_(views.direct, views.direct)],
+        own=errors,
+        legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
+        encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
+        stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
+        bases=bases[:, BASE, BASE],
+        processes=bases[:, along, along],
+        before=before,
+    )

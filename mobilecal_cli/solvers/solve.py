@@ -49,10 +49,9 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.refine import refine_lm, refine_powell
 from mobilecal_cli.solvers.residuals import at_state, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
-from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m
+from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the

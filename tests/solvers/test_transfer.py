@@ -6,8 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.refine import refine_lm, refine_powell
-from mobilecal_cli.solvers.transfer import point_rms_m, residuals_m, residuals_with_jacobian
+from mobilecal_cli.solvers.transfer import (
+    point_rms_m,
+    refine_lm,
+    refine_powell,
+    residuals_m,
+    residuals_with_jacobian,
+)
 from tests.solvers.world import TRUTH, make_pairs, relative_errors
 
 
