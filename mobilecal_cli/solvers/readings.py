@@ -96,8 +96,8 @@ class Readings:
 
     @property
     def planar(self) -> bool:
-        """Whether the motion can tell mistakes of the wheels apart, of a camera that no joint moves."""
-        return self._roams and not self.rig.chain.joints
+        """Whether the motion can tell mistakes apart, of a camera that no joint tilts."""
+        return self._roams and not self.motion.tilts
 
     @property
     def _roams(self) -> bool:
