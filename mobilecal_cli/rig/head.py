@@ -92,6 +92,7 @@ def head_of(
         _check_configured(config, chain)
         return Head(chain, None, Nominal(), "head.chain of the configuration", ())
     origin, notes = "head.urdf of the configuration", []
+    read = {*joint_state_names(description), *config.joints.fields}
     if urdf_text is None and not description.urdfs:
         origin = "transforms in the recording"
         urdf, base, pan, tilt = _moving_transforms(config, description, camera_frame)
@@ -106,13 +107,12 @@ def head_of(
             if len(set(description.urdfs.values())) > 1:
                 notes.append(f"The recording contains several URDFs. The one on {topic} is used.")
         urdf = parse_urdf(urdf_text)
-        in_states = {*joint_state_names(description), *config.joints.fields}
-        pan, tilt = pan_and_tilt(config, [name for name in urdf.joints if name in in_states])
+        pan, tilt = pan_and_tilt(config, [name for name in urdf.joints if name in read])
         if not tilt and config.head.head_frame is None:
             # Joint states may lack some of the head's joints; the URDF still names them.
             pan, tilt = pan_and_tilt(config, list(urdf.joints))
         base = _base_of(config, urdf)
-    head = _head_link_of(config, urdf, base, pan, tilt, camera_frame)
+    head = _head_link_of(config, urdf, base, pan, tilt, camera_frame, read)
     offset, offset_notes = _vehicle_offset(urdf, wheels, base)
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
@@ -157,19 +157,35 @@ def _base_of(config: RigConfig, urdf: Urdf) -> str:
     return config.head.base_frame or next(usual, urdf.root)
 
 
-def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str, camera_frame: str) -> str:
-    """Head link of a URDF: as configured, or the child of the tilt joint, or head_link if that is fixed to it.
+def _head_link_of(
+    config: RigConfig,
+    urdf: Urdf,
+    base: str,
+    pan: str,
+    tilt: str,
+    camera_frame: str,
+    read: Collection[str],
+) -> str:
+    """Head link of a URDF: as configured, or the last link that a joint moves on the way to the camera.
 
-    Without a tilt joint, it is the last link that a joint moves on the way to the camera; if none moves, the camera is
-    fixed to the base, which is the head then. Where the camera is not in the URDF either, it is the child of a pan
-    joint that carries no other moving joint.
+    Joints behind the tilt joint count only if they are read: a bracket may be set by hand. If no joint moves the
+    camera, it is fixed to the base, which is the head then. A camera that is not in the URDF is on the child of the
+    tilt joint, or of a pan joint that carries no other moving joint. Head_link stands for the link that carries it.
+
+    Args:
+        read: joints whose positions are read.
+
+    Raises:
+        ConfigError: without a tilt joint, the URDF does not connect the base with the camera, or lacks it.
     """
     if config.head.head_frame is not None:
         return config.head.head_frame
-    tilts = tilt in urdf.joints and urdf.joints[tilt].kind != "fixed"
-    if not tilts and camera_frame in urdf.links:
-        moving = [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
-        return moving[-1].child if moving else base
+    way = _moving_to(urdf, base, camera_frame, tilt)
+    if way is not None:
+        names = [joint.name for joint in way]
+        known = names.index(tilt) + 1 if tilt in names else len(names)
+        behind = [number for number, name in enumerate(names, 1) if number > known and name in read]
+        return _named_head(urdf, way[max([known, *behind]) - 1].child) if way else base
     if tilt not in urdf.joints and pan in urdf.joints:
         head = urdf.joints[pan].child
         roots = {
@@ -184,10 +200,28 @@ def _head_link_of(config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str,
             "set head.head_frame in rig.yaml to the link that carries the camera (the base link for a camera on the "
             f"base), or joints.tilt; links present: {listed(urdf.links)}; joints present: {listed(urdf.joints)}",
         )
-    carried = urdf.joints[tilt].child
-    if "head_link" in urdf.links and _fixed_root(urdf, "head_link")[0] == carried:
-        return "head_link"
-    return carried
+    return _named_head(urdf, urdf.joints[tilt].child)
+
+
+def _moving_to(urdf: Urdf, base: str, camera_frame: str, tilt: str) -> list[UrdfJoint] | None:
+    """Joints that move the camera against the base; None if it is not in the URDF.
+
+    Also None if the URDF does not connect them, but has the tilt joint; without one, see `Urdf.path`.
+    """
+    if camera_frame not in urdf.links:
+        return None
+    try:
+        return [joint for joint in urdf.path(base, camera_frame) if joint.kind != "fixed"]
+    except ConfigError:
+        if tilt in urdf.joints:
+            return None
+        raise
+
+
+def _named_head(urdf: Urdf, carried: str) -> str:
+    """Head_link if it is fixed to the link that carries the camera, else that link."""
+    fixed = "head_link" in urdf.links and _fixed_root(urdf, "head_link")[0] == carried
+    return "head_link" if fixed else carried
 
 
 def _vehicle_offset(

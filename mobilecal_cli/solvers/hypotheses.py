@@ -105,7 +105,7 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
         order[[pan, tilt]] = tilt, pan
         yield Hypothesis(
             f"the readings of {chain.pan} and {chain.tilt} are exchanged",
-            "exchange joints.pan and joints.tilt in rig.yaml, or the names in the recording",
+            "exchange the names of the two joints in head.chain, in the URDF or in joints.fields, or in the recording",
             lambda r: replace(r, joints=r.joints[:, order]),
         )
     for unit, factor in (("degrees", math.pi / 180), ("radians, but were taken for degrees", 180 / math.pi)):

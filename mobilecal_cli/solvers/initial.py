@@ -34,6 +34,7 @@ _SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only le
 CLEARLY_BETTER = 0.5
 _UNAMBIGUOUS_RAD = math.radians(150)  # a guess that is wrong by less than a fifth unwraps it correctly
 _NEAR_NOMINAL = 0.15  # relative error of the nominal wheels: below the fifth that unwraps correctly
+_ANOTHER = 0.05  # relative change of the wheel ratios: a leg that unwraps otherwise changes them by far more
 ROUNDS = 12  # where a comparison or an optimization follows, which needs no fixed point
 
 
@@ -161,7 +162,10 @@ def linear_estimate(
         default=best,
     )
     kept = best if best.point_rms_m < CLEARLY_BETTER * positive.point_rms_m else positive
-    rivals = [a.point_rms_m for a in answers if change(kept.parameters, a.parameters) > PAPER_TOLERANCE]
+    ratios = ratios_of(kept.parameters.wheels)
+    rivals = [
+        a.point_rms_m for a in answers if np.abs(ratios_of(a.parameters.wheels) / ratios - 1).max() > _ANOTHER
+    ]
     steps = [math.inf, *(change(a, b) for a, b in zip(kept.history, kept.history[1:], strict=False))]
     converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))
     return LinearEstimate(

@@ -193,7 +193,9 @@ def _linear_start(
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
     if not linear.parameters.wheels.positive and inference.nominal.wheels is not None:
         near = _near_nominal(inference)
-        if near.parameters.wheels.positive and linear.point_rms_m >= CLEARLY_BETTER * near.point_rms_m:
+        # Of most legs: one with a gross error decides on the mean.
+        each_m = [float(np.median(leg_rms_m(pairs, each.parameters))) for each in (linear, near)]
+        if near.parameters.wheels.positive and each_m[0] >= CLEARLY_BETTER * each_m[1]:
             linear = near
     distance_m = extraction.board_distance_m
     if linear.point_rms_m < _BAD_SHARE * distance_m:

@@ -199,6 +199,54 @@ def test_a_pause_does_not_switch_unwrapping_off(tmp_path, pause_s):
     np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
 
 
+def turning(count=400, rate=4.0):
+    """Stamps, s, and the angle of a wheel that turns, rests, and turns back."""
+    times = 0.05 * np.arange(count)
+    return times, rate * np.cumsum(np.clip(1.5 * np.cos(0.5 * times), -1, 1)) * 0.05
+
+
+@pytest.mark.parametrize(
+    "jumps",
+    [
+        {230: -300.0},  # a driver that starts again
+        {100: 2**32 * 2 * np.pi / 4096},  # of a counter with 32 bits
+        {100: -40.0, 250: 9000.0, 251: -9000.0},  # a single wrong reading, too
+    ],
+)
+def test_jumps_of_a_wheel_are_undone_and_noted(tmp_path, jumps):
+    times, angle = turning()
+    read = angle + sum(size * (np.arange(len(times)) >= at) for at, size in jumps.items())
+    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, read, strict=True)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=0.02)
+    first = min(jumps)
+    often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+    said = f"the rotation jumps {often} by {read[first] - read[first - 1]:.4g} rad, {times[first - 1]:.1f} s after"
+    assert any(said in note for note in signals.notes)
+
+
+def test_a_wrong_velocity_of_a_wheel_is_a_jump(tmp_path):
+    times, angle = turning()
+    rate = np.gradient(angle, times)
+    expected = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(times))])
+    rate[100] = 1e6
+    rows = [(s, at(s), NAMES, [0, 0, 0], [0, v, 0]) for s, v in zip(times, rate, strict=True)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_allclose(signals.wheels["left"].value, expected, atol=0.02)
+    assert any("the rotation jumps 2 times" in note for note in signals.notes)
+
+
+@pytest.mark.parametrize(("rate", "slip"), [(4.0, 6.0), (40_000.0, 0.0), (0.01, 0.0)])
+def test_what_wheels_do_is_no_jump(tmp_path, rate, slip):
+    """Also not a wheel that slips by less than a turn, readings in ticks, and one that hardly turns."""
+    times, angle = turning(rate=rate)
+    angle = angle + slip * (times > 5)
+    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, angle, strict=True)]
+    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    np.testing.assert_array_equal(signals.wheels["left"].value, angle)
+    assert not any("jumps" in note for note in signals.notes)
+
+
 @pytest.mark.parametrize("signed", [False, True])
 def test_a_counter_in_joint_states_wraps_at_its_width(tmp_path, signed):
     ticks = np.arange(65_000, 67_000, 40)

@@ -221,6 +221,26 @@ def test_the_camera_may_be_beside_the_head_link():
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.03, 0.06, -0.05])
 
 
+@pytest.mark.parametrize(
+    ("parent", "read", "head"),
+    [
+        ("tilt", True, "plate"),  # a third joint of the head
+        ("tilt", False, "tilt"),  # a bracket that is set by hand
+        ("base_link", True, "plate"),  # the tilt joint moves another camera
+    ],
+)
+def test_joints_behind_the_tilt_joint_and_beside_it(parent, read, head):
+    roll = (
+        f'<joint name="neck_roll" type="revolute"><parent link="{parent}"/><child link="plate"/>'
+        '<axis xyz="1 0 0"/></joint>'
+    )
+    urdf = AT_BASE.replace("</robot>", roll + CAMERA.format(kind="fixed", parent="plate"))
+    recorded = description(urdf=urdf, joint_names={"/joint_states": (*JOINTS, *["neck_roll"] * read)})
+    chain = resolve_rig(RigConfig(), recorded)[0].chain
+    assert chain.head_frame == head
+    assert ("neck_roll" in chain.joints) == read
+
+
 def test_a_tilt_joint_that_is_fixed_is_none_of_the_head_and_not_drafted():
     urdf = AT_BASE.replace('"head_tilt_joint" type="revolute"', '"head_tilt_joint" type="fixed"')
     recorded = description(urdf=urdf, joint_names={"/joint_states": (*JOINTS[:3], "arm_pan")})

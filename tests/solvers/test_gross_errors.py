@@ -5,8 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers.initial import linear_estimate
 from tests.bench.imperfect import ROBOTS, USUAL, Case, true_robot
 from tests.extractions import slipped
 from tests.truth import errors
@@ -20,6 +22,11 @@ def one_turn(extraction):
 
 def reset(extraction):
     return slipped(extraction, STATION, -300.0, -300.0)
+
+
+def early_reset(extraction):
+    """The linear method finds negative wheels, nearly nothing, which fit the one leg and no other."""
+    return slipped(extraction, 4, -300.0, -300.0)
 
 
 def misread(extraction):
@@ -46,6 +53,7 @@ def exchanged(extraction):
     [
         ("camera on the base", one_turn, {"slip"}),  # far images of one camera: no half of the legs is near
         ("pan-tilt", reset, {"slip"}),
+        ("pan-tilt", early_reset, {"slip"}),
         ("camera on pan-tilt", misread, {"joint"}),  # the reading as it was is no error of the calibration
         ("three cameras", exchanged, {"station"}),  # also of the first one, which only its leg holds
     ],
@@ -59,3 +67,11 @@ def test_it_is_left_out(name, spoil, kinds):
     assert {outlier.kind for outlier in solution.outliers if outlier.kind != "corners"} == kinds
     assert np.max(np.abs(errors(solution.parameters, robot)) / solution.uncertainty.std) < 4
     assert judge(solution, spoilt).level == "PASS"
+
+
+def test_a_jump_by_millions_of_turns_makes_no_second_solution():
+    """The linear method settles at wheels that differ by a percent, wherever it starts."""
+    extraction = Case("pan-tilt", 20).drawn(noise=USUAL).extraction(SEED)
+    pairs = dataset_of(slipped(extraction, 10, 2**32 * 2 * np.pi / 4096)).pairs
+    linear = linear_estimate(pairs, extraction.rig.nominal.wheels)
+    assert linear.rival_point_rms_m > 1.5 * linear.point_rms_m

@@ -35,6 +35,10 @@ _SLACK = 1e-3  # of a turn, by which rounded positions leave it
 #: Widths at which counters start again. They jump then by more than this many times their usual step, at most.
 _WIDTHS, _JUMP = (8, 16, 32), 5
 _MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider ones start again there, too
+#: Steps between two readings that are no motion: they are few, larger than a turn, and so many times as fast as all
+#: others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
+_JUMP_SHARE, _JUMP_SPEED = 0.01, 20.0
+_LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
 
 
 def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> Track:
@@ -55,14 +59,15 @@ def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> 
     elif jumps := _jumps_of_a_turn(time_ns, value, turn):
         notes.append(f"{position.label}: positions are wrapped to one turn; {jumps} jumps are undone")
         value = unwrap(time_ns, value, turn)
-    return Track(time_ns, value * _scale(source))
+    return without_jumps(position.label, Track(time_ns, value * _scale(source)), notes)
 
 
 def from_velocities(source: WheelSource, velocity: Samples, notes: list[str]) -> Track:
     """A wheel's track from velocities, rad/s or ticks/s, starting at zero."""
     time_ns, rate = velocity.ordered(notes)
     steps = np.diff(time_ns) * 1e-9 * (rate[1:, 0] + rate[:-1, 0]) / 2
-    return Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * _scale(source))
+    track = Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * _scale(source))
+    return without_jumps(velocity.label, track, notes)
 
 
 def _scale(source: WheelSource) -> float:
@@ -176,13 +181,46 @@ def unwrap(time_ns: IntArray, value: FloatArray, span: float) -> FloatArray:
     step, seconds = np.diff(value), np.diff(time_ns) * 1e-9
     expected = np.zeros(len(step))
     pauses = np.flatnonzero(seconds > PAUSE_S)
-    if len(pauses):
-        rate = (step - span * np.round(step / span)) / seconds
-        rate[pauses] = 0.0
-        ends = np.maximum(pauses - 1, 0), np.minimum(pauses + 1, len(step) - 1)
-        expected[pauses] = (rate[ends[0]] + rate[ends[1]]) / 2 * seconds[pauses]
+    expected[pauses] = _at_mean_rate(step - span * np.round(step / span), seconds, pauses)
     turns = np.round((expected - step) / span)
     return np.asarray(value + span * np.concatenate([[0.0], np.cumsum(turns)]), dtype=np.float64)
+
+
+def _at_mean_rate(step: FloatArray, seconds: FloatArray, unknown: IntArray) -> FloatArray:
+    """Unknown steps, (len(unknown),), at the mean of the known rates just before and just after them."""
+    known = np.setdiff1d(np.arange(len(step)), unknown)
+    if not len(known):
+        return np.zeros(len(unknown))
+    place = np.searchsorted(known, unknown)
+    ends = known[np.maximum(place - 1, 0)], known[np.minimum(place, len(known) - 1)]
+    before, after = (step[each] / seconds[each] for each in ends)
+    return np.asarray((before + after) / 2 * seconds[unknown], dtype=np.float64)
+
+
+def without_jumps(label: str, track: Track, notes: list[str]) -> Track:
+    """The track of a wheel, rad, with the mean rate before and after in place of jumps; notes where they are.
+
+    A driver that starts again jumps, and so does a position that is computed from a counter with an end.
+    """
+    step, seconds = np.diff(track.value), np.diff(track.time_ns) * 1e-9
+    speed = np.abs(step) / np.maximum(seconds, _LEAST_INTERVAL_S)
+    fastest = np.sort(speed)[::-1][: int(_JUMP_SHARE * len(speed)) + 1]
+    gaps = np.flatnonzero((fastest[1:] > 0) & (fastest[:-1] > _JUMP_SPEED * fastest[1:]))
+    if not len(gaps):
+        return track
+    jumps = np.flatnonzero((speed > fastest[gaps[-1] + 1]) & (np.abs(step) > _TURN))
+    if not len(jumps):
+        return track
+    first = jumps[0]
+    at_s = (track.time_ns[first] - track.time_ns[0]) * 1e-9
+    times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+    notes.append(
+        f"{label}: the rotation jumps {times} by {step[first]:.4g} rad, {at_s:.1f} s after the start, "
+        f"{speed[first] / fastest[gaps[-1] + 1]:.2g} times as fast as the wheel turns otherwise (a driver that started "
+        "again?); the mean speed before and after is used there"
+    )
+    step[jumps] = _at_mean_rate(step, seconds, jumps)
+    return Track(track.time_ns, track.value[0] + np.concatenate([[0.0], np.cumsum(step)]))
 
 
 def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray, turn: float) -> int:
@@ -247,7 +285,6 @@ _ASIDE_M, _ASIDE_SHARE = 0.1, 0.1
 _OFFSET_M = 0.01
 #: No robot in front of a checkerboard drives so fast; one whose positions are in millimeters seems to.
 _FAST_MPS = 20.0
-_LEAST_INTERVAL_S = 0.01  # stamps of a burst of messages say nothing about the speed
 
 
 class OdometryWheel(Source):
