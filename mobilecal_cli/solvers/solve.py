@@ -187,20 +187,19 @@ def _linear_start(
     Raises:
         SolveError: a mistake in all readings, or a negative radius or separation.
     """
-    pairs = inference.data.pairs
-    if not inference.full_motion:  # no sign check: an unobservable scale may have any sign
-        return _near_nominal(inference), None
-    linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
-    if not linear.parameters.wheels.positive and inference.nominal.wheels is not None:
+    pairs, full = inference.data.pairs, inference.full_motion
+    nominal = extraction.rig.nominal.wheels
+    linear = linear_estimate(pairs, nominal, start_ratios) if full else _near_nominal(inference)
+    if full and not linear.parameters.wheels.positive and nominal is not None:
         near = _near_nominal(inference)
         # Of most legs: one with a gross error decides on the mean.
         each_m = [float(np.median(leg_rms_m(pairs, each.parameters))) for each in (linear, near)]
         if near.parameters.wheels.positive and each_m[0] >= CLEARLY_BETTER * each_m[1]:
             linear = near
     distance_m = extraction.board_distance_m
-    if linear.point_rms_m < _BAD_SHARE * distance_m:
+    if full and linear.point_rms_m < _BAD_SHARE * distance_m:
         # Another unit of the wheels. Wider priors of squares and baseline would explain it, too.
-        other = other_wheels(linear.parameters.wheels, extraction.rig.nominal.wheels)
+        other = other_wheels(linear.parameters.wheels, nominal)
         if other is not None:
             raise _refused(other)
     refusal = None
@@ -214,7 +213,8 @@ def _linear_start(
         if known or not _converges(extraction, inference, near.parameters):
             raise refusal
         linear = near
-    _require_positive(linear.parameters.wheels)
+    if full:  # an unobservable scale may have any sign
+        _require_positive(linear.parameters.wheels)
     return linear, refusal
 
 
