@@ -13,7 +13,9 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
-_CONSISTENT_PX = 1.5  # reprojection error beyond which the images are wrong, not a joint or the wheels
+# Reprojection error over the focal length beyond which the images are wrong, not a joint or the wheels: of 120 robots
+# with cameras as far off as their priors, the largest has 0.006.
+_CONSISTENT_RAD = 0.0075
 _TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
 
 
@@ -54,7 +56,8 @@ class Readings:
     @property
     def consistent(self) -> bool:
         """Whether the images of a station fit camera_info, the board and one another."""
-        return self.reprojection_px < _CONSISTENT_PX
+        focal_px = self.rig.cameras.first.K[0, 0]
+        return self.reprojection_px < _CONSISTENT_RAD * float(focal_px)
 
     @property
     def legs(self) -> int:
