@@ -5,6 +5,7 @@ from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, 
 from mobilecal_cli.model.findings import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
+    WHEEL_NOISE,
     AtWork,
     BetweenLogs,
     Budget,

@@ -12,6 +12,8 @@ from mobilecal_cli.model.arrays import BoolArray, FloatArray, ReadOnly
 CONTRADICTION_SIGMAS = 4.0
 #: What moves the result by less does not matter: for example the cameras of a pair that warms up.
 MATERIAL_SIGMAS = 2.0
+#: Largest noise of wheels that is no fault, rad per sqrt(rad): twice that of usual floors.
+WHEEL_NOISE = 0.03
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,6 +22,7 @@ from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
+    WHEEL_NOISE,
     BoolArray,
     Diagnosis,
     Extraction,
@@ -340,7 +341,10 @@ def _refused(diagnosis: Diagnosis) -> SolveError:
 
 
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
-    """Whether corners and encoders do not explain the point error, or many stations of a recording have an outlier."""
+    """Whether known noise does not explain the point error, or many stations of a recording have an outlier.
+
+    Known are that of corners, the steps of the encoders, and the estimated noise of wheels where it is no fault.
+    """
     stations = Counter(o.log for o in extraction.observations)
     gross = Counter(outlier.log for outlier in solution.outliers if outlier.kind != "corners")
     distance_m = extraction.board_distance_m
@@ -350,7 +354,11 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
         float(right_m + left_m) / solution.parameters.wheels.separation_m
     )  # heading by one step of each wheel
     error_m = max(_BAD_SHARE, step_rad) * distance_m
-    misfits = solution.point_rms_m**2 - of_corners_m**2 > error_m**2
+    of_wheels_m = 0.0
+    if solution.uncertainty is not None and "wheels" in solution.error_parts:
+        level = solution.uncertainty.noise.wheel_rad_per_sqrt_rad
+        of_wheels_m = min(1.0, WHEEL_NOISE / level) * solution.error_parts["wheels"].m
+    misfits = solution.point_rms_m**2 - of_corners_m**2 - of_wheels_m**2 > error_m**2
     return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 
 

@@ -12,7 +12,7 @@ from tests.bench.study import Study, conditions
 
 STUDIES = (
     *("table1", "samples", "fleet", "memory", "large", "real_pairs", "wheels_alone"),
-    *("drawn", "configurations", "used", "odometry", "one_thing", "correlated", "jumps", "invariance", "physics"),
+    *("drawn", "configurations", "geometry", "used", "odometry", "one_thing", "correlated", "jumps", "invariance", "physics"),
     *("degenerate", "moving", "monte_carlo", "robust"),  # robots exactly as described
 )  # fmt: skip
 
