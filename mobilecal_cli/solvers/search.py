@@ -62,7 +62,7 @@ _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from 
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
 _SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
 # A focal length is another one if the images show it so many standard deviations and by such a factor away: the
-# likelihood estimates what is nearer, and names it. The distortion is that of the focal length: some rounds settle it.
+# likelihood estimates what is nearer, and names it. The distortion changes with the focal length: some rounds converge.
 _FOCAL_SIGMAS, _FOCAL_FACTOR, _FOCAL_ROUNDS = 10.0, 1.25, 5
 
 
