@@ -132,10 +132,17 @@ def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
     camera = cameras.each[cameras.names.index(name)]
     height, width = picture.shape
     if (width, height) != (camera.width, camera.height):
+        cure = "calibrate the cameras at the recorded size, or set binning and roi in camera_info"
+        if camera.width > width and camera.width * height == camera.height * width:
+            times = f"{camera.width / width:.3g}"
+            cure = (
+                f"the camera_info is that of images {times} times as large: record the one of this size, or set "
+                f"binning_x and binning_y to {times} in it, if the images were scaled down"
+            )
         raise RecordingError(
             f"the {name} images are {width} x {height} pixels, but their camera_info states "
             f"{camera.width} x {camera.height}",
-            "calibrate the cameras at the recorded size, or set binning and roi in camera_info",
+            cure,
         )
 
 

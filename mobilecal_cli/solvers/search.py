@@ -13,10 +13,20 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.camera import undistorted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import Diagnosis, Extraction, FloatArray, IntArray, Parameters, Rig, WheelGeometry
+from mobilecal_cli.model import (
+    Camera,
+    Diagnosis,
+    Extraction,
+    FloatArray,
+    IntArray,
+    Parameters,
+    Rig,
+    WheelGeometry,
+)
 from mobilecal_cli.solvers.hypotheses import (
     FREE,
     FROZEN,
@@ -50,6 +60,9 @@ _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
 _SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
+# A focal length is another one if the images show it so many standard deviations and by such a factor away: the
+# likelihood estimates what is nearer, and names it. The distortion changes with the focal length: some rounds converge.
+_FOCAL_SIGMAS, _FOCAL_FACTOR, _FOCAL_ROUNDS = 10.0, 1.25, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +126,7 @@ class Search:
         at_rest = _same_view(self._readings)
         if at_rest is None and self._as_is is not None and self._fits:
             return other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
-        return at_rest or self._named(self._readings, WHOLE)
+        return at_rest or self._named(self._readings, WHOLE) or other_focal_lengths(self.extraction)
 
     @cached_property
     def diagnosis(self) -> Diagnosis | None:
@@ -400,3 +413,66 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
         None,
         None,
     )
+
+
+def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
+    """A camera whose images of the board alone show focal lengths that are far from those of its camera_info."""
+    cameras = extraction.rig.cameras
+    for number, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True)):
+        views = [o.views[number] for o in extraction.observations]
+        whole = [view.pixels for view in views if view.seen.all()]
+        factor, sigma = _focal_factor(camera, np.array(whole), extraction.board.grid().reshape(-1, 3)[:, :2])
+        away = max(factor, 1 / factor)
+        if away > _FOCAL_FACTOR and away - 1 > _FOCAL_SIGMAS * sigma * away:
+            return Diagnosis(
+                f"the images of the {name} camera show focal lengths of about {factor:.2g} times those in camera_info, "
+                "which belongs to another resolution or zoom",
+                "record the camera_info of these images, or calibrate the camera with them",
+                None,
+                None,
+            )
+    return None
+
+
+def _focal_factor(camera: Camera, pixels: FloatArray, grid: FloatArray) -> tuple[float, float]:
+    """Focal lengths that images of a board show, over the stated ones, and the relative standard deviation.
+
+    Each homography from the board has orthogonal columns of equal length in coordinates at z = 1 (Zhang 2000).
+
+    Args:
+        camera: principal point, aspect and distortion are used as stated.
+        pixels: (n, M, 2) px.
+        grid: (M, 2) corners on the board, in any unit.
+    """
+    if len(pixels) < FEWEST_STATIONS:
+        return 1.0, math.inf
+    centered = grid - grid.mean(axis=0)
+    plane = np.insert(centered / np.abs(centered).max(), 2, 1.0, axis=1)
+    factor, sigma = 1.0, math.inf
+    for _ in range(_FOCAL_ROUNDS):
+        K = camera.K * (1 + (factor - 1) * np.diag([1.0, 1.0, 0.0]))
+        H = _homographies(plane, undistorted(replace(camera, K=K), pixels)[0])
+        across, ahead = H[:, :2, :2], H[:, 2, :2]
+        # across^T across / f^2 + ahead ahead^T is a multiple of the unit matrix, with f over that of K.
+        of_f, rest = (
+            np.concatenate([M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1]])
+            for M in (np.swapaxes(across, 1, 2) @ across, ahead[:, :, None] * ahead[:, None])
+        )
+        information = float(of_f @ of_f)
+        inverse_square = -float(of_f @ rest) / information
+        if inverse_square <= 0:
+            return 1.0, math.inf
+        errors = of_f * inverse_square + rest
+        factor /= math.sqrt(inverse_square)
+        sigma = math.sqrt(float(np.mean(errors**2)) / information) / (2 * inverse_square)
+    return factor, sigma
+
+
+def _homographies(plane: FloatArray, seen: FloatArray) -> FloatArray:
+    """(n, 3, 3) homographies from (M, 3) points of a plane to (n, M, 2) images, with 1 in the last place (DLT)."""
+    points = np.broadcast_to(plane, (*seen.shape[:2], 3))
+    zero = np.zeros_like(points)
+    along_x = np.concatenate([points, zero, -points * seen[..., :1]], axis=2)
+    along_y = np.concatenate([zero, points, -points * seen[..., 1:]], axis=2)
+    H = np.linalg.svd(np.concatenate([along_x, along_y], axis=1), full_matrices=False)[2][:, -1]
+    return np.asarray((H / H[:, -1:]).reshape(-1, 3, 3), dtype=np.float64)

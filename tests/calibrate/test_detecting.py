@@ -157,3 +157,13 @@ def test_another_board_at_the_first_stations_is_not_the_board(sample_logs, tmp_p
     extraction, _ = extract([log], load_rig(None))
     assert (extraction.board.columns, extraction.board.rows) == (9, 6)
     assert len(extraction.observations) == 9
+
+
+@pytest.mark.parametrize(("scale", "said"), [(2, "images 2 times as large"), (0.5, "at the recorded size")])
+def test_images_of_another_resolution_than_camera_info(scale, said):
+    cameras = stereo_rig()
+    camera = cameras.each[0]
+    picture = np.zeros((round(camera.height / scale), round(camera.width / scale)), np.uint8)
+    with pytest.raises(RecordingError, match="pixels, but their camera_info states") as refused:
+        detecting.check_picture(picture, cameras.names[0], cameras)
+    assert said in refused.value.hint

@@ -15,7 +15,7 @@ from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
-from mobilecal_cli.solvers.search import Search
+from mobilecal_cli.solvers.search import Search, other_focal_lengths
 from tests.extractions import Noise, joined, simulated
 from tests.hostile import meaning
 from tests.hostile.meaning import PAN, WRONG, both, from_middle, joints, late, late_joints, same, wheels
@@ -61,6 +61,27 @@ def said_of(extraction):
     except SolveError as error:
         return error.message
     return verdict.reason if verdict.level == "FAIL" else verdict.level
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 3.0])
+def test_a_camera_info_of_another_resolution_is_named(factor):
+    """The images of the board show the focal lengths, whatever the robot does."""
+    said = said_of(meaning.focal(factor, factor)(meaning.recorded()))
+    assert re.search(
+        f"focal lengths of about {1 / factor:.2g} times those in camera_info|focal length differs", said
+    )
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
+def test_focal_lengths_that_the_likelihood_estimates_are_not_named(factor):
+    assert other_focal_lengths(meaning.focal(factor, factor)(meaning.recorded())) is None
+
+
+@pytest.mark.long
+def test_images_of_half_the_resolution_belong_to_another_camera_info():
+    """The principal point is wrong, too, and so is the number."""
+    diagnosis = Search(WRONG["images of half the resolution"].change(meaning.recorded())).diagnosis
+    assert "those in camera_info, which belongs to another resolution" in diagnosis.cause
 
 
 def both_late(seconds):
@@ -303,7 +324,6 @@ def test_nothing_is_named_for_what_no_hypothesis_explains(name):
         ("right images of the previous station", 18),
         pytest.param("right images of the next station", 18, marks=pytest.mark.long),
         pytest.param("infos of left and right exchanged", 18, marks=pytest.mark.long),
-        pytest.param("images of half the resolution", 5.0, marks=pytest.mark.long),
     ],
 )
 def test_images_of_a_station_that_do_not_show_one_board(name, px):
