@@ -86,7 +86,7 @@ _Dictionary = Literal[
 class BoardConfig(_Section):
     """The board. Counts are inner corners (aprilgrid: tags)."""
 
-    example: ClassVar[str] = "{columns: 9, rows: 6, square_m: 0.08}"
+    example: ClassVar[str] = "columns: 9\nrows: 6\nsquare_m: 0.08"
 
     kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")

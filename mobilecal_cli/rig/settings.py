@@ -44,7 +44,8 @@ def pose_settings(T: FloatArray) -> dict[str, Any]:
     }
 
 
-def _link(link: FixedLink | JointLink) -> dict[str, Any]:
+def link_settings(link: FixedLink | JointLink) -> dict[str, Any]:
+    """A link of the head chain as rig.yaml states it."""
     if isinstance(link, FixedLink):
         T = link.T_parent_child
         return {"xyz_m": _floats(T[:3, 3]), "rpy_rad": _floats(se3.to_rpy(T[:3, :3]))}
@@ -59,7 +60,8 @@ def _camera(rig: Rig, name: str) -> dict[str, Any]:
     return settings
 
 
-def _wheel(source: WheelSource) -> dict[str, Any]:
+def wheel_settings(source: WheelSource) -> dict[str, Any]:
+    """The wheels of a side as rig.yaml states them; of odometry, the wheels that it was made with."""
     parts = [asdict(part) for part in source.every]
     settings = parts[0]
     assumed, share = settings.pop("assumed"), settings.pop("separation_share")
@@ -108,11 +110,11 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "tilt": rig.chain.tilt,
             **({"elsewhere": elsewhere} if elsewhere else {}),
         },
-        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in SIDES},
+        "wheels": {side: wheel_settings(rig.sources.wheels[side]) for side in SIDES},
         "head": {
             "base_frame": rig.chain.base_frame,
             "head_frame": rig.chain.head_frame,
-            "chain": [_link(link) for link in rig.chain.links],
+            "chain": [link_settings(link) for link in rig.chain.links],
         },
         "setting_sources": dict(rig.setting_sources),
     }
