@@ -40,6 +40,7 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    RobotDescription,
     Snapshot,
     Track,
     WheelTrack,
@@ -73,19 +74,25 @@ WORTH_BYTES = 2**26
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
 
-def describe(recording: Recording, config: RigConfig, joints_too: bool = False) -> Survey:
+def describe(
+    recording: Recording, config: RigConfig, joints_too: bool = False, earlier: RobotDescription | None = None
+) -> Survey:
     """What the description of a recording and a configuration determine.
 
     Numbers in other messages are read only if no wheel is known without them.
 
     Args:
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
+        earlier: of another recording of the robot, whose URDF is used if this one contains none.
 
     Raises:
         RecordingError: the recording is empty.
         ConfigError: the URDF that the configuration names cannot be read.
     """
     description = read_description(recording)
+    if earlier is not None and not description.urdfs and earlier.urdfs:
+        description = replace(description, urdfs=earlier.urdfs)
+        recording.note("the recording contains no URDF; that of an earlier one is used")
     survey = None if needs_numbers(config, description) else survey_rig(config, description)
     if survey is None or (joints_too and survey.lacks):
         others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
@@ -103,6 +110,7 @@ class ExtractedLog:
     """Data extracted from one log: a recording, or a piece of it between steps of its clocks."""
 
     name: str
+    description: RobotDescription
     rig: Rig
     board: Board
     plan: Plan
@@ -122,7 +130,7 @@ def _extracted(
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    survey = describe(recording, config)
+    survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
     everything = config.stations == "all"
     if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
@@ -175,7 +183,9 @@ def _extracted(
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
-        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, (*notes, *misfit)))
+        logs.append(
+            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, (*notes, *misfit))
+        )
     return logs
 
 

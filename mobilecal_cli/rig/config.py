@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import reprlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
@@ -26,7 +26,7 @@ from pydantic import (
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
 from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry
 
 #: Ten times the size of a URDF with thousands of links.
@@ -467,7 +467,10 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     Raises:
         ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
     """
-    data: dict[str, Any] = {} if path is None else _read_yaml(path)
+    data: dict[str, Any] = {}
+    if path is not None:
+        text = read_text(path, LARGEST_BYTES, "check the path of the configuration")
+        data = mapping_of(text, str(path), "compare with the draft that mobilecal init LOG writes")
     given = {key: value for key, value in (flags or {}).items() if value is not None}
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots
@@ -533,43 +536,26 @@ def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
         yield prefix
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        data = load_yaml(read_text(path, LARGEST_BYTES))
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}", "check the path of the configuration"
-        ) from error
-    except ValueError as error:
-        where = " ".join(str(error).split())
-        raise ConfigError(
-            f"{path}: not valid YAML: {where}", "correct the syntax, or write a draft with mobilecal init LOG"
-        ) from error
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise ConfigError(
-            f"{path}: the top level is a {type(data).__name__}, not a mapping of keys",
-            "compare with the draft that mobilecal init LOG writes",
-        )
-    return data
-
-
-def parse_setting(text: str) -> tuple[str, Any]:
-    """Dotted key, and value read as YAML, of one `--set KEY=VALUE`.
+def parse_settings(texts: Iterable[str]) -> dict[str, Any]:
+    """Dotted keys, and values read as YAML, of `--set KEY=VALUE`.
 
     Raises:
-        ConfigError: no "=", or a value that is not YAML.
+        ConfigError: no "=", a value that is empty or not YAML, or a key that is given twice.
     """
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        raise ConfigError(
-            f"--set {text}: not KEY=VALUE", "write KEY=VALUE, for example --set wheels.left.sign=-1"
-        )
-    try:
-        return key, load_yaml(value)
-    except ValueError as error:
-        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
+    settings: dict[str, Any] = {}
+    for text in texts:
+        key, _, written = text.partition("=")
+        try:
+            value = load_yaml(written)
+        except ValueError as error:
+            raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
+        if not key or value is None:
+            example = "write KEY=VALUE, for example --set wheels.left.sign=-1; leave it out for the default"
+            raise ConfigError(f"--set {text}: not KEY=VALUE", example)
+        if key in settings:
+            raise ConfigError(f"--set {key}: given twice, as {settings[key]!r} and {value!r}", "give it once")
+        settings[key] = value
+    return settings
 
 
 def read_urdf(config: RigConfig) -> str | None:
@@ -578,14 +564,8 @@ def read_urdf(config: RigConfig) -> str | None:
     Raises:
         ConfigError: the file cannot be read.
     """
-    if config.head.urdf is None:
-        return None
-    try:
-        return read_text(config.head.urdf, LARGEST_URDF_BYTES)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"head.urdf: {config.head.urdf} cannot be read: {reason_of(error)}", "check the path"
-        ) from error
+    urdf = config.head.urdf
+    return None if urdf is None else read_text(urdf, LARGEST_URDF_BYTES, "check the path of head.urdf")
 
 
 def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
@@ -614,7 +594,10 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     section: type[BaseModel] = RigConfig
     for part in location:  # or a number, or a key of a mapping, such as a joint's name
         field = section.model_fields.get(str(part))
-        section = (field and _section_of(field.annotation, inside=True)) or section
+        if field is not None:
+            section = _section_of(field.annotation, inside=True) or section
+        elif section is CamerasConfig:
+            section = CameraTopics
     return list(section.model_fields)
 
 

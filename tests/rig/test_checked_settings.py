@@ -67,7 +67,7 @@ CASES = {
     "separation": (nominal(0.1, 0.1, 0.0), "nominal.wheels.separation_m: must be from 0.01 to 100 m"),
     "position": (nominal(T=far(300.0)), "nominal.head_eye.translation_m.0: must be from -20 to 20 m"),
     "square": (lambda e: replace(e, board=replace(e.board, square_m=-0.1)), "board.square_m: must be from"),
-    "corners": (lambda e: replace(e, board=replace(e.board, columns=0)), "board.columns: Input should be"),
+    "corners": (lambda e: replace(e, board=replace(e.board, columns=0)), "board.columns: must be"),
     "ticks": (ticks(0.5), "wheels.left.ticks_per_revolution: must be from 1 to"),
 }
 

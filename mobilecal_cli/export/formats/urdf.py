@@ -13,7 +13,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Format, Request, frame_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
-from mobilecal_cli.files.reading import read_bytes, reason_of
+from mobilecal_cli.files.reading import read_bytes
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
 from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
@@ -55,11 +55,7 @@ class UrdfFormat(Format):
             chain = improved_chain(asked.measurements().rig, robot.constants)
         if path is None:
             raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
-        try:
-            content = read_bytes(path, LARGEST_URDF_BYTES)
-        except (OSError, ValueError) as error:
-            hint = "check the path after --urdf"
-            raise ConfigError(f"{path}: cannot be read: {reason_of(error)}", hint) from error
+        content = read_bytes(path, LARGEST_URDF_BYTES, "check the path after --urdf")
         patched = patched_urdf(content, robot, joints, chain)
         notes = patched.notes
         if chain is None and robot.constants:
