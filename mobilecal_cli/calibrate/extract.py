@@ -169,11 +169,7 @@ def _extracted(
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
-            raise ObservationError(
-                f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
-                f"{size[0]} x {size[1]}",
-                f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
-            )
+            raise other_size(board, size)
     progress("measuring", 0, None)
     notes = (*survey.notes, *plan_notes, *recording.damage)
     logs = []
@@ -187,6 +183,15 @@ def _extracted(
             ExtractedLog(name, survey.description, rig, board, plan, detections, measured, (*notes, *misfit))
         )
     return logs
+
+
+def other_size(board: Board, size: tuple[int, int]) -> ObservationError:
+    """The error for a configured board that is not the one in the images."""
+    return ObservationError(
+        f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+        f"{size[0]} x {size[1]}",
+        f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+    )
 
 
 def board_of(config: RigConfig) -> Board | None:
