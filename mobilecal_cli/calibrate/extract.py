@@ -154,7 +154,7 @@ def _extracted(
                 "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    detected = workers.detect_all(rig, board, plans, not everything, progress)
+    detected = workers.detect_all(rig, board, plans, not everything, progress, len(earlier))
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -170,11 +170,10 @@ def _extracted(
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
             raise other_size(board, size)
-    progress("measuring", 0, None)
     notes = (*survey.notes, *plan_notes, *recording.damage)
     logs = []
-    for number, (plan, detections) in enumerate(zip(plans, detected, strict=True), len(earlier)):
-        measured = workers.measure_stations(number, rig.cameras, board, plan.stations, detections)
+    for plan, detections in zip(plans, detected, strict=True):
+        measured = [station.measured for station in detections]
         check_arrangement(measured, first_pairs(plan.stations, detections, rig.cameras), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
