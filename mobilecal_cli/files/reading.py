@@ -73,8 +73,10 @@ def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> 
             raise OSError(errno.EINVAL, "not a regular file")
         with path.open("rb") as stream:
             data = stream.read(largest_bytes + 1)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}", hint) from error
+    except (OSError, ValueError) as error:  # a path with a zero byte is a wrong value
+        raise ConfigError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", hint
+        ) from error
     if len(data) > largest_bytes:
         raise ConfigError(f"{path}: larger than {largest_bytes} bytes", hint)
     return data

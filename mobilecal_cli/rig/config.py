@@ -27,7 +27,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
-from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry
+from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry, WheelSource
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -58,29 +58,8 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-_Dictionary = Literal[
-    "DICT_4X4_50",
-    "DICT_4X4_100",
-    "DICT_4X4_250",
-    "DICT_4X4_1000",
-    "DICT_5X5_50",
-    "DICT_5X5_100",
-    "DICT_5X5_250",
-    "DICT_5X5_1000",
-    "DICT_6X6_50",
-    "DICT_6X6_100",
-    "DICT_6X6_250",
-    "DICT_6X6_1000",
-    "DICT_7X7_50",
-    "DICT_7X7_100",
-    "DICT_7X7_250",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5",
-    "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11",
-]
+#: Marker families of OpenCV.
+_FAMILY = r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL|APRILTAG_(16h5|25h9|36h10|36h11))$"
 
 
 class BoardConfig(_Section):
@@ -95,7 +74,9 @@ class BoardConfig(_Section):
         None,
         description="side of a square (of a tag), m; measured by the stereo pair if not given, needed without one",
     )
-    dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
+    dictionary: str | None = Field(
+        None, pattern=_FAMILY, description="marker dictionary, by its name in OpenCV"
+    )
     marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
     gap_share: float | None = Field(None, ge=0, le=2, description="aprilgrid: gap between tags / tag side")
     first_id: int = Field(0, ge=0, le=10_000, description="id of the first marker")
@@ -276,14 +257,19 @@ class WheelConfig(_Section):
         return self
 
     @property
-    def parts(self) -> tuple[WheelConfig, ...]:
-        """The wheels of the side, each by itself, with a `joint` or a `field`; none if the side names none."""
-        kind, one = ("joint", self.joint) if self.joint or self.joints else ("field", self.field)
-        names = self.joints or self.fields or ((one,) if one else ())
-        several = {"joint": None, "joints": (), "field": None, "fields": (), "topics": (), "signs": ()}
-        topics, signs = self.topics or (self.topic,) * len(names), self.signs or (self.sign,) * len(names)
+    def sources(self) -> tuple[WheelSource, ...]:
+        """The wheels of the side, each by itself, with a `joint` or a `field`; a topic that is not stated is ""."""
+        joints = (self.joint,) if self.joint else self.joints
+        names = joints or ((self.field,) if self.field else self.fields)
+        topics, signs = (
+            self.topics or (self.topic or "",) * len(names),
+            self.signs or (self.sign,) * len(names),
+        )
+        count = self.ticks_per_revolution, self.bits
         return tuple(
-            self.model_copy(update=several | {kind: name, "topic": topic, "sign": sign})
+            WheelSource(topic, name, None, *count, sign)
+            if joints
+            else WheelSource(topic, None, name, *count, sign)
             for name, topic, sign in zip(names, topics, signs, strict=True)
         )
 

@@ -324,7 +324,7 @@ def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadCh
                 f"joints.fields: {joint!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
                 f"joints of the chain: {listed(chain.joints)}",
             )
-        require_topic("joints.fields", source.topic, description)
+        require_topic("joints.fields", source.topic, (info.name for info in description.topics))
         scale = math.radians(1) if source.unit == "deg" else 1.0
         fields[joint] = JointField(source.topic, source.field, scale)
     return fields
@@ -358,11 +358,8 @@ def joint_topics(
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
     topic = config.joints.topic
-    if topic is not None and topic not in description.joint_names:
-        raise RecordingError(
-            f"joints.topic: {topic} contains no joint states in this recording",
-            f"joint-state topics present: {listed(description.joint_names)}",
-        )
+    if topic is not None:
+        require_topic("joints.topic", topic, description.joint_names, "joint states")
     names = {topic: description.joint_names[topic]} if topic is not None else description.joint_names
     for joint in [name for name in chain.joints if name not in elsewhere]:
         if not any(joint in present for present in names.values()):

@@ -12,7 +12,6 @@ from mobilecal_cli.model import (
     CameraRig,
     JointField,
     JointTransform,
-    KnownNoise,
     Nominal,
     Rig,
     RobotDescription,
@@ -27,7 +26,6 @@ from mobilecal_cli.rig.cameras import (
     image_topics,
     info_topic,
     is_rectified,
-    note_on_choice,
     optical_frame,
 )
 from mobilecal_cli.rig.config import RigConfig, read_urdf
@@ -125,7 +123,7 @@ def complete_rig(survey: Survey) -> Rig:
         nominal,
         sources,
         {what: config.source_of(key) or otherwise for what, key, otherwise in rows},
-        KnownNoise(**config.noise.model_dump()),
+        config.noise.model_dump(exclude_none=True),
         prior_sigmas(config.priors, cameras, chain),
     )
 
@@ -159,7 +157,6 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             topics |= {name: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(next(iter(images.values()))) if told is None else told
-        notes = note_on_choice(images, config, of_robot)
     infos = {name: of_robot.infos[topic] for name, topic in topics.items()}
     infos = {
         # Some drivers name the optical frame in the images only.

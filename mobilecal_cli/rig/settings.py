@@ -124,8 +124,8 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
         settings.setdefault("nominal", {})["head_eye"] = pose_settings(nominal.T_h_reference)
-    if rig.noise.given:
-        settings["noise"] = rig.noise.given
+    if rig.noise:
+        settings["noise"] = dict(rig.noise)
     if rig.prior_sigmas:
         settings["priors"] = shown_priors(rig.prior_sigmas, rig.cameras, rig.chain)
     return settings
@@ -223,7 +223,7 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     rig, given = extraction.rig, config.flags
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
-    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
+    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise={**rig.noise, **levels})
     if config.cameras.reference is not None and "cameras.reference" in given:
         rig = _seen_from(rig, config.cameras.reference)
     if any(key.startswith("nominal") for key in given):

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request, frame_note
+from mobilecal_cli.export.formats import Exported, Source, frame_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.files.reading import read_bytes
@@ -32,46 +33,44 @@ _WHEELS = [
 _DEEPEST = len(_WHEELS[0])
 
 
-class UrdfFormat(Format):
+def export(
+    of: Source, wheel_joints: Mapping[Side, str], urdf: Path | None = None, with_chain: bool = False
+) -> Exported:
     """`--urdf FILE` with updated camera joint, wheel joints and wheel radii, with `--with-chain` also with the
     estimated origins and axes of the head joints; all other bytes are unchanged
     """
-
-    options = frozenset({"--urdf", "--left-joint", "--right-joint", "--with-chain"})
-
-    def export(self, asked: Request) -> Exported:
-        robot, path, chain, kept = asked.robot, asked.urdf, None, ""
-        if robot.odometry is not None:
-            kept = "factors of odometry belong into the controller"
-        elif robot.side_joints:
-            kept = "the effective separation belongs into the controller"
-        joints = {} if kept else asked.joints
-        if asked.with_chain:
-            if robot.constants is None:
-                raise ConfigError(
-                    f"{asked.params}: the head chain was not estimated",
-                    "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
-                )
-            chain = improved_chain(asked.measurements().rig, robot.constants)
-        if path is None:
-            raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
-        content = read_bytes(path, LARGEST_URDF_BYTES, "check the path after --urdf")
-        patched = patched_urdf(content, robot, joints, chain)
-        notes = patched.notes
-        if chain is None and robot.constants:
-            notes += (
-                "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+    robot, chain, kept = of.robot, None, ""
+    if robot.odometry is not None:
+        kept = "factors of odometry belong into the controller"
+    elif robot.side_joints:
+        kept = "the effective separation belongs into the controller"
+    joints = {} if kept else wheel_joints
+    if with_chain:
+        if robot.constants is None:
+            raise ConfigError(
+                f"{of.params}: the head chain was not estimated",
+                "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
             )
-        if robot.rectified:
-            notes += (frame_note(robot),)
-        missing = " and ".join(side for side in SIDES if side not in joints)
-        if kept:
-            notes += (f"The wheels are unchanged: {kept}.",)
-        elif missing:
-            notes += (
-                f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
-            )
-        return Exported(patched.content, notes)
+        chain = improved_chain(of.measurements().rig, robot.constants)
+    if urdf is None:
+        raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
+    content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf")
+    patched = patched_urdf(content, robot, joints, chain)
+    notes = patched.notes
+    if chain is None and robot.constants:
+        notes += (
+            "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+        )
+    if robot.rectified:
+        notes += (frame_note(robot),)
+    missing = " and ".join(side for side in SIDES if side not in joints)
+    if kept:
+        notes += (f"The wheels are unchanged: {kept}.",)
+    elif missing:
+        notes += (
+            f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
+        )
+    return Exported(patched.content, notes)
 
 
 #: First byte of a start tag, whose attributes may change or which gets a child element, and the byte after it.
