@@ -190,12 +190,13 @@ def _with_counters(
     types = {topic.name: topic.type for topic in description.topics}
     shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
     whole = tick_counters(sets)
+    instead = "; or set wheels.odometry" if ODOMETRY in types.values() else ""
     if len(sets) > 1 or not whole:
         raise RecordingError(
             f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
             if len(sets) > 1
             else f"no joint is named as a wheel; {shown[0]} may be, but in an unknown unit",
-            "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml, or wheels.odometry",
+            f"set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml{instead}",
         )
     completed: dict[Side, WheelConfig] = {}
     for side, wheel in wheels.items():
@@ -206,7 +207,7 @@ def _with_counters(
             raise RecordingError(
                 f"{shown[0]}: tick counters; their steps per turn of the wheel are not in the recording",
                 "count them (encoder steps times gear ratio) and add to rig.yaml: "
-                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}; or set wheels.odometry",
+                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}" + instead,
             )
         keys = {
             "topics": tuple(number.topic for number in numbers),
