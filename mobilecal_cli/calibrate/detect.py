@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mobilecal_cli.calibrate import Progress
+from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
@@ -299,66 +299,57 @@ def _one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-class DetectionWorkers(Processes):
-    """Worker processes that detect the board in the images of a long recording.
+def detect_all(
+    recording: Recording,
+    rig: Rig,
+    board: Board,
+    plans: Sequence[Plan],
+    thorough: bool = True,
+    jobs: int = 1,
+    progress: Progress = silent,
+    first: int = 0,
+) -> list[list[StationDetections]]:
+    """The board at all stations of a recording: for each of its logs, one `StationDetections` per station.
 
-    If they cannot be started, or one dies, this process does the remaining segments.
+    Worker processes do the segments of a long recording. If they cannot be started, or one dies, this process does the
+    remaining ones.
+
+    Args:
+        plans: stations of each log.
+        thorough: see `vision.detect`.
+        jobs: most worker processes.
+        progress: receives the number of images.
+        first: number of the first log.
     """
+    segments = [each for log, plan in enumerate(plans, first) for each in segments_of(log, plan, thorough)]
+    shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
+    total = sum(len(shot.taken_ns) for shot in shots)
+    searched = 0
 
-    def __init__(self, recording: Recording, jobs: int) -> None:
-        super().__init__()
-        self._recording, self._jobs = recording, jobs
+    def count(images: int) -> None:
+        nonlocal searched
+        searched += images
+        progress("detecting the board", searched, total)
 
-    def call(self, most: int | None = None) -> None:
-        """Start the worker processes in the background, at most `most`, if more than one may be used."""
-        processes = min(self._jobs, self._jobs if most is None else most)
-        if not self.started and processes > 1:
-            self.start(processes, _begin, [part.opened for part in self._recording.parts])
-
-    def detect_all(
-        self,
-        rig: Rig,
-        board: Board,
-        plans: Sequence[Plan],
-        thorough: bool,
-        progress: Progress,
-        first: int = 0,
-    ) -> list[list[StationDetections]]:
-        """The board at all stations of a recording: for each of its logs, one `StationDetections` per station.
-
-        A few segments are processed without the workers. For `thorough`, see `vision.detect`; `first` is the number of
-        the first log.
-        """
-        segments = [
-            each for log, plan in enumerate(plans, first) for each in segments_of(log, plan, thorough)
-        ]
-        shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
-        total = sum(len(shot.taken_ns) for shot in shots)
-        searched = 0
-
-        def count(images: int) -> None:
-            nonlocal searched
-            searched += images
-            progress("detecting the board", searched, total)
-
-        detections: list[StationDetections] = []
-        waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-        done, ahead = 0, iter(segments)
-        with _one_thread():
-            self.call(len(segments) // 2)
-            while self.started and 1 < len(segments) > done:
-                try:
-                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
-                        waiting.append(self.submit(_detect, rig, board, segment))
-                    detected, damage = waiting.popleft()()
-                except FAILED:
-                    break
-                for note in damage:
-                    self._recording.note(note)
-                count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
-                detections += detected
-                done += 1
-            for segment in segments[done:]:
-                detections += detect_segment(self._recording, rig, board, segment, count)
-        in_order = iter(detections)
-        return [list(islice(in_order, len(plan.stations))) for plan in plans]
+    detections: list[StationDetections] = []
+    waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+    done, ahead, processes = 0, iter(segments), min(jobs, len(segments) // 2)
+    with _one_thread(), Processes() as workers:
+        if processes > 1:
+            workers.start(processes, _begin, [part.opened for part in recording.parts])
+        while workers.started and len(segments) > done:
+            try:
+                for segment in islice(ahead, _AHEAD * processes - len(waiting)):
+                    waiting.append(workers.submit(_detect, rig, board, segment))
+                detected, damage = waiting.popleft()()
+            except FAILED:
+                break
+            for note in damage:
+                recording.note(note)
+            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+            detections += detected
+            done += 1
+        for segment in segments[done:]:
+            detections += detect_segment(recording, rig, board, segment, count)
+    in_order = iter(detections)
+    return [list(islice(in_order, len(plan.stations))) for plan in plans]

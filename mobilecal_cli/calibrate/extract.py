@@ -13,9 +13,9 @@ import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.detect import (
-    DetectionWorkers,
     StationDetections,
     board_size,
+    detect_all,
     first_pairs,
     plan_recording,
     undecodable,
@@ -68,8 +68,6 @@ from mobilecal_cli.vision import (
     resolve_square,
 )
 
-#: With so many bytes of images, all of them used, worker processes start before the images are read.
-WORTH_BYTES = 2**26
 #: Types that are read by their meaning, not by field paths.
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
@@ -122,9 +120,9 @@ class ExtractedLog:
 def _extracted(
     earlier: Sequence[ExtractedLog],
     recording: Recording,
-    workers: DetectionWorkers,
     config: RigConfig,
     progress: Progress,
+    jobs: int,
 ) -> list[ExtractedLog]:
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
@@ -133,8 +131,6 @@ def _extracted(
     survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
     everything = config.stations == "all"
-    if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
-        workers.call()
     plans, infos, plan_notes = plan_recording(recording, rig, everything)
     if infos:
         description = survey.description
@@ -154,7 +150,7 @@ def _extracted(
                 "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    detected = workers.detect_all(rig, board, plans, not everything, progress, len(earlier))
+    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -227,9 +223,8 @@ def extract(
         with (
             _named(parts[0], several=len(recordings) > 1),
             open_recording(parts) as recording,
-            DetectionWorkers(recording, jobs) as workers,
         ):
-            pieces = _extracted(extracted, recording, workers, config, progress)
+            pieces = _extracted(extracted, recording, config, progress, jobs)
         first, new = (extracted or pieces)[0], pieces[0]
         if new.rig.chain.joints != first.rig.chain.joints:
             raise ConfigError(

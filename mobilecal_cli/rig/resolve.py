@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
@@ -29,7 +29,7 @@ from mobilecal_cli.rig.cameras import (
     optical_frame,
 )
 from mobilecal_cli.rig.config import RigConfig, read_urdf
-from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_fields, joint_topics, joint_transforms
+from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
@@ -51,8 +51,7 @@ class Survey:
         cameras: the cameras.
         wheels: source of each wheel's rotation.
         head: the head chain.
-        elsewhere: the head's joints without joint states.
-        joints: JointState topics.
+        joints, elsewhere: JointState topics, and the sources of the head's joints that are not on them.
         notes: remarks for the report.
         lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
             error has none of its own.
@@ -66,8 +65,8 @@ class Survey:
     cameras: CameraRig | None
     wheels: dict[Side, WheelSource] | None
     head: Head | None
-    elsewhere: dict[str, JointField | JointTransform]
     joints: tuple[str, ...] | None
+    elsewhere: Mapping[str, JointField | JointTransform]
     notes: tuple[str, ...]
     lacks: tuple[tuple[Part, _Lack], ...]
 
@@ -187,15 +186,13 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     lacks += lacks_of_head
     if wheels is not None and head is not None and head.urdf is not None:
         wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
-    elsewhere: dict[str, JointField | JointTransform] = {}
-    joints: tuple[str, ...] | None = None
+    read: tuple[tuple[str, ...], dict[str, JointField | JointTransform]] | None = None
     if head is not None:
         notes += head.notes
-        elsewhere |= tried("joints", lambda: joint_fields(config, of_robot, head.chain)) or {}
-        elsewhere |= joint_transforms(config, of_robot, head.chain, head.urdf)
-        joints = tried("joints", lambda: joint_topics(config, of_robot, head.chain, elsewhere))
+        read = tried("joints", lambda: joint_sources(config, of_robot, head.chain, head.urdf))
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
+    joints, elsewhere = (None, {}) if read is None else read
     return Survey(
         config,
         description,
@@ -205,8 +202,8 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         cameras,
         wheels,
         head,
-        elsewhere,
         joints,
+        elsewhere,
         notes,
         tuple(lacks),
     )

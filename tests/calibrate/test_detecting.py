@@ -82,13 +82,10 @@ def alone(log):
         return everything(log, 1)
 
 
-@pytest.fixture(
-    params=[pytest.param(True, marks=pytest.mark.long), False], ids=["called early", "called when needed"]
-)
-def segmented(request, monkeypatch) -> None:
-    """A short log is split into several segments; the workers start before or after the planning."""
+@pytest.fixture
+def segmented(monkeypatch) -> None:
+    """A short log is split into several segments."""
     monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
-    monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
 def test_processes_see_what_one_sees(log, alone, segmented):
