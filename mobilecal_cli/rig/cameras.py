@@ -170,7 +170,7 @@ def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: Robo
     try:
         infos = [description.infos[info_topic(side, pair[side], config, description)] for side in SIDES]
         stereo_rig(infos[0], infos[1], rectified=False)
-    except (RecordingError, np.linalg.LinAlgError):
+    except (RecordingError, ConfigError, np.linalg.LinAlgError):
         return False
     return True
 
@@ -272,6 +272,11 @@ def optical_frame(name: str, info: CameraInfo) -> str:
 
 def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
     frame = optical_frame(name, info)
+    if info.width <= 0 or info.height <= 0:
+        raise ConfigError(
+            f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
+            "calibrate the camera and record its camera_info again",
+        )
     if rectified:
         if not info.P.any():
             raise RecordingError(
@@ -380,13 +385,3 @@ def camera_rig(
     rotations = tuple(info.R for info in infos.values())
     each = tuple(_camera(name, info, rectified) for name, info in infos.items())
     return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
-
-
-def check_sizes(infos: Mapping[str, CameraInfo]) -> None:
-    """Raise a ConfigError if a camera info contains no image size."""
-    for name, info in infos.items():
-        if info.width <= 0 or info.height <= 0:
-            raise ConfigError(
-                f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
-                "calibrate the camera and record its camera_info again",
-            )

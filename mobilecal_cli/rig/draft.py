@@ -18,7 +18,7 @@ from mobilecal_cli.model import (
     ODOMETRY,
     SIDES,
     BoardView,
-    FixedLink,
+    JointLink,
     Nominal,
     NumberField,
     RobotDescription,
@@ -371,9 +371,10 @@ def _head(draft: Draft, urdf_path: str | None) -> None:
             "  # chain:",
         ]
         for link in chain.links:
-            mimics = not isinstance(link, FixedLink) and (link.multiplier, link.offset) != (1.0, 0.0)
-            note = f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF" if mimics else ""  # type: ignore[union-attr]
-            draft.lines.append(f"  #   - {_flow(link_settings(link))}{note}")
+            line = f"  #   - {_flow(link_settings(link))}"
+            if isinstance(link, JointLink) and (link.multiplier, link.offset) != (1.0, 0.0):
+                line += f"  # times {link.multiplier:g} plus {link.offset:g}: only in a URDF"
+            draft.lines.append(line)
     draft.ask_for("head chain", "head", "" if head else HeadConfig.example)
 
 

@@ -323,24 +323,25 @@ def joint_sources(
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
     elsewhere: dict[str, JointField | JointTransform] = {}
-    for joint, source in config.joints.fields.items():
-        if joint not in chain.joints:
+    for name, source in config.joints.fields.items():
+        if name not in chain.joints:
             raise ConfigError(
-                f"joints.fields: {joint!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
+                f"joints.fields: {name!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
                 f"joints of the chain: {listed(chain.joints)}",
             )
         require_topic("joints.fields", source.topic, (info.name for info in description.topics))
         scale = math.radians(1) if source.unit == "deg" else 1.0
-        elsewhere[joint] = JointField(source.topic, source.field, scale)
+        elsewhere[name] = JointField(source.topic, source.field, scale)
     stated, topic = description.joint_names, config.joints.topic
     told = {*joint_state_names(description), *elsewhere}
     kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
     tf = [info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")]
-    for name in (name for name in kinds if tf and urdf is not None and name not in told):
-        drawn = None if urdf is None else urdf.joints.get(name)
-        if drawn is not None and drawn.mimic is None:
-            ends = drawn.parent, drawn.child, drawn.T_parent_child
-            elsewhere[name] = JointTransform(tf[0], *ends, drawn.axis, kinds[name])
+    drawn = urdf.joints if tf and urdf is not None else {}
+    for name, kind in kinds.items():
+        joint = drawn.get(name)
+        if joint is not None and joint.mimic is None and name not in told:
+            ends = joint.parent, joint.child, joint.T_parent_child
+            elsewhere[name] = JointTransform(tf[0], *ends, joint.axis, kind)
     if topic is not None:
         require_topic("joints.topic", topic, stated, "joint states")
         stated = {topic: stated[topic]}

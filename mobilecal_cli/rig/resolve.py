@@ -22,7 +22,6 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.cameras import (
     camera_rig,
-    check_sizes,
     image_topics,
     info_topic,
     is_rectified,
@@ -168,9 +167,6 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         for name, info in infos.items()
         if not info.frame_id
     )
-    whole = images is not None and len(infos) == len(images)
-    if whole:
-        tried("camera infos", lambda: check_sizes(infos))
     wheels = tried("wheels", lambda: wheel_sources(config, of_robot))
     reference = config.cameras.reference or next(iter(images or {}), "")
     frame = infos[reference].frame_id if reference in infos else ""
@@ -180,7 +176,7 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     # Which link carries a camera without a frame is no error of its own.
     if images is not None and not frame:
         lacks_of_head = [lack for lack in lacks_of_head if isinstance(lack[1], RecordingError)]
-    if whole:
+    if images is not None and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)
         cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
     lacks += lacks_of_head

@@ -211,8 +211,8 @@ RADII = "{radius_left_m: %s, radius_right_m: 0.1, separation_m: 0.5}"
 CASES = (
     Case("`--square-m inf`", ("calibrate", LOG, "--square-m", "inf"), 2, "board.square_m: must be from 0.0001 to 10 m"),
     Case("`--square-m 80`, millimeters", ("calibrate", LOG, "--square-m", "80"), 2, "80 looks like millimeters: 0.08 m"),
-    Case("`--square-m 8`, centimeters", ("calibrate", LOG, "--square-m", "8"), 4, "the squares are 0.08 m wide at the median of 12 stations, but board.square_m is 8 m"),
-    Case("`--square-m 3.15`, inches", ("calibrate", LOG, "--square-m", "3.15"), 4, "the squares are 0.08 m wide at the median of 12 stations, but board.square_m is 3.15 m"),
+    Case("`--square-m 8`, centimeters", ("calibrate", LOG, "--square-m", "8"), 4, "the squares are 0.08 m wide at the median of 12 measurements, but board.square_m is 8 m"),
+    Case("`--square-m 3.15`, inches", ("calibrate", LOG, "--square-m", "3.15"), 4, "the squares are 0.08 m wide at the median of 12 measurements, but board.square_m is 3.15 m"),
     Case(
         "`nominal.wheels` in millimeters", RIG, 2, "nominal.wheels.radius_left_m: must be from 0.001 to 10 m; 97.5 looks like millimeters: 0.0975 m",
         text("rig.yaml", f"nominal: {{wheels: {RADII % '97.5'}}}"),
