@@ -23,7 +23,6 @@ from mobilecal_cli.model import (
     Extraction,
     FloatArray,
     HeadChain,
-    KnownNoise,
     Nominal,
     Observation,
     Rig,
@@ -78,7 +77,7 @@ def from_poses(
     wheels_m: tuple[float, float, float],
     chain: HeadChain | None = None,
     T_h_c: FloatArray | None = None,
-    noise: KnownNoise | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Extraction:
     """Measurements for `solve` from the poses of a target.
 
@@ -89,7 +88,7 @@ def from_poses(
             fixed to the base.
         T_h_c: (4, 4) nominal sensor coordinates to head coordinates, m; needed where the motion does not show the whole
             transform: a sensor that is fixed to the base never shows its height.
-        noise: known noise levels.
+        noise: known noise levels: name → standard deviation, see `Noise`.
 
     Raises:
         ConfigError: wheels that are not positive, a joint of the chain without a reading, or a covariance that is not
@@ -112,7 +111,7 @@ def from_poses(
         Nominal(T_h_c, WheelGeometry(*(float(value) for value in wheels_m))),
         Sources(nowhere, nowhere, (), {"right": wheel, "left": wheel}),
         {},
-        noise or KnownNoise(),
+        noise or {},
     )
     return Extraction(rig, _TARGET, tuple(observations), tuple(tracks), (), (), (), {})
 
@@ -121,7 +120,7 @@ def from_motions(
     motions: Sequence[SensorMotion],
     wheels_m: tuple[float, float, float],
     T_v_c: FloatArray,
-    noise: KnownNoise | None = None,
+    noise: Mapping[str, float] | None = None,
 ) -> Extraction:
     """Measurements for `solve` from the planar motion of a sensor that is fixed to the base.
 
@@ -131,7 +130,7 @@ def from_motions(
         motions: legs, in any order.
         wheels_m: nominal radius of the right and left wheel, and their separation, m.
         T_v_c: (4, 4) nominal sensor coordinates to base coordinates, m; height, roll and pitch stay as they are.
-        noise: known noise levels.
+        noise: known noise levels: name → standard deviation, see `Noise`.
 
     Raises:
         ConfigError: a covariance that is not positive definite.

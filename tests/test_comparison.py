@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.compare import Limits
+from mobilecal_cli.calibrate.compare import broken_limits
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
@@ -61,7 +61,7 @@ def test_an_unobservable_radius_that_no_nominal_value_explains(radius_m, broken)
     std = np.array([*STD[:6], 3e-3, *STD[7:]])
     observable = (True,) * 6 + (False, True, True)
     blind = robot(observable=observable, wheels=WheelGeometry(radius_m, 0.1, 0.5), std=std)
-    found = Limits().broken_by(difference(robot(), blind))
+    found = broken_limits(difference(robot(), blind))
     assert len(found) == broken
     if broken:
         assert found[0] == "radius_right, which is unobservable, by 33.3 sigma of its nominal value (limit 5)"
@@ -82,8 +82,8 @@ def test_no_conclusion_about_an_unobservable_parameter():
 
 def test_a_limit_in_sigma_needs_observable_parameters():
     blind = robot(observable=(True,) * 8 + (False,), std=np.array([*STD[:8], 0.1]))
-    assert Limits(sigma=4).broken_by(difference(robot(), robot(log="b"))) == []
-    broken = Limits(sigma=4).broken_by(difference(robot(), blind))
+    assert broken_limits(difference(robot(), robot(log="b")), 4) == []
+    broken = broken_limits(difference(robot(), blind), 4)
     assert broken == ["no conclusion about separation: unobservable"]
 
 

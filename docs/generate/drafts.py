@@ -66,13 +66,14 @@ STATES = {"joints.topic": "/joint_states"}
 def _cameras(left: str, right: str, image: str = "image_raw/compressed") -> dict[str, str | None]:
     sides = {"left": left, "right": right}
     found: dict[str, str | None] = {
-        f"cameras.{side}": f"{ns}/{image}, {ns}/camera_info" for side, ns in sides.items()
+        f"cameras.{side}": f"image: {ns}/{image}, info: {ns}/camera_info" for side, ns in sides.items()
     }
     return found | {"cameras.rectified": "false"}
 
 
 def _wheels(left: str, right: str, topic: str) -> dict[str, str | None]:
-    return {"wheels.left": f"{left} on {topic}", "wheels.right": f"{right} on {topic}"}
+    joints = {"left": left, "right": right}
+    return {f"wheels.{side}": f"topic: {topic}, joint: {name}, sign: 1" for side, name in joints.items()}
 
 
 def _head(pan: str, tilt: str, base: str = "", head: str = "") -> dict[str, str | None]:
@@ -121,7 +122,10 @@ ROBOTS = (
         "a robot with tick counters",
         "tick_robot.mcap",
         BOARD | _cameras("/stereo/left", "/stereo/right")
-        | {f"wheels.{side}": f"data on /wheel_ticks/{side}, bits: 16" for side in ("left", "right")}
+        | {
+            f"wheels.{side}": f"topic: /wheel_ticks/{side}, field: data, bits: 16, sign: 1, ticks_per_revolution: TODO"
+            for side in ("left", "right")
+        }
         | STATES | _head("pan_joint", "tilt_joint", "base_link", "head_link") | _nominal(0.082, 0.34) | {TICKS: None},
         70,
     ),

@@ -65,7 +65,7 @@ def _help(item: Any) -> str:  # noqa: ANN401
 
 def with_formats(page: str) -> str:
     """A page with the table of export formats between its marks."""
-    texts = {name: " ".join((type(format_of(name)).__doc__ or "").split()) for name in Target}
+    texts = {name: " ".join((format_of(name).__doc__ or "").split()) for name in Target}
     rows = [f"| `{name}` | {text.rstrip('.')} |" for name, text in texts.items()]
     table = "\n".join(["| format | content |", "| --- | --- |", *rows, ""])
     return page[: page.index(BEGIN) + len(BEGIN)] + table + page[page.index(END) :]

@@ -29,7 +29,7 @@ from mobilecal_cli.export import check_output, write_file
 from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.files.interruption import naming_interruptions
 from mobilecal_cli.files.placing import already_exists
-from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problems_of, read_text
+from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
@@ -191,13 +191,9 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
 def _of_manifest(path: Path) -> list[_Robot]:
     hint = "robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
     try:
-        manifest = _Manifest.model_validate(load_yaml(read_text(path, LARGEST_BYTES)))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}", "check the path") from error
+        manifest = _Manifest.model_validate(mapping_of(read_text(path, LARGEST_BYTES), str(path), hint))
     except ValidationError as error:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
-    except ValueError as error:
-        raise ConfigError(f"{path}: not a valid manifest: {' '.join(str(error).split())}", hint) from error
     folder = path.parent
     return [
         robot.model_copy(
@@ -263,7 +259,7 @@ def owns_result(job: FleetJob) -> bool:
 def _record(job: FleetJob) -> dict[str, Any] | None:
     try:
         data = json.loads(read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES))
-    except (OSError, ValueError):
+    except (ConfigError, ValueError):
         return None
     return data if isinstance(data, dict) else None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,52 +19,49 @@ from mobilecal_cli.report.comparison import Comparison, history_plot
 MOST_NOMINAL_SIGMAS = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Largest allowed change between calibrations; None for no limit.
+def broken_limits(
+    change: Difference,
+    max_sigma: float | None = None,
+    max_ray_mm: float | None = None,
+    max_heading_deg: float | None = None,
+) -> list[str]:
+    """The limits that a difference exceeds, as text; the one of unobservable parameters always applies.
 
-    Attributes:
-        sigma: change of any parameter, in standard deviations.
-        ray_mm: shift of a point 2 m ahead of the camera, mm.
-        heading_deg: change of heading per full turn, deg.
+    Args:
+        max_sigma: limit of any parameter, in standard deviations; None for none.
+        max_ray_mm: limit of the shift of a point 2 m ahead of the camera, mm.
+        max_heading_deg: limit of the change of heading per full turn, deg.
     """
-
-    sigma: float | None = None
-    ray_mm: float | None = None
-    heading_deg: float | None = None
-
-    def broken_by(self, change: Difference) -> list[str]:
-        """The limits that a difference exceeds, as text; the one of unobservable parameters always applies."""
-        broken = [
-            f"{NINE[k]}, which is unobservable, by {change.nominal_sigmas[k]:.1f} sigma of its nominal value "
-            f"(limit {MOST_NOMINAL_SIGMAS:g})"
-            for k in np.flatnonzero(change.nominal_sigmas > MOST_NOMINAL_SIGMAS)
-        ]
-        if self.sigma is not None:
-            if not change.known.any():
-                broken.append("no standard deviations for the limit in sigma")
-            blind = np.flatnonzero(change.unobservable)
-            broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
-            sigmas = np.nan_to_num(np.abs(change.sigmas))
-            worst = int(np.argmax(sigmas))
-            if sigmas[worst] > self.sigma:
-                broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {self.sigma:g})")
-        if self.ray_mm is not None and change.ray_m * 1e3 > self.ray_mm:
-            broken.append(f"point 2 m ahead by {change.ray_m * 1e3:.2f} mm (limit {self.ray_mm:g})")
-        turn_deg = abs(math.degrees(change.heading_rad_per_turn))
-        if self.heading_deg is not None and turn_deg > self.heading_deg:
-            broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {self.heading_deg:g})")
-        return broken
+    broken = [
+        f"{NINE[k]}, which is unobservable, by {change.nominal_sigmas[k]:.1f} sigma of its nominal value "
+        f"(limit {MOST_NOMINAL_SIGMAS:g})"
+        for k in np.flatnonzero(change.nominal_sigmas > MOST_NOMINAL_SIGMAS)
+    ]
+    if max_sigma is not None:
+        if not change.known.any():
+            broken.append("no standard deviations for the limit in sigma")
+        blind = np.flatnonzero(change.unobservable)
+        broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
+        sigmas = np.nan_to_num(np.abs(change.sigmas))
+        worst = int(np.argmax(sigmas))
+        if sigmas[worst] > max_sigma:
+            broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {max_sigma:g})")
+    if max_ray_mm is not None and change.ray_m * 1e3 > max_ray_mm:
+        broken.append(f"point 2 m ahead by {change.ray_m * 1e3:.2f} mm (limit {max_ray_mm:g})")
+    turn_deg = abs(math.degrees(change.heading_rad_per_turn))
+    if max_heading_deg is not None and turn_deg > max_heading_deg:
+        broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {max_heading_deg:g})")
+    return broken
 
 
 def compare(
-    files: Sequence[Path], limits: Limits, plot: Path | None = None, force: bool = False
+    files: Sequence[Path], *, plot: Path | None = None, force: bool = False, **limits: float | None
 ) -> Comparison:
     """Compare calibrations with the first one.
 
     Args:
         files: params.yaml files, two or more.
-        limits: largest allowed change.
+        limits: see `broken_limits`.
         plot: SVG file to write: every parameter over all calibrations.
         force: replace an existing plot.
 
@@ -87,6 +83,6 @@ def compare(
     broken = tuple(
         f"{name}: {what}"
         for name, change in zip(names[1:], differences, strict=True)
-        for what in limits.broken_by(change)
+        for what in broken_limits(change, **limits)
     )
     return Comparison(names, robots, differences, past if len(files) > 2 else None, broken)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mobilecal_cli.calibrate import Progress
+from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
@@ -52,16 +52,18 @@ SEGMENT_SHOTS = 250
 
 @dataclass(slots=True)
 class StationDetections:
-    """Detections at one station, filled in while its images are read.
+    """The board at one station, filled in while its images are read.
 
     Attributes:
+        measured: the board, or why it cannot be measured; of the detections of all images.
         found: camera → time → detection or miss.
         pictures: camera → JPEG of the first image, for the report.
         thumbnails: camera → small JPEG of the first image.
         rejections: images that cannot be decoded.
     """
 
-    found: dict[str, dict[int, Detection | Miss]] = field(default_factory=dict)
+    measured: Measured | Rejection
+    found: dict[str, dict[int, Detection | Miss]]
     pictures: dict[str, bytes] = field(default_factory=dict)
     thumbnails: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
@@ -90,12 +92,14 @@ class Segment:
     """Consecutive stations that are processed together.
 
     Attributes:
+        log: number of the recording.
         stations: in order of time.
         images: camera → their images.
         shown: indices, in this segment, of stations with images in the report.
         thorough: see `vision.detect`.
     """
 
+    log: int
     stations: tuple[Station, ...]
     images: Mapping[str, PictureIndex]
     shown: frozenset[int]
@@ -185,8 +189,8 @@ def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
     )
 
 
-def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
-    """Split the stations of a log into segments, and choose the images kept for the report."""
+def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
+    """Split the stations of log number `log` into segments, and choose the images kept for the report."""
     stations = plan.stations
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, count = [0], 0
@@ -198,6 +202,7 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
     cuts.append(len(stations))
     return [
         Segment(
+            log,
             stations[begin:end],
             images_of(stations[begin:end], plan.images),
             frozenset(i - begin for i in range(begin, end) if i % stride == 0),
@@ -210,7 +215,7 @@ def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
 def detect_segment(
     recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], None] | None = None
 ) -> list[StationDetections]:
-    """The board in all images at each station of a segment, in one pass over its part of the recording.
+    """The board at each station of a segment, in one pass over its part of the recording.
 
     `count` receives 1 after each image.
     """
@@ -222,7 +227,16 @@ def detect_segment(
             for name, time_ns in zip(names, shot.times_ns, strict=True):
                 if time_ns is not None:
                     where[name][time_ns] = i
-    detections = [StationDetections({name: {} for name in names}) for _ in stations]
+    absent = "the recording does not contain the images"
+    detections = [
+        StationDetections(
+            Rejection(
+                "readers", "images cannot be decoded", absent, station.time_ns, station.index, segment.log
+            ),
+            {name: {} for name in names},
+        )
+        for station in stations
+    ]
     followers = {name: BoardFollower(board, segment.thorough) for name in names}
     sources = rig.sources
     for name, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
@@ -241,28 +255,12 @@ def detect_segment(
             detections[where[name][earlier_ns]].found[name][earlier_ns] = detection
         if count is not None:
             count(1)
+    for searched, place in zip(stations, detections, strict=True):
+        if shots := place.of_shots(searched.shots, rig.cameras):
+            place.measured = measure(segment.log, searched, shots, rig.cameras, board)
+        elif place.rejections and isinstance(place.measured, Rejection):
+            place.measured = replace(place.measured, detail=place.rejections[0].detail)
     return detections
-
-
-def measure_stations(
-    log: int,
-    cameras: CameraRig,
-    board: Board,
-    stations: Sequence[Station],
-    detections: Sequence[StationDetections],
-) -> list[Measured | Rejection]:
-    """The board at some stations of recording number `log`, or why it cannot be measured."""
-    measured: list[Measured | Rejection] = []
-    for station, detected in zip(stations, detections, strict=True):
-        shots = detected.of_shots(station.shots, cameras)
-        if shots:
-            measured.append(measure(log, station, shots, cameras, board))
-        else:
-            undecoded = [rejection.detail for rejection in detected.rejections]
-            detail = undecoded[0] if undecoded else "the recording does not contain the images"
-            reason = "images cannot be decoded"
-            measured.append(Rejection("readers", reason, detail, station.time_ns, station.index, log))
-    return measured
 
 
 def first_pairs(
@@ -280,7 +278,6 @@ def first_pairs(
 
 #: Largest number of pending segments per process, so that results do not fill the memory.
 _AHEAD = 2
-_MEASURED_AT_ONCE = 200  # stations
 
 
 class _Here:
@@ -309,77 +306,57 @@ def _one_thread() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-class DetectionWorkers(Processes):
-    """Worker processes that detect the board in the images of a long recording.
+def detect_all(
+    recording: Recording,
+    rig: Rig,
+    board: Board,
+    plans: Sequence[Plan],
+    thorough: bool = True,
+    jobs: int = 1,
+    progress: Progress = silent,
+    first: int = 0,
+) -> list[list[StationDetections]]:
+    """The board at all stations of a recording: for each of its logs, one `StationDetections` per station.
 
-    If they cannot be started, or one dies, this process does the remaining segments.
+    Worker processes do the segments of a long recording. If they cannot be started, or one dies, this process does the
+    remaining ones.
+
+    Args:
+        plans: stations of each log.
+        thorough: see `vision.detect`.
+        jobs: most worker processes.
+        progress: receives the number of images.
+        first: number of the first log.
     """
+    segments = [each for log, plan in enumerate(plans, first) for each in segments_of(log, plan, thorough)]
+    shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
+    total = sum(len(shot.taken_ns) for shot in shots)
+    searched = 0
 
-    def __init__(self, recording: Recording, jobs: int) -> None:
-        super().__init__()
-        self._recording, self._jobs = recording, jobs
+    def count(images: int) -> None:
+        nonlocal searched
+        searched += images
+        progress("detecting the board", searched, total)
 
-    def call(self, most: int | None = None) -> None:
-        """Start the worker processes in the background, at most `most`, if more than one may be used."""
-        processes = min(self._jobs, self._jobs if most is None else most)
-        if not self.started and processes > 1:
-            self.start(processes, _begin, [part.opened for part in self._recording.parts])
-
-    def detect_all(
-        self, rig: Rig, board: Board, plans: Sequence[Plan], thorough: bool, progress: Progress
-    ) -> list[list[StationDetections]]:
-        """Detect the board at all stations of a recording: for each of its logs, one `StationDetections` per station.
-
-        A few segments are processed without the workers. For `thorough`, see `vision.detect`.
-        """
-        segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
-        shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
-        total = sum(len(shot.taken_ns) for shot in shots)
-        searched = 0
-
-        def count(images: int) -> None:
-            nonlocal searched
-            searched += images
-            progress("detecting the board", searched, total)
-
-        detections: list[StationDetections] = []
-        waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-        done, ahead = 0, iter(segments)
-        with _one_thread():
-            self.call(len(segments) // 2)
-            while self.started and 1 < len(segments) > done:
-                try:
-                    for segment in islice(ahead, _AHEAD * self._jobs - len(waiting)):
-                        waiting.append(self.submit(_detect, rig, board, segment))
-                    detected, damage = waiting.popleft()()
-                except FAILED:
-                    break
-                for note in damage:
-                    self._recording.note(note)
-                count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
-                detections += detected
-                done += 1
-            for segment in segments[done:]:
-                detections += detect_segment(self._recording, rig, board, segment, count)
-        in_order = iter(detections)
-        return [list(islice(in_order, len(plan.stations))) for plan in plans]
-
-    def measure_stations(
-        self,
-        log: int,
-        cameras: CameraRig,
-        board: Board,
-        stations: Sequence[Station],
-        detections: Sequence[StationDetections],
-    ) -> list[Measured | Rejection]:
-        """`measure_stations` in the worker processes, if there are many stations."""
-        if self.started and len(stations) > _MEASURED_AT_ONCE:
-            starts = range(0, len(stations), _MEASURED_AT_ONCE)
-            some = [slice(start, start + _MEASURED_AT_ONCE) for start in starts]
-            with suppress(*FAILED):
-                results = [
-                    self.submit(measure_stations, log, cameras, board, stations[part], detections[part])
-                    for part in some
-                ]
-                return [measured for result in results for measured in result()]
-        return measure_stations(log, cameras, board, stations, detections)
+    detections: list[StationDetections] = []
+    waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+    done, ahead, processes = 0, iter(segments), min(jobs, len(segments) // 2)
+    with _one_thread(), Processes() as workers:
+        if processes > 1:
+            workers.start(processes, _begin, [part.opened for part in recording.parts])
+        while workers.started and len(segments) > done:
+            try:
+                for segment in islice(ahead, _AHEAD * processes - len(waiting)):
+                    waiting.append(workers.submit(_detect, rig, board, segment))
+                detected, damage = waiting.popleft()()
+            except FAILED:
+                break
+            for note in damage:
+                recording.note(note)
+            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+            detections += detected
+            done += 1
+        for segment in segments[done:]:
+            detections += detect_segment(recording, rig, board, segment, count)
+    in_order = iter(detections)
+    return [list(islice(in_order, len(plan.stations))) for plan in plans]

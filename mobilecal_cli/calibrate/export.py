@@ -12,13 +12,22 @@ from mobilecal_cli.calibrate.arguments import AnyPath, by_name, path_of, paths_o
 from mobilecal_cli.calibrate.load import differences, read_extraction, read_params
 from mobilecal_cli.calibrate.steps import Report
 from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
-from mobilecal_cli.export.formats import Exported, Request, format_of, verdict_note, with_verdict
+from mobilecal_cli.export.formats import Exported, Source, format_of, options_of, verdict_note, with_verdict
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.files.scratch import scratch_directory
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Side
 from mobilecal_cli.targets import Target
 
 __all__ = ["Exported", "export"]
+#: Options that only some formats use, as the command spells them.
+_FLAGS = {
+    "urdf": "--urdf",
+    "camera": "--camera",
+    "with_chain": "--with-chain",
+    "rate_hz": "--rate",
+    "distance_m": "--distance",
+    "logs": "--log",
+}
 
 
 def export(
@@ -80,42 +89,31 @@ def export(
             )
         joints = {**robot.wheel_joints, **joint_names}
         _check_wheels(robot, joint_names, joints)
-        given = {
-            "--urdf": urdf is not None,
-            "--camera": camera is not None,
-            "--left-joint": "left" in joint_names,
-            "--right-joint": "right" in joint_names,
-            "--with-chain": with_chain,
-            "--rate": rate_hz is not None,
-            "--distance": distance_m is not None,
-            "--log": bool(recordings),
+        options: dict[str, Any] = {
+            "urdf": robot_urdf,
+            "camera": camera,
+            "wheel_joints": joint_names or None,
+            "with_chain": with_chain or None,
+            "rate_hz": rate_hz,
+            "distance_m": distance_m,
+            "logs": recordings or None,
         }
-        to = format_of(target)
-        for option, is_given in given.items():
-            if is_given and option not in to.options:
-                formats = [name for name in Target if option in format_of(name).options]
-                raise ConfigError(f"{option} applies only to --to {' and '.join(formats)}", "leave it out")
+        given = {name: value for name, value in options.items() if value is not None}
+        used = options_of(target)
+        for name in (name for name in given if name not in used):
+            flag = _FLAGS.get(name) or f"--{next(iter(joint_names))}-joint"
+            formats = " and ".join(other for other in Target if name in options_of(other))
+            raise ConfigError(f"{flag} applies only to --to {formats}", "leave it out")
 
-        def scene() -> Scene:
+        def scene(with_images_of: tuple[Path, ...]) -> Scene:
             from mobilecal_cli.calibrate.scene import scene_of
 
-            return scene_of(robot, _beside(path, robot), path, recordings)
+            return scene_of(robot, _beside(path, robot), path, with_images_of)
 
-        asked = Request(
-            robot=robot,
-            params=path,
-            joints=joints,
-            measurements=lambda: _beside(path, robot),
-            scene=scene,
-            urdf=robot_urdf,
-            camera=camera,
-            with_chain=with_chain,
-            rate_hz=rate_hz,
-            distance_m=distance_m,
-            logs=tuple(recordings),
-        )
-        made = to.export(asked)
-        content = made.content if to.states_verdict else with_verdict(made.content, robot)
+        if "wheel_joints" in used:
+            given["wheel_joints"] = joints
+        made = format_of(target)(Source(robot, path, lambda: _beside(path, robot), scene), **given)
+        content = made.content if made.states_verdict else with_verdict(made.content, robot)
         return replace(made, content=content, notes=made.notes + verdict_note(robot))
 
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.detect import (
-    DetectionWorkers,
     StationDetections,
     board_size,
+    detect_all,
     first_pairs,
     plan_recording,
     undecodable,
@@ -40,6 +40,7 @@ from mobilecal_cli.model import (
     Observation,
     Rejection,
     Rig,
+    RobotDescription,
     Snapshot,
     Track,
     WheelTrack,
@@ -67,25 +68,29 @@ from mobilecal_cli.vision import (
     resolve_square,
 )
 
-#: With so many bytes of images, all of them used, worker processes start before the images are read.
-WORTH_BYTES = 2**26
 #: Types that are read by their meaning, not by field paths.
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
 
-def describe(recording: Recording, config: RigConfig, joints_too: bool = False) -> Survey:
+def describe(
+    recording: Recording, config: RigConfig, joints_too: bool = False, earlier: RobotDescription | None = None
+) -> Survey:
     """What the description of a recording and a configuration determine.
 
     Numbers in other messages are read only if no wheel is known without them.
 
     Args:
         joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
+        earlier: of another recording of the robot, whose URDF is used if this one contains none.
 
     Raises:
         RecordingError: the recording is empty.
         ConfigError: the URDF that the configuration names cannot be read.
     """
     description = read_description(recording)
+    if earlier is not None and not description.urdfs and earlier.urdfs:
+        description = replace(description, urdfs=earlier.urdfs)
+        recording.note("the recording contains no URDF; that of an earlier one is used")
     survey = None if needs_numbers(config, description) else survey_rig(config, description)
     if survey is None or (joints_too and survey.lacks):
         others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
@@ -103,6 +108,7 @@ class ExtractedLog:
     """Data extracted from one log: a recording, or a piece of it between steps of its clocks."""
 
     name: str
+    description: RobotDescription
     rig: Rig
     board: Board
     plan: Plan
@@ -114,19 +120,17 @@ class ExtractedLog:
 def _extracted(
     earlier: Sequence[ExtractedLog],
     recording: Recording,
-    workers: DetectionWorkers,
     config: RigConfig,
     progress: Progress,
+    jobs: int,
 ) -> list[ExtractedLog]:
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
     name = str(recording.paths[0])
     board = earlier[-1].board if earlier else board_of(config)
-    survey = describe(recording, config)
+    survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
     everything = config.stations == "all"
-    if everything and recording.bytes_of(rig.sources.image.values()) >= WORTH_BYTES:
-        workers.call()
     plans, infos, plan_notes = plan_recording(recording, rig, everything)
     if infos:
         description = survey.description
@@ -146,7 +150,7 @@ def _extracted(
                 "more, or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
-    detected = workers.detect_all(rig, board, plans, not everything, progress)
+    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -161,22 +165,28 @@ def _extracted(
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
-            raise ObservationError(
-                f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
-                f"{size[0]} x {size[1]}",
-                f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
-            )
-    progress("measuring", 0, None)
+            raise other_size(board, size)
     notes = (*survey.notes, *plan_notes, *recording.damage)
     logs = []
-    for number, (plan, detections) in enumerate(zip(plans, detected, strict=True), len(earlier)):
-        measured = workers.measure_stations(number, rig.cameras, board, plan.stations, detections)
+    for plan, detections in zip(plans, detected, strict=True):
+        measured = [station.measured for station in detections]
         check_arrangement(measured, first_pairs(plan.stations, detections, rig.cameras), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
-        logs.append(ExtractedLog(name, rig, board, plan, detections, measured, (*notes, *misfit)))
+        logs.append(
+            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, (*notes, *misfit))
+        )
     return logs
+
+
+def other_size(board: Board, size: tuple[int, int]) -> ObservationError:
+    """The error for a configured board that is not the one in the images."""
+    return ObservationError(
+        f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
+        f"{size[0]} x {size[1]}",
+        f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
+    )
 
 
 def board_of(config: RigConfig) -> Board | None:
@@ -213,9 +223,8 @@ def extract(
         with (
             _named(parts[0], several=len(recordings) > 1),
             open_recording(parts) as recording,
-            DetectionWorkers(recording, jobs) as workers,
         ):
-            pieces = _extracted(extracted, recording, workers, config, progress)
+            pieces = _extracted(extracted, recording, config, progress, jobs)
         first, new = (extracted or pieces)[0], pieces[0]
         if new.rig.chain.joints != first.rig.chain.joints:
             raise ConfigError(

@@ -14,8 +14,8 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
-from mobilecal_cli.calibrate.sample import lack_of, sample_board
-from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
+from mobilecal_cli.calibrate.sample import sample_board
+from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
@@ -34,7 +34,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
-from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
+from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, State, TopicView
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
@@ -49,30 +49,17 @@ _LEAST_COVERED = 0.9
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
-class _Findings:
-    """What is missing for a calibration, what limits it, and notes, in the order of the work."""
+def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> Iterator[Finding]:
+    """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it.
 
-    def __init__(self) -> None:
-        self.missing: list[Lack] = []
-        self.weak: list[Lack] = []
-        self.notes: list[str] = []
-
-    def miss(self, about: str, error: MobilecalError) -> None:
-        self.missing.append(lack_of(about, error))
-
-    def add_gaps(self, about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> None:
-        """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others are missing.
-
-        What is `unread` of the recording may show the others.
-        """
-        fixed: list[Lack] = []
-        for gap in gaps:
-            of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
-            nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
-            what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-            lack = Lack(about, what, gap.cure, SolveError.exit_code)
-            (fixed if nominal is not None else self.weak if unread else self.missing).append(lack)
-        self.weak += fixed
+    What is `unread` of the recording may show the others.
+    """
+    for gap in gaps:
+        of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
+        nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
+        what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
+        state: State = "problem" if nominal is None and not unread else "limit"
+        yield Finding(about, state, what, gap.cure, SolveError.exit_code)
 
 
 def inspect(
@@ -92,35 +79,35 @@ def inspect(
         RecordingError: the recording cannot be opened.
         ConfigError: the URDF that the configuration names cannot be read.
     """
-    findings = _Findings()
+    findings: list[Finding] = []
+    notes: list[str] = []
     with open_recording(logs) as recording:
         progress("topics", 0, None)
         times = recording.log_times()
         try:
             gates_of((), config.gates)
         except ConfigError as error:
-            findings.miss("gates", error)
+            findings.append(Finding.of("gates", error))
         rig, survey, board, motion, covered = None, None, None, None, None
         try:
             survey = describe(recording, config)
-        except RecordingError as error:
-            findings.miss("recording", error)
+        except RecordingError as empty:
+            findings.append(Finding.of("recording", empty))
         if survey is not None and survey.lacks:
-            findings.missing += [lack_of(part, error) for part, error in survey.lacks]
+            findings += [Finding.of(part, lack) for part, lack in survey.lacks]
         elif survey is not None:
             rig = complete_rig(survey)
-            findings.notes += survey.notes
+            notes += survey.notes
             progress("motion", 0, None)
-            findings.weak += _wrong_chain(config, rig, survey.description)
-            findings.add_gaps("priors", rig, _without_priors(rig, config))
-            findings.missing += _without_height(rig)
+            findings += _wrong_chain(config, rig, survey.description)
+            findings += _gaps("priors", rig, _without_priors(rig, config))
+            findings += _without_height(rig)
             covered = _covered(rig, times, findings)
-            motion = _motion(recording, rig, times, findings)
+            motion = _motion(recording, rig, times, findings, notes)
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            board, lacks, limits = sample_board(recording, survey)
-            findings.missing += lacks
-            findings.weak += limits
+            board, of_board = sample_board(recording, survey)
+            findings += of_board
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -133,9 +120,8 @@ def inspect(
             board=board,
             motion=motion,
             covered=covered,
-            missing=tuple(findings.missing),
-            weak=tuple(findings.weak),
-            notes=(*findings.notes, *recording.damage),
+            findings=tuple(findings),
+            notes=(*notes, *recording.damage),
         )
 
 
@@ -170,35 +156,37 @@ def check(
         about = "recording"
         return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
-        return Inspection(str(logs[0]), missing=(lack_of(about, error),))
+        return Inspection(str(logs[0]), findings=(Finding.of(about, error),))
 
 
-def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
+def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
     """Joints that the head chain probably has twice, or not at all."""
     links = Counter(link.joint for link in config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
-        yield Lack(
+        yield Finding(
             "head chain",
+            "limit",
             f"joint {name!r} is in head.chain {links[name]} times",
             "delete the repeated link, unless the mechanism moves both by the same reading",
             SolveError.exit_code,
         )
     for name in outside_chain(rig.chain, description):
-        yield Lack(
+        yield Finding(
             "head chain",
+            "limit",
             f"{name!r} was recorded, but is not a joint between {rig.chain.base_frame} and {rig.chain.head_frame}",
             "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
             SolveError.exit_code,
         )
 
 
-def _without_height(rig: Rig) -> list[Lack]:
+def _without_height(rig: Rig) -> list[Finding]:
     """The height of a camera that no joint tilts, if it is not stated: no motion of the robot shows it."""
     if unseen_height(rig.chain) is None or rig.nominal.T_h_reference is not None:
         return []
     what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
     cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
-    return [Lack("head chain", what, cure, SolveError.exit_code)]
+    return [Finding("head chain", "problem", what, cure, SolveError.exit_code)]
 
 
 def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
@@ -218,7 +206,7 @@ def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
         yield Gap(NINE[:3], because, "state how well one of the two is known", ())
 
 
-def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tuple[int, int] | None:
+def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -> tuple[int, int] | None:
     """Images of the first camera within the time of all other topics, and of all its images; few of them are a finding.
 
     Log times of one moment differ by what the messages take to arrive.
@@ -235,13 +223,14 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tu
     others_words = "".join(f"{other} images, " for other in other_names)
     cameras_words = {0: "the camera", 1: "both cameras"}.get(len(others), "all cameras")
     if count < _LEAST_COVERED * total:
-        lack = Lack(
+        finding = Finding(
             "time",
+            "limit" if count else "problem",
             f"{count} of {total} {name} images were recorded while {others_words}joints and wheels were",
             f"record {cameras_words}, joint states and wheels at the same time",
             RecordingError.exit_code,
         )
-        (findings.weak if count else findings.missing).append(lack)
+        findings.append(finding)
     return count, total
 
 
@@ -260,7 +249,11 @@ def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> 
 
 
 def _motion(
-    recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: _Findings
+    recording: Recording,
+    rig: Rig,
+    times: Mapping[str, IntArray],
+    findings: list[Finding],
+    notes: list[str],
 ) -> MotionView | None:
     """Motion of the robot; adds what is unobservable from it, and notes."""
     extent = Extent(MOTION_BYTES)
@@ -268,7 +261,7 @@ def _motion(
         logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
         wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
-        findings.miss("motion", error)
+        findings.append(Finding.of("motion", error))
         return None
     joints = {}
     for name in rig.chain.joints:
@@ -283,7 +276,7 @@ def _motion(
                 f"the readings look like {like}, and {expected} are expected"
             )
             cure = "set its unit in joints.fields, or correct the driver"
-            findings.weak.append(Lack("joints", what, cure, SolveError.exit_code))
+            findings.append(Finding("joints", "limit", what, cure, SolveError.exit_code))
     alone = rig.sources.assumed_wheels is not None  # odometry has no wheels
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
@@ -299,7 +292,7 @@ def _motion(
     share = recording.share(rig.sources.motion, extent)
     rests = _rests(rig, logs, wheels, times, share, findings)
     # Gaps between the parts that are read would be noted as irregularities.
-    findings.notes += [note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note]
+    notes += [note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note]
     return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share)
 
 
@@ -316,7 +309,7 @@ def _rests(
     wheels: Sequence[WheelTrack],
     times: Mapping[str, IntArray],
     share: float,
-    findings: _Findings,
+    findings: list[Finding],
 ) -> int | None:
     """Number of rests with images; adds what is unobservable from them, or from all of the motion."""
     images = {name: times.get(topic) for name, topic in rig.sources.image.items()}
@@ -328,26 +321,27 @@ def _rests(
             for signals, at in zip(logs, moments, strict=True)
         ]
         gaps = gaps_between(rig.chain, np.concatenate(readings), wheels, moments)
-        findings.add_gaps("motion", rig, gaps, unread=share < 1)
+        findings += _gaps("motion", rig, gaps, unread=share < 1)
         return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:
         (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
     except RecordingError as error:
-        findings.miss("motion", error)
+        findings.append(Finding.of("motion", error))
         return None
     if len(plan.stations) < MIN_STATIONS:
-        lack = Lack(
+        finding = Finding(
             "motion",
+            "problem" if len(plan.stations) < FEWEST_STATIONS else "limit",
             f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
             f"and {MIN_STATIONS} to pass.",
             "record at least ten rests of two seconds, and move head and base in between",
             ObservationError.exit_code,
         )
-        (findings.missing if len(plan.stations) < FEWEST_STATIONS else findings.weak).append(lack)
+        findings.append(finding)
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         stops = np.stack([station.joints for station in plan.stations])
-        findings.add_gaps("motion", rig, gaps_between(rig.chain, stops, [plan.wheels], [at]))
+        findings += _gaps("motion", rig, gaps_between(rig.chain, stops, [plan.wheels], [at]))
     return sum(station.at_rest for station in plan.stations)

@@ -13,7 +13,7 @@ from mobilecal_cli.calibrate.arguments import AnyPath, path_of
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml, snapshots_from_npz
-from mobilecal_cli.files.reading import LARGEST_BYTES, read_text, reason_of
+from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
 from mobilecal_cli.rig.config import RigConfig, checked_settings
@@ -92,12 +92,7 @@ def read_params(params: AnyPath) -> CalibratedRobot:
         TypeError: not a path.
     """
     path = path_of("params", params)
-    try:
-        text = read_text(path, LARGEST_BYTES)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {reason_of(error)}", "give a params.yaml that mobilecal wrote"
-        ) from error
+    text = read_text(path, LARGEST_BYTES, "give a params.yaml that mobilecal wrote")
     return parameters_from_yaml(text, str(path))
 
 

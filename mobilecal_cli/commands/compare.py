@@ -39,11 +39,11 @@ def compare(
 
     A history: mobilecal compare */params.yaml --plot drift.svg
     """
-    from mobilecal_cli.calibrate.compare import Limits
     from mobilecal_cli.calibrate.compare import compare as compared
     from mobilecal_cli.report.comparison import comparison_json, comparison_text
 
-    comparison = compared(files, Limits(max_sigma, max_ray_mm, max_heading_deg), plot, force)
+    limits = {"max_sigma": max_sigma, "max_ray_mm": max_ray_mm, "max_heading_deg": max_heading_deg}
+    comparison = compared(files, plot=plot, force=force, **limits)
     typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
     if comparison.broken:
         conclude(

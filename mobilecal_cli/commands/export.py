@@ -71,19 +71,16 @@ def export(
     For a controller: mobilecal export out/params.yaml --to ros2_control
     """
     from mobilecal_cli.calibrate.export import export as exported
-    from mobilecal_cli.export.formats import format_of
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
-    inputs, paths = [params, urdf, *(log or [])], []
-    if output is not None:
-        check_file(output, force, inputs)
-        paths.append(output)
-    if second := format_of(to).second_file:
+    paths = [] if output is None else [output]
+    if to == Target("foxglove"):
         if output is None:
             raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
-        paths.append(output.with_suffix(second))
-        check_file(paths[1], force, inputs)
+        paths.append(output.with_suffix(".layout.json"))
+    for path in paths:
+        check_file(path, force, [params, urdf, *(log or [])])
     given = {"left": left_joint, "right": right_joint}
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(

@@ -83,7 +83,7 @@ def draft(
         board = None
         if survey.images is not None:
             progress("images", 0, None)
-            board, *_ = sample_board(recording, survey)
+            board, _ = sample_board(recording, survey)
         made = draft_rig(
             survey,
             logs[0].name,

@@ -83,9 +83,9 @@ def flags_of(settings: list[str] | None) -> dict[str, Any]:
     Raises:
         ConfigError: one is not a valid setting.
     """
-    from mobilecal_cli.rig.config import parse_setting
+    from mobilecal_cli.rig.config import parse_settings
 
-    return dict(parse_setting(text) for text in settings or [])
+    return parse_settings(settings or [])
 
 
 def counts_of(option: str, text: str) -> tuple[int, int]:

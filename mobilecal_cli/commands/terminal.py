@@ -15,7 +15,6 @@ from pathlib import Path
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.model.text import verdict_lines, visible
 
-_BROWSER_S = 2.0  # a browser that cannot be started is known earlier
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
 _BOLD["GATE FAILED"] = _BOLD["FAIL"]
 _PLAIN = "\x1b[0m"
@@ -34,29 +33,21 @@ def open_page(page: Path) -> str:
     """Open a page in the user's browser, without waiting for its end; or do nothing, without a display.
 
     Returns:
-        A sentence that says where the page is, and whether a browser was started.
+        A sentence that says where the page is.
     """
-    uri = page.resolve().as_uri()
+    shown = visible(str(page.resolve()))
     if not _has_display():
-        return f"No display to open the report on: {visible(str(page.resolve()))}"
-    # A program that is started in the background, such as xdg-open, may fail later.
-    code = f"import os, sys, webbrowser; failed = not webbrowser.open({uri!r}, new=2)\n"
-    code += "while True:\n try: failed |= os.wait()[1] != 0\n except ChildProcessError: sys.exit(failed)"
+        return f"No display to open the report on: {shown}"
     # A browser in the terminal, or one that stays open, must not hold up this command.
     process = subprocess.Popen(
-        [sys.executable, "-I", "-c", code],
+        [sys.executable, "-I", "-m", "webbrowser", "-t", page.resolve().as_uri()],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
-    try:
-        failed = process.wait(_BROWSER_S) != 0
-        said = "No browser could be started; the report is at" if failed else "Opened in the browser"
-    except subprocess.TimeoutExpired:
-        said = "Opening in the browser"
-        threading.Thread(target=process.wait, daemon=True).start()
-    return f"{said}: {visible(str(page.resolve()))}"
+    threading.Thread(target=process.wait, daemon=True).start()
+    return f"Opening the report in a browser: {shown}"
 
 
 def _has_display() -> bool:
@@ -110,7 +101,7 @@ def _count(done: int, total: int | None) -> str:
 def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progress]:
     """Progress on standard error, if that is a terminal.
 
-    A stage with a known total has a bar and the time left; any other stage has its steps and the elapsed time.
+    A stage with a known total has a bar and the time left; any other stage has a moving bar and its steps.
 
     Args:
         quiet: show nothing.
@@ -123,31 +114,13 @@ def progress_bar(quiet: bool = False, verbose: bool = False) -> Iterator[Progres
     if quiet or not sys.stderr.isatty():
         yield silent
         return
-    from rich.console import Console, RenderableType
-    from rich.progress import BarColumn, ProgressColumn, SpinnerColumn, Task, TextColumn
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
-    from rich.text import Text
 
-    class KnownBar(ProgressColumn):
-        """A bar for a stage with a known total, nothing for any other."""
-
-        def render(self, task: Task) -> RenderableType:
-            return Text() if task.total is None else BarColumn().render(task)
-
-    class Clock(ProgressColumn):
-        """Time left of a stage with a known total, elapsed time of any other."""
-
-        def render(self, task: Task) -> RenderableType:
-            seconds = task.elapsed if task.total is None else task.time_remaining
-            return Text("" if seconds is None else f"{int(seconds) // 60}:{int(seconds) % 60:02d}")
-
-    columns = (
-        SpinnerColumn(),
-        TextColumn("{task.description}"),
-        KnownBar(),
-        TextColumn("{task.fields[counts]}"),
-    )
-    with Bar(*columns, Clock(), console=Console(stderr=True), transient=True) as bar:
+    told = TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[counts]}")
+    times = TimeElapsedColumn(), TimeRemainingColumn()
+    with Bar(*told, *times, console=Console(stderr=True), transient=True) as bar:
         current, task = "starting", bar.add_task("starting", total=None, counts="")
 
         def show(stage: str, done: int, total: int | None) -> None:

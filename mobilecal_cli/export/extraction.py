@@ -229,6 +229,9 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
         rig["setting_sources"] = rig.pop("settled_by")
     if "left" in rig["cameras"]:  # schema versions 5 to 8
         rig["cameras"] = _pair(rig["cameras"])
+    rig["noise"] = {
+        name: level for name, level in rig["noise"].items() if level is not None
+    }  # None was estimated
     stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
     names = stated.rig.cameras.names
     return Extraction(

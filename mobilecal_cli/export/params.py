@@ -24,7 +24,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
-from mobilecal_cli.files.reading import load_yaml, problems_of
+from mobilecal_cli.files.reading import mapping_of, problems_of
 from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
     FACTORS,
@@ -298,7 +298,7 @@ class _File(_Section):
     @model_validator(mode="after")
     def _wheels_or_odometry(self) -> _File:
         if (self.wheels is None) == (self.odometry is None):
-            raise ValueError("wheels: Field required" if self.wheels is None else "give wheels or odometry")
+            raise ValueError("wheels: missing" if self.wheels is None else "give wheels or odometry")
         of_factors = self.uncertainty is not None and self.uncertainty.order == _FACTOR_ORDER
         if of_factors != (self.odometry is not None and self.uncertainty is not None):
             raise ValueError("uncertainty.order does not belong to wheels or odometry")
@@ -315,13 +315,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         ConfigError: not YAML, another schema version, a missing key or an invalid value.
     """
     try:
-        data = load_yaml(text)
-    except ValueError as error:
-        raise ConfigError(f"{name}: not valid YAML: {' '.join(str(error).split())}", _HINT) from error
-    if not isinstance(data, dict):
-        raise ConfigError(f"{name}: contains no keys", _HINT)
-    try:
-        checked = _File.model_validate(data)
+        checked = _File.model_validate(mapping_of(text, name, _HINT))
     except ValidationError as error:
         raise ConfigError(f"{name}: {problems_of(error)}", _HINT) from error
     head_eye, verdict, constants = checked.head_eye, checked.verdict, None

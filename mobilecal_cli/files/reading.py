@@ -1,4 +1,4 @@
-"""Reading of untrusted YAML: plain values only, with limits on size, depth and anchors."""
+"""Reading of untrusted files: regular ones, within limits of size; of YAML, plain values within limits of depth."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from mobilecal_cli.errors import ConfigError
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -44,46 +46,68 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     return value
 
 
-def read_bytes(path: Path, largest_bytes: int) -> bytes:
+def mapping_of(text: str, name: str, hint: str) -> dict[str, Any]:
+    """Keys and values of a YAML file; none of an empty one. `name` and `hint` are for messages.
+
+    Raises:
+        ConfigError: not YAML, see `load_yaml`, or no mapping of keys.
+    """
+    try:
+        data = load_yaml(text)
+    except ValueError as error:
+        raise ConfigError(f"{name}: not valid YAML: {error}", hint) from error
+    if data is not None and not isinstance(data, dict):
+        raise ConfigError(f"{name}: the top level is a {type(data).__name__}, not a mapping of keys", hint)
+    return data or {}
+
+
+def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> bytes:
     """Contents of a small file.
 
     Raises:
-        OSError: it cannot be read, or is not a regular file (a directory, a device, a pipe).
-        ValueError: too long.
+        ConfigError: it cannot be read, is not a regular file (a directory, a device, a pipe), or is too long.
     """
-    if not path.is_file():
-        path.stat()  # raises if nothing exists there
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
-    with path.open("rb") as stream:
-        data = stream.read(largest_bytes + 1)
+    try:
+        if not path.is_file():
+            path.stat()  # raises if nothing exists there
+            raise OSError(errno.EINVAL, "not a regular file")
+        with path.open("rb") as stream:
+            data = stream.read(largest_bytes + 1)
+    except (OSError, ValueError) as error:  # a path with a zero byte is a wrong value
+        raise ConfigError(
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", hint
+        ) from error
     if len(data) > largest_bytes:
-        raise ValueError(f"larger than {largest_bytes} bytes")
+        raise ConfigError(f"{path}: larger than {largest_bytes} bytes", hint)
     return data
 
 
-def read_text(path: Path, largest_bytes: int) -> str:
+def read_text(path: Path, largest_bytes: int, hint: str = "check the path") -> str:
     """Contents of a text file.
 
     Raises:
-        OSError: see `read_bytes`.
-        ValueError: too long, or not UTF-8.
+        ConfigError: see `read_bytes`, or not UTF-8.
     """
     try:
-        return read_bytes(path, largest_bytes).decode("utf-8")
+        return read_bytes(path, largest_bytes, hint).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise ValueError(f"not UTF-8 text (byte {error.start})") from error
+        raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", hint) from error
 
 
-def reason_of(error: OSError | ValueError) -> str:
-    """Why a file cannot be read, without its path and the number of the error."""
-    return str((isinstance(error, OSError) and error.strerror) or error)
+#: Words of pydantic → those of this tool; reasons behind a comma repeat the value.
+_WORDS = {"Value error, ": "", "Input should be": "must be", "Field required": "missing"}
 
 
 def problem_of(item: ErrorDetails) -> str:
     """One error of a schema: the dotted key, what is wrong, and the value."""
-    key = ".".join(str(part) for part in item["loc"]) or "the file"
+    key, said = (
+        ".".join(str(part) for part in item["loc"]) or "the file",
+        item["msg"].partition(", unable")[0],
+    )
+    for words, plain in _WORDS.items():
+        said = said.replace(words, plain)
     got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
-    return f"{key}: {item['msg'].removeprefix('Value error, ')}{got}"
+    return f"{key}: {said}{got}"
 
 
 def problems_of(error: ValidationError) -> str:

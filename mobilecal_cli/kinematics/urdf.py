@@ -173,8 +173,10 @@ def parse_urdf(text: str) -> Urdf:
     try:
         root = fromstring(text, forbid_dtd=True)
     except (ParseError, DefusedXmlException, ValueError) as error:
+        why = "it has a document type" if isinstance(error, DefusedXmlException) else str(error)
         raise ConfigError(
-            f"URDF: not valid XML: {error}", "give a URDF (expand xacro files first)"
+            f"URDF: not valid XML: {why}; it begins with {text.lstrip()[:30]!r}",
+            "give the URDF itself, not a web page; expand xacro files first",
         ) from error
     if root.tag != "robot":
         raise ConfigError(f"URDF: the root element is <{root.tag}>, not <robot>", "give a URDF file")

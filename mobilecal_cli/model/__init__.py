@@ -40,7 +40,6 @@ from mobilecal_cli.model.rig import (
     JointField,
     JointLink,
     JointTransform,
-    KnownNoise,
     LensCorrection,
     Markers,
     Nominal,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -536,30 +536,6 @@ class Nominal(ReadOnly):
         return Nominal(T, self.wheels or other.wheels)
 
 
-@dataclass(frozen=True, slots=True)
-class KnownNoise:
-    """Standard deviations given by the user, see `Noise`; None where they are estimated."""
-
-    pixel_px: float | None = None
-    wheel_rad_per_sqrt_rad: float | None = None
-    encoder_rad: float | None = None
-    joint_rad: float | None = None
-    floor_rad: float | None = None
-    floor_m: float | None = None
-    stamp_s: float | None = None
-    wheel_share: float | None = None
-    floor_length_m: float | None = None
-    wheel_length_m: float | None = None
-    sway_rad: float | None = None
-    sway_m: float | None = None
-    pose_scale: float | None = None
-
-    @property
-    def given(self) -> dict[str, float]:
-        """Name → value of those that are given."""
-        return {name: value for name, value in asdict(self).items() if value is not None}
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Rig:
     """The robot before the calibration.
@@ -570,7 +546,7 @@ class Rig:
         nominal: nominal values.
         sources: the topics used.
         setting_sources: setting → its source ("flag", "file", "log", "default", ...), for the report.
-        noise: given noise levels.
+        noise: name → standard deviation given by the user, see `Noise`; the others are estimated.
         prior_sigmas: kind or name of a constant, or "all" → its prior standard deviation, see `nuisance`; 0 if the
             stated value is exact, infinite (math.inf) if nothing is known.
     """
@@ -580,5 +556,5 @@ class Rig:
     nominal: Nominal
     sources: Sources
     setting_sources: Mapping[str, str]
-    noise: KnownNoise = KnownNoise()
+    noise: Mapping[str, float] = field(default_factory=dict)
     prior_sigmas: Mapping[str, float] = field(default_factory=dict)

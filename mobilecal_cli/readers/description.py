@@ -214,14 +214,9 @@ def _of_topic(
             series[path.text].append(path.number(decoded, topic, "the field"))
     standard = _STANDARD.fullmatch(first.type)
     bits = int(standard[1]) if standard else None
-    return tuple(
-        NumberField(topic, name, isinstance(values[0], int), bits, *_wraps(values))
-        for name, values in series.items()
-    )
-
-
-def _wraps(values: list[int | float]) -> tuple[int | None, int | None]:
-    """See `wraps`; other numbers than integers do not start again."""
-    if not all(isinstance(value, int) for value in values):
-        return None, None
-    return wraps(np.array(values, dtype=np.float64))
+    fields = []
+    for name, values in series.items():
+        whole = all(isinstance(value, int) for value in values)  # other numbers do not start again
+        starts_again = wraps(np.array(values, dtype=np.float64)) if whole else (None, None)
+        fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again))
+    return tuple(fields)

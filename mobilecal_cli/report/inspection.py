@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, ClassVar, Literal
 
+from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, listed
 from mobilecal_cli.model.text import visible, wrapped
@@ -73,21 +74,32 @@ class MotionView:
     share_read: float
 
 
+State = Literal["ok", "limit", "problem", "unknown"]
+
+
 @dataclass(frozen=True, slots=True)
-class Lack:
-    """Something that is missing for a calibration.
+class Finding:
+    """One criterion for a calibration.
 
     Attributes:
         about: what it concerns, one of `Inspection.CRITERIA`.
-        what: what is wrong.
-        cure: what to do.
+        state: "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem
+            prevents the check.
+        what: what was found, or what is wrong.
+        cure: what to do, "" for nothing.
         exit_code: the exit code of `calibrate` for this, see `errors`.
     """
 
     about: str
+    state: State
     what: str
-    cure: str
-    exit_code: int
+    cure: str = ""
+    exit_code: int = 0
+
+    @classmethod
+    def of(cls, about: str, error: MobilecalError) -> Finding:
+        """An error that prevents a calibration."""
+        return cls(about, "problem", error.message, error.hint, error.exit_code)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +107,7 @@ class Inspection:
     """Summary of a recording.
 
     Attributes:
-        CRITERIA: what is checked, in order; see `Lack.about`.
+        CRITERIA: what is checked, in order; see `Finding.about`.
         name: path as given by the user.
         containers: file formats.
         size_bytes: total size.
@@ -107,8 +119,7 @@ class Inspection:
         motion: None if joints or wheels cannot be read.
         covered: number of images of the first camera within the time of the others, joints and wheels, and of all; None
             if their times are unknown.
-        missing: what prevents a calibration.
-        weak: what limits a calibration.
+        findings: what prevents or limits a calibration.
         notes: irregularities and losses, whole sentences.
     """
 
@@ -139,9 +150,18 @@ class Inspection:
     board: BoardView | None = None
     motion: MotionView | None = None
     covered: tuple[int, int] | None = None
-    missing: tuple[Lack, ...] = ()
-    weak: tuple[Lack, ...] = ()
+    findings: tuple[Finding, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[Finding, ...]:
+        """What prevents a calibration."""
+        return tuple(finding for finding in self.findings if finding.state == "problem")
+
+    @property
+    def weak(self) -> tuple[Finding, ...]:
+        """What limits a calibration."""
+        return tuple(finding for finding in self.findings if finding.state == "limit")
 
     @property
     def exit_code(self) -> int:
@@ -248,47 +268,25 @@ def _topics(inspection: Inspection) -> list[str]:
 
 #: Criteria without which no other can be checked, and those that are listed for their problems only.
 _FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("rig.yaml", "recording", "priors", "gates")
-State = Literal["ok", "limit", "problem", "unknown"]
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One criterion, see `Lack`: what was found, or what is wrong, and the exit code of `calibrate` for it.
-
-    "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem prevents the
-    check.
-    """
-
-    about: str
-    state: State
-    what: str
-    cure: str = ""
-    exit_code: int = 0
-
-
-def checklist(inspection: Inspection) -> tuple[Line, ...]:
+def checklist(inspection: Inspection) -> tuple[Finding, ...]:
     """All criteria, in order; one with several problems has several lines.
 
     A configuration that is invalid, or a recording that cannot be read, is the only line.
     """
-    lacks: dict[State, tuple[Lack, ...]] = {"problem": inspection.missing, "limit": inspection.weak}
-    bad = [
-        Line(lack.about, state, lack.what, lack.cure, lack.exit_code)
-        for state in lacks
-        for lack in lacks[state]
-    ]
-    opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
+    opened = tuple(finding for finding in inspection.missing if finding.about in _FIRST)
     if opened:
         return opened
-    lines: list[Line] = []
+    lines: list[Finding] = []
     known = {**_known(inspection.survey), **_measured(inspection)}
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
     for about in inspection.CRITERIA:
-        problems = [line for line in bad if line.about == about]
+        problems = [each for each in (*inspection.missing, *inspection.weak) if each.about == about]
         if problems or about in _ONLY_PROBLEMS:
             lines += problems
         else:
-            lines.append(Line(about, "ok" if about in known else "unknown", known.get(about, unknown)))
+            lines.append(Finding(about, "ok" if about in known else "unknown", known.get(about, unknown)))
     return tuple(lines)
 
 

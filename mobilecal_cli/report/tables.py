@@ -90,7 +90,7 @@ def noise(case: Case) -> Rows:
     """Noise levels, and how each was obtained."""
     if case.solution.uncertainty is None:
         return ()
-    levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise.given
+    levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
     moving = not all(o.at_rest for o in case.extraction.observations)
     rows = []
     for level, (meaning, unit, factor) in _LEVELS.items():

@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import Range
 from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
-from mobilecal_cli.rig.names import mirrored, numbered_pairs, pairs, side_of, words
+from mobilecal_cli.rig.names import mirrored, numbered_pairs, pairs, require_topic, side_of, words
 
 #: Distance between the cameras of a stereo pair.
 BASELINE = Range(1e-4, 5.0, "m")
@@ -72,11 +72,8 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     elif not configured:
         configured = {side: cameras.of(side).image for side in SIDES}
     for name, topic in configured.items():
-        if topic is not None and topic not in present:
-            raise RecordingError(
-                f"cameras.{name}.image: the topic {topic} contains no images in this recording",
-                f"image topics present: {listed(sorted(present))}; all topics: {recorded}",
-            )
+        if topic is not None:
+            require_topic(f"cameras.{name}.image", topic, present, "images")
     if not present:
         raise RecordingError(
             "no image topics were recorded",
@@ -173,7 +170,7 @@ def _has_baseline(pair: Mapping[Side, str], config: RigConfig, description: Robo
     try:
         infos = [description.infos[info_topic(side, pair[side], config, description)] for side in SIDES]
         stereo_rig(infos[0], infos[1], rectified=False)
-    except (RecordingError, np.linalg.LinAlgError):
+    except (RecordingError, ConfigError, np.linalg.LinAlgError):
         return False
     return True
 
@@ -229,23 +226,6 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable
     return None
 
 
-def note_on_choice(
-    images: Mapping[str, str], config: RigConfig, description: RobotDescription
-) -> tuple[str, ...]:
-    """What was chosen, where a recording has more cameras than the single one that is used."""
-    if tuple(images) != (SINGLE,) or SINGLE in config.cameras.named:
-        return ()
-    own = _camera_of(mirrored(images[SINGLE]))
-    others = [
-        name for name in _image_topics(description) if _camera_of(mirrored(name)) != own or _is_depth(name)
-    ]
-    if not others:
-        return ()
-    return (
-        f"The single camera on {images[SINGLE]} is used; these are not: {listed(others)} (depth is never used).",
-    )
-
-
 def info_topic(name: str, image: str, config: RigConfig, description: RobotDescription) -> str:
     """Camera-info topic of an image topic: as configured, in the same namespace, or with the same frame.
 
@@ -254,11 +234,8 @@ def info_topic(name: str, image: str, config: RigConfig, description: RobotDescr
     """
     present = sorted({*description.infos, *description.unusable})
     configured = config.cameras.of(name).info
-    if configured is not None and configured not in present:
-        raise RecordingError(
-            f"cameras.{name}.info: the topic {configured} contains no camera info in this recording",
-            f"camera-info topics present: {listed(present)}",
-        )
+    if configured is not None:
+        require_topic(f"cameras.{name}.info", configured, present, "camera info")
     beside = f"{image.removesuffix('/compressed').rsplit('/', 1)[0]}/camera_info"
     both = config.cameras.both is not None
     frame = "" if both else description.image_frames.get(image, "")
@@ -295,6 +272,11 @@ def optical_frame(name: str, info: CameraInfo) -> str:
 
 def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
     frame = optical_frame(name, info)
+    if info.width <= 0 or info.height <= 0:
+        raise ConfigError(
+            f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
+            "calibrate the camera and record its camera_info again",
+        )
     if rectified:
         if not info.P.any():
             raise RecordingError(
@@ -315,27 +297,22 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     Raises:
         RecordingError: no baseline, or left and right are exchanged.
     """
-    without = [side for side, info in zip(SIDES, (left, right), strict=True) if not info.P.any()]
-    if without:
-        raise RecordingError(
-            f"the stereo pair has no baseline: P is all zeros in the camera info of {' and '.join(without)}",
-            _BASELINE_ADVICE,
-        )
+    of_each = {side: info.P for side, info in zip(SIDES, (left, right), strict=True)}
+    unknown = [side for side, P in of_each.items() if not P.any()]
     # Origin of the pair's rectified frame in each camera's rectified coordinates, (3,), m.
-    origin, other_origin = (np.linalg.solve(info.P[:, :3], info.P[:, 3]) for info in (left, right))
-    offset = origin - other_origin
+    origins = [np.zeros(3) if unknown else np.linalg.solve(P[:, :3], P[:, 3]) for P in of_each.values()]
+    offset = origins[0] - origins[1]
     baseline_m = float(np.linalg.norm(offset))
-    if abs(left.P[0, 0] / right.P[0, 0] - 1) > _SAME_FOCAL:
-        raise RecordingError(
-            f"P[0, 0] is {left.P[0, 0]:g} in {left.frame_id or 'left'} and {right.P[0, 0]:g} in "
-            f"{right.frame_id or 'right'}: these are not the camera infos of one stereo pair",
-            "calibrate both cameras together, as a stereo pair",
-        )
     if baseline_m < BASELINE.low:
+        what = f"P is all zeros in the camera info of {' and '.join(unknown)}"
+        if not unknown:
+            what = " and ".join(f"P[0, 3] is {P[0, 3]:g} in {side}" for side, P in of_each.items())
+        raise RecordingError(f"the stereo pair has no baseline: {what}", _BASELINE_ADVICE)
+    if abs(left.P[0, 0] / right.P[0, 0] - 1) > _SAME_FOCAL:
+        what = " and ".join(f"P[0, 0] is {P[0, 0]:g} in {side}" for side, P in of_each.items())
         raise RecordingError(
-            f"the stereo pair has no baseline: P[0, 3] is {left.P[0, 3]:g} in {left.frame_id or 'left'} and "
-            f"{right.P[0, 3]:g} in {right.frame_id or 'right'}",
-            _BASELINE_ADVICE,
+            f"{what}: these are not the camera infos of one stereo pair",
+            "calibrate both cameras together, as a stereo pair",
         )
     if offset[0] < 0:
         raise RecordingError(
@@ -408,13 +385,3 @@ def camera_rig(
     rotations = tuple(info.R for info in infos.values())
     each = tuple(_camera(name, info, rectified) for name, info in infos.items())
     return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
-
-
-def check_sizes(infos: Mapping[str, CameraInfo]) -> None:
-    """Raise a ConfigError if a camera info contains no image size."""
-    for name, info in infos.items():
-        if info.width <= 0 or info.height <= 0:
-            raise ConfigError(
-                f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
-                "calibrate the camera and record its camera_info again",
-            )

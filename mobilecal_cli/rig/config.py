@@ -6,7 +6,7 @@ import difflib
 import math
 import re
 import reprlib
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
@@ -26,8 +26,8 @@ from pydantic import (
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, problem_of, read_text, reason_of
-from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry
+from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
+from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry, WheelSource
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -58,35 +58,14 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-_Dictionary = Literal[
-    "DICT_4X4_50",
-    "DICT_4X4_100",
-    "DICT_4X4_250",
-    "DICT_4X4_1000",
-    "DICT_5X5_50",
-    "DICT_5X5_100",
-    "DICT_5X5_250",
-    "DICT_5X5_1000",
-    "DICT_6X6_50",
-    "DICT_6X6_100",
-    "DICT_6X6_250",
-    "DICT_6X6_1000",
-    "DICT_7X7_50",
-    "DICT_7X7_100",
-    "DICT_7X7_250",
-    "DICT_7X7_1000",
-    "DICT_ARUCO_ORIGINAL",
-    "DICT_APRILTAG_16h5",
-    "DICT_APRILTAG_25h9",
-    "DICT_APRILTAG_36h10",
-    "DICT_APRILTAG_36h11",
-]
+#: Marker families of OpenCV.
+_FAMILY = r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL|APRILTAG_(16h5|25h9|36h10|36h11))$"
 
 
 class BoardConfig(_Section):
     """The board. Counts are inner corners (aprilgrid: tags)."""
 
-    example: ClassVar[str] = "{columns: 9, rows: 6, square_m: 0.08}"
+    example: ClassVar[str] = "columns: 9\nrows: 6\nsquare_m: 0.08"
 
     kind: Literal["checkerboard", "charuco", "aprilgrid"] = "checkerboard"
     columns: int | None = Field(None, ge=2, le=100, description="inner corners (tags) along a row")
@@ -95,7 +74,9 @@ class BoardConfig(_Section):
         None,
         description="side of a square (of a tag), m; measured by the stereo pair if not given, needed without one",
     )
-    dictionary: _Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
+    dictionary: str | None = Field(
+        None, pattern=_FAMILY, description="marker dictionary, by its name in OpenCV"
+    )
     marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
     gap_share: float | None = Field(None, ge=0, le=2, description="aprilgrid: gap between tags / tag side")
     first_id: int = Field(0, ge=0, le=10_000, description="id of the first marker")
@@ -276,14 +257,19 @@ class WheelConfig(_Section):
         return self
 
     @property
-    def parts(self) -> tuple[WheelConfig, ...]:
-        """The wheels of the side, each by itself, with a `joint` or a `field`; none if the side names none."""
-        kind, one = ("joint", self.joint) if self.joint or self.joints else ("field", self.field)
-        names = self.joints or self.fields or ((one,) if one else ())
-        several = {"joint": None, "joints": (), "field": None, "fields": (), "topics": (), "signs": ()}
-        topics, signs = self.topics or (self.topic,) * len(names), self.signs or (self.sign,) * len(names)
+    def sources(self) -> tuple[WheelSource, ...]:
+        """The wheels of the side, each by itself, with a `joint` or a `field`; a topic that is not stated is ""."""
+        joints = (self.joint,) if self.joint else self.joints
+        names = joints or ((self.field,) if self.field else self.fields)
+        topics, signs = (
+            self.topics or (self.topic or "",) * len(names),
+            self.signs or (self.sign,) * len(names),
+        )
+        count = self.ticks_per_revolution, self.bits
         return tuple(
-            self.model_copy(update=several | {kind: name, "topic": topic, "sign": sign})
+            WheelSource(topic, name, None, *count, sign)
+            if joints
+            else WheelSource(topic, None, name, *count, sign)
             for name, topic, sign in zip(names, topics, signs, strict=True)
         )
 
@@ -467,7 +453,10 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     Raises:
         ConfigError: the file cannot be read, is not YAML, or has an unknown key or a bad value.
     """
-    data: dict[str, Any] = {} if path is None else _read_yaml(path)
+    data: dict[str, Any] = {}
+    if path is not None:
+        text = read_text(path, LARGEST_BYTES, "check the path of the configuration")
+        data = mapping_of(text, str(path), "compare with the draft that mobilecal init LOG writes")
     given = {key: value for key, value in (flags or {}).items() if value is not None}
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots
@@ -533,43 +522,26 @@ def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
         yield prefix
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
-    try:
-        data = load_yaml(read_text(path, LARGEST_BYTES))
-    except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}", "check the path of the configuration"
-        ) from error
-    except ValueError as error:
-        where = " ".join(str(error).split())
-        raise ConfigError(
-            f"{path}: not valid YAML: {where}", "correct the syntax, or write a draft with mobilecal init LOG"
-        ) from error
-    if data is None:
-        return {}
-    if not isinstance(data, dict):
-        raise ConfigError(
-            f"{path}: the top level is a {type(data).__name__}, not a mapping of keys",
-            "compare with the draft that mobilecal init LOG writes",
-        )
-    return data
-
-
-def parse_setting(text: str) -> tuple[str, Any]:
-    """Dotted key, and value read as YAML, of one `--set KEY=VALUE`.
+def parse_settings(texts: Iterable[str]) -> dict[str, Any]:
+    """Dotted keys, and values read as YAML, of `--set KEY=VALUE`.
 
     Raises:
-        ConfigError: no "=", or a value that is not YAML.
+        ConfigError: no "=", a value that is empty or not YAML, or a key that is given twice.
     """
-    key, equals, value = text.partition("=")
-    if not equals or not key:
-        raise ConfigError(
-            f"--set {text}: not KEY=VALUE", "write KEY=VALUE, for example --set wheels.left.sign=-1"
-        )
-    try:
-        return key, load_yaml(value)
-    except ValueError as error:
-        raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
+    settings: dict[str, Any] = {}
+    for text in texts:
+        key, _, written = text.partition("=")
+        try:
+            value = load_yaml(written)
+        except ValueError as error:
+            raise ConfigError(f"--set {text}: the value is not valid YAML", "quote the value") from error
+        if not key or value is None:
+            example = "write KEY=VALUE, for example --set wheels.left.sign=-1; leave it out for the default"
+            raise ConfigError(f"--set {text}: not KEY=VALUE", example)
+        if key in settings:
+            raise ConfigError(f"--set {key}: given twice, as {settings[key]!r} and {value!r}", "give it once")
+        settings[key] = value
+    return settings
 
 
 def read_urdf(config: RigConfig) -> str | None:
@@ -578,14 +550,8 @@ def read_urdf(config: RigConfig) -> str | None:
     Raises:
         ConfigError: the file cannot be read.
     """
-    if config.head.urdf is None:
-        return None
-    try:
-        return read_text(config.head.urdf, LARGEST_URDF_BYTES)
-    except (OSError, ValueError) as error:
-        raise ConfigError(
-            f"head.urdf: {config.head.urdf} cannot be read: {reason_of(error)}", "check the path"
-        ) from error
+    urdf = config.head.urdf
+    return None if urdf is None else read_text(urdf, LARGEST_URDF_BYTES, "check the path of head.urdf")
 
 
 def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:
@@ -614,7 +580,10 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     section: type[BaseModel] = RigConfig
     for part in location:  # or a number, or a key of a mapping, such as a joint's name
         field = section.model_fields.get(str(part))
-        section = (field and _section_of(field.annotation, inside=True)) or section
+        if field is not None:
+            section = _section_of(field.annotation, inside=True) or section
+        elif section is CamerasConfig:
+            section = CameraTopics
     return list(section.model_fields)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Container, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -344,64 +344,45 @@ def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
     ]
 
 
-def joint_fields(config: RigConfig, description: RobotDescription, chain: HeadChain) -> dict[str, JointField]:
-    """Joints of the chain that the configuration reads from messages other than JointState.
-
-    Raises:
-        ConfigError: a joint is not in the chain.
-        RecordingError: a topic is missing; the hint lists those present.
-    """
-    fields = {}
-    for joint, source in config.joints.fields.items():
-        if joint not in chain.joints:
-            raise ConfigError(
-                f"joints.fields: {joint!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
-                f"joints of the chain: {listed(chain.joints)}",
-            )
-        require_topic("joints.fields", source.topic, description)
-        scale = math.radians(1) if source.unit == "deg" else 1.0
-        fields[joint] = JointField(source.topic, source.field, scale)
-    return fields
-
-
-def joint_transforms(
+def joint_sources(
     config: RigConfig, description: RobotDescription, chain: HeadChain, urdf: Urdf | None
-) -> dict[str, JointTransform]:
-    """Joints of the chain without joint states that /tf may provide, by the URDF's links and axes."""
-    topic = next(
-        (info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")),
-        None,
-    )
-    if topic is None or urdf is None:
-        return {}
-    told = {*joint_state_names(description), *config.joints.fields}
-    kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
-    return {
-        name: JointTransform(topic, joint.parent, joint.child, joint.T_parent_child, joint.axis, kinds[name])
-        for name in chain.joints
-        if name not in told and (joint := urdf.joints.get(name)) is not None and joint.mimic is None
-    }
+) -> tuple[tuple[str, ...], dict[str, JointField | JointTransform]]:
+    """JointState topics with the chain's joints, and the sources of those that are read elsewhere.
 
-
-def joint_topics(
-    config: RigConfig, description: RobotDescription, chain: HeadChain, elsewhere: Container[str]
-) -> tuple[str, ...]:
-    """JointState topics with the chain's joints, except those read elsewhere.
+    These are the fields of other messages that the configuration names, then the transforms on /tf, by the URDF's links
+    and axes, of joints without joint states.
 
     Raises:
+        ConfigError: a configured joint is not in the chain.
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
-    topic = config.joints.topic
-    if topic is not None and topic not in description.joint_names:
-        raise RecordingError(
-            f"joints.topic: {topic} contains no joint states in this recording",
-            f"joint-state topics present: {listed(description.joint_names)}",
-        )
-    names = {topic: description.joint_names[topic]} if topic is not None else description.joint_names
-    for joint in [name for name in chain.joints if name not in elsewhere]:
-        if not any(joint in present for present in names.values()):
-            raise RecordingError(
-                f"no joint state for {joint!r}, a joint between {chain.base_frame} and {chain.head_frame}",
-                f"joints present: {listed(sorted({n for present in names.values() for n in present}))}",
+    elsewhere: dict[str, JointField | JointTransform] = {}
+    for name, source in config.joints.fields.items():
+        if name not in chain.joints:
+            raise ConfigError(
+                f"joints.fields: {name!r} is not a joint between {chain.base_frame} and {chain.head_frame}",
+                f"joints of the chain: {listed(chain.joints)}",
             )
-    return tuple(t for t, present in names.items() if set(chain.joints) & set(present))
+        require_topic("joints.fields", source.topic, (info.name for info in description.topics))
+        scale = math.radians(1) if source.unit == "deg" else 1.0
+        elsewhere[name] = JointField(source.topic, source.field, scale)
+    stated, topic = description.joint_names, config.joints.topic
+    told = {*joint_state_names(description), *elsewhere}
+    kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
+    tf = [info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")]
+    drawn = urdf.joints if tf and urdf is not None else {}
+    for name, kind in kinds.items():
+        joint = drawn.get(name)
+        if joint is not None and joint.mimic is None and name not in told:
+            ends = joint.parent, joint.child, joint.T_parent_child
+            elsewhere[name] = JointTransform(tf[0], *ends, joint.axis, kind)
+    if topic is not None:
+        require_topic("joints.topic", topic, stated, "joint states")
+        stated = {topic: stated[topic]}
+    for name in (name for name in chain.joints if name not in elsewhere):
+        if not any(name in present for present in stated.values()):
+            raise RecordingError(
+                f"no joint state for {name!r}, a joint between {chain.base_frame} and {chain.head_frame}",
+                f"joints present: {listed(sorted({n for present in stated.values() for n in present}))}",
+            )
+    return tuple(t for t, present in stated.items() if set(chain.joints) & set(present)), elsewhere

@@ -66,12 +66,12 @@ def joint_state_names(description: RobotDescription) -> list[str]:
     return sorted({name for names in description.joint_names.values() for name in names})
 
 
-def require_topic(key: str, topic: str, description: RobotDescription) -> None:
-    """Raise a RecordingError, which lists the topics present, if the topic that a key states is missing."""
-    present = [info.name for info in description.topics]
-    if topic not in present:
+def require_topic(key: str, topic: str, present: Iterable[str], what: str = "messages") -> None:
+    """Raise a RecordingError, which lists the topics present, if the one that a key states is not one of them."""
+    if topic not in (present := sorted(present)):
         raise RecordingError(
-            f"{key}: no topic {topic} in this recording", f"topics present: {listed(present)}"
+            f"{key}: the topic {topic} contains no {what} in this recording",
+            f"topics with {what}: {listed(present)}",
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal, TypeVar
@@ -12,7 +12,6 @@ from mobilecal_cli.model import (
     CameraRig,
     JointField,
     JointTransform,
-    KnownNoise,
     Nominal,
     Rig,
     RobotDescription,
@@ -23,15 +22,13 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.cameras import (
     camera_rig,
-    check_sizes,
     image_topics,
     info_topic,
     is_rectified,
-    note_on_choice,
     optical_frame,
 )
 from mobilecal_cli.rig.config import RigConfig, read_urdf
-from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_fields, joint_topics, joint_transforms
+from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
 from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
@@ -53,8 +50,7 @@ class Survey:
         cameras: the cameras.
         wheels: source of each wheel's rotation.
         head: the head chain.
-        elsewhere: the head's joints without joint states.
-        joints: JointState topics.
+        joints, elsewhere: JointState topics, and the sources of the head's joints that are not on them.
         notes: remarks for the report.
         lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
             error has none of its own.
@@ -68,8 +64,8 @@ class Survey:
     cameras: CameraRig | None
     wheels: dict[Side, WheelSource] | None
     head: Head | None
-    elsewhere: dict[str, JointField | JointTransform]
     joints: tuple[str, ...] | None
+    elsewhere: Mapping[str, JointField | JointTransform]
     notes: tuple[str, ...]
     lacks: tuple[tuple[Part, _Lack], ...]
 
@@ -125,7 +121,7 @@ def complete_rig(survey: Survey) -> Rig:
         nominal,
         sources,
         {what: config.source_of(key) or otherwise for what, key, otherwise in rows},
-        KnownNoise(**config.noise.model_dump()),
+        config.noise.model_dump(exclude_none=True),
         prior_sigmas(config.priors, cameras, chain),
     )
 
@@ -159,7 +155,6 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             topics |= {name: topic} if topic is not None else {}
         told = config.cameras.rectified
         rectified = is_rectified(next(iter(images.values()))) if told is None else told
-        notes = note_on_choice(images, config, of_robot)
     infos = {name: of_robot.infos[topic] for name, topic in topics.items()}
     infos = {
         # Some drivers name the optical frame in the images only.
@@ -172,9 +167,6 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         for name, info in infos.items()
         if not info.frame_id
     )
-    whole = images is not None and len(infos) == len(images)
-    if whole:
-        tried("camera infos", lambda: check_sizes(infos))
     wheels = tried("wheels", lambda: wheel_sources(config, of_robot))
     reference = config.cameras.reference or next(iter(images or {}), "")
     frame = infos[reference].frame_id if reference in infos else ""
@@ -184,21 +176,19 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     # Which link carries a camera without a frame is no error of its own.
     if images is not None and not frame:
         lacks_of_head = [lack for lack in lacks_of_head if isinstance(lack[1], RecordingError)]
-    if whole:
+    if images is not None and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)
         cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
     lacks += lacks_of_head
     if wheels is not None and head is not None and head.urdf is not None:
         wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
-    elsewhere: dict[str, JointField | JointTransform] = {}
-    joints: tuple[str, ...] | None = None
+    read: tuple[tuple[str, ...], dict[str, JointField | JointTransform]] | None = None
     if head is not None:
         notes += head.notes
-        elsewhere |= tried("joints", lambda: joint_fields(config, of_robot, head.chain)) or {}
-        elsewhere |= joint_transforms(config, of_robot, head.chain, head.urdf)
-        joints = tried("joints", lambda: joint_topics(config, of_robot, head.chain, elsewhere))
+        read = tried("joints", lambda: joint_sources(config, of_robot, head.chain, head.urdf))
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
+    joints, elsewhere = (None, {}) if read is None else read
     return Survey(
         config,
         description,
@@ -208,8 +198,8 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         cameras,
         wheels,
         head,
-        elsewhere,
         joints,
+        elsewhere,
         notes,
         tuple(lacks),
     )

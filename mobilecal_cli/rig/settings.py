@@ -44,7 +44,8 @@ def pose_settings(T: FloatArray) -> dict[str, Any]:
     }
 
 
-def _link(link: FixedLink | JointLink) -> dict[str, Any]:
+def link_settings(link: FixedLink | JointLink) -> dict[str, Any]:
+    """A link of the head chain as rig.yaml states it."""
     if isinstance(link, FixedLink):
         T = link.T_parent_child
         return {"xyz_m": _floats(T[:3, 3]), "rpy_rad": _floats(se3.to_rpy(T[:3, :3]))}
@@ -59,7 +60,8 @@ def _camera(rig: Rig, name: str) -> dict[str, Any]:
     return settings
 
 
-def _wheel(source: WheelSource) -> dict[str, Any]:
+def wheel_settings(source: WheelSource) -> dict[str, Any]:
+    """The wheels of a side as rig.yaml states them; of odometry, the wheels that it was made with."""
     parts = [asdict(part) for part in source.every]
     settings = parts[0]
     assumed, share = settings.pop("assumed"), settings.pop("separation_share")
@@ -108,11 +110,11 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "tilt": rig.chain.tilt,
             **({"elsewhere": elsewhere} if elsewhere else {}),
         },
-        "wheels": {side: _wheel(rig.sources.wheels[side]) for side in SIDES},
+        "wheels": {side: wheel_settings(rig.sources.wheels[side]) for side in SIDES},
         "head": {
             "base_frame": rig.chain.base_frame,
             "head_frame": rig.chain.head_frame,
-            "chain": [_link(link) for link in rig.chain.links],
+            "chain": [link_settings(link) for link in rig.chain.links],
         },
         "setting_sources": dict(rig.setting_sources),
     }
@@ -122,8 +124,8 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
         settings["nominal"] = {"wheels": {name: sizes[name] for name in WheelsNominal.model_fields}}
     if nominal.T_h_reference is not None:
         settings.setdefault("nominal", {})["head_eye"] = pose_settings(nominal.T_h_reference)
-    if rig.noise.given:
-        settings["noise"] = rig.noise.given
+    if rig.noise:
+        settings["noise"] = dict(rig.noise)
     if rig.prior_sigmas:
         settings["priors"] = shown_priors(rig.prior_sigmas, rig.cameras, rig.chain)
     return settings
@@ -221,7 +223,7 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     rig, given = extraction.rig, config.flags
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
-    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise=replace(rig.noise, **levels))
+    rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise={**rig.noise, **levels})
     if config.cameras.reference is not None and "cameras.reference" in given:
         rig = _seen_from(rig, config.cameras.reference)
     if any(key.startswith("nominal") for key in given):

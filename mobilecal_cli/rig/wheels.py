@@ -82,7 +82,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
-    stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.parts}
+    stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.sources}
     sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
     if len(sources) < len(SIDES):
         by_name = _wheels_by_name(config, description)
@@ -102,7 +102,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
 
 def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
     """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
-    told = all(wheel.parts for wheel in _of_sides(config).values())
+    told = all(wheel.sources for wheel in _of_sides(config).values())
     return config.wheels.odometry is None and not told and not _wheel_joints(description)
 
 
@@ -116,28 +116,18 @@ def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> Wh
     Raises:
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
-    first, *others = (
-        WheelSource(
-            _topic_of(side, part, description),
-            part.joint,
-            part.field,
-            part.ticks_per_revolution,
-            part.bits,
-            part.sign,
-        )
-        for part in wheel.parts
-    )
+    parts = (replace(part, topic=_topic_of(side, part, description)) for part in wheel.sources)
+    first, *others = parts
     return replace(first, others=tuple(others))
 
 
-def _topic_of(side: Side, part: WheelConfig, description: RobotDescription) -> str:
+def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> str:
     """Topic of one wheel: as stated, or the first one with its joint."""
     if part.joint is None:
-        assert part.topic is not None  # a field requires it
-        require_topic(f"wheels.{side}", part.topic, description)
+        require_topic(f"wheels.{side}", part.topic, (info.name for info in description.topics))
         return part.topic
     names = description.joint_names
-    topics = [topic for topic in names if part.joint in names[topic] and part.topic in (None, topic)]
+    topics = [topic for topic in names if part.joint in names[topic] and part.topic in ("", topic)]
     if not topics:
         raise RecordingError(
             f"wheels.{side}: no joint {part.joint!r} in the joint states"
@@ -200,13 +190,13 @@ def _with_counters(
     types = {topic.name: topic.type for topic in description.topics}
     shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
     whole = tick_counters(sets)
+    instead = "; or set wheels.odometry" if ODOMETRY in types.values() else ""
     if len(sets) > 1 or not whole:
         raise RecordingError(
             f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
             if len(sets) > 1
             else f"no joint is named as a wheel; {shown[0]} may be, but in an unknown unit",
-            "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml"
-            + _or_odometry(description),
+            f"set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml{instead}",
         )
     completed: dict[Side, WheelConfig] = {}
     for side, wheel in wheels.items():
@@ -217,8 +207,7 @@ def _with_counters(
             raise RecordingError(
                 f"{shown[0]}: tick counters; their steps per turn of the wheel are not in the recording",
                 "count them (encoder steps times gear ratio) and add to rig.yaml: "
-                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}"
-                + _or_odometry(description),
+                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}" + instead,
             )
         keys = {
             "topics": tuple(number.topic for number in numbers),
@@ -236,13 +225,6 @@ def counter_width(number: NumberField) -> int | None:
         if number.wraps == bits or (number.bits == bits and bits < 32):
             return bits
     return None
-
-
-def _or_odometry(description: RobotDescription) -> str:
-    try:
-        return f"; or use the odometry: wheels: {{odometry: {_odometry_topic(description)}}}"
-    except (RecordingError, ConfigError):
-        return ""
 
 
 def _odometry_topic(description: RobotDescription) -> str:
@@ -278,13 +260,8 @@ def _odometry_topic(description: RobotDescription) -> str:
 
 def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> dict[Side, WheelSource]:
     """Odometry as the source of both wheels' rotations."""
-    present = {info.name: info.type for info in description.topics}
-    if present.get(topic) != ODOMETRY:
-        others = listed(name for name, kind in present.items() if kind == ODOMETRY)
-        raise RecordingError(
-            f"wheels.odometry: {topic} contains no {ODOMETRY} in this recording",
-            f"topics with odometry: {others}",
-        )
+    present = [info.name for info in description.topics if info.type == ODOMETRY]
+    require_topic("wheels.odometry", topic, present, ODOMETRY)
     wheels = config.nominal.wheels
     if wheels is not None:
         return {side: WheelSource(topic, baked_in=wheels.geometry) for side in SIDES}
@@ -311,28 +288,18 @@ def with_drawn_separation(
 
 
 def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> RecordingError:
-    present = f"topics present: {listed(topic.name for topic in description.topics)}"
-    if odometry:
-        return RecordingError(
-            f"no joint is named as a wheel, and the odometry on {listed(odometry)} is not named as that of wheels",
-            f"{_SERVED}; record one of them, or name the topic in rig.yaml: wheels: {{odometry: {odometry[0]}}}",
-        )
     named = [t.name for t in description.topics if wheel_place(t.name) and COUNTER_WORDS & {*words(t.name)}]
-    if named:
-        return RecordingError(
-            f"no joint is named as a wheel; {listed(named)} look like tick counters, but no numbers can be read there",
-            "set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml",
-        )
-    if not description.joint_names:
-        return RecordingError(
-            "no joint states (sensor_msgs/JointState), odometry or tick counters of wheels were recorded",
-            f"{_SERVED}; record one of them, or set topic and field of wheels.left and wheels.right in rig.yaml; "
-            f"{present}",
-        )
+    fact, key = "no joint is named as a left or right wheel", "wheels.left and wheels.right"
+    if odometry:
+        fact += f", and the odometry on {listed(odometry)} is not named as that of wheels"
+        key = f"wheels: {{odometry: {odometry[0]}}}"
+    elif named:
+        fact += f"; {listed(named)} look like tick counters, but no numbers can be read there"
+        key += " (topic, field and ticks_per_revolution)"
     return RecordingError(
-        "no joints are named as left and right wheel",
-        f"{_SERVED}; set wheels.left and wheels.right in rig.yaml; joints present: "
-        f"{listed(joint_state_names(description))}; {present}",
+        fact,
+        f"{_SERVED}; record one of them, or set {key} in rig.yaml; joints present: "
+        f"{listed(joint_state_names(description))}; topics present: {listed(t.name for t in description.topics)}",
     )
 
 

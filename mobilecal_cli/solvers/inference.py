@@ -158,7 +158,7 @@ class Inference:
             constraints=constraints,
             motion=motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad),
             nominal=InitialPrior(T_h_c, nominal.wheels, head_eye_fixed),
-            levels=extraction.rig.noise.given,
+            levels=extraction.rig.noise,
             guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
             coarse=_QUICK if data.stations >= outliers.LONG_RECORDING else _COARSE,
             scales_stay=False,

@@ -3,7 +3,13 @@
 Other packages use only the names exported here.
 """
 
-from mobilecal_cli.vision.agreement import agreeing, check_arrangement, check_square, square_cure
+from mobilecal_cli.vision.agreement import (
+    agreeing,
+    check_arrangement,
+    check_square,
+    square_cure,
+    square_error,
+)
 from mobilecal_cli.vision.detection import detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.numbering import resolve_numbering

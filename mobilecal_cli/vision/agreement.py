@@ -215,13 +215,17 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     """
     stations = (station for station in measured if isinstance(station, Measured))
     sides_m = [station.square_m for station in stations if station.points is not None]
-    if len(sides_m) < _FEWEST:
-        return
+    if len(sides_m) >= _FEWEST and (error := square_error(square_m, sides_m)) is not None:
+        raise error
+
+
+def square_error(square_m: float, sides_m: Sequence[float]) -> ObservationError | None:
+    """The error if the median of measured sides of a square, m, is another one than the stated side, m."""
     side_m = float(np.median(sides_m))
     if abs(side_m - square_m) <= SQUARE_TOLERANCE * square_m:
-        return
-    raise ObservationError(
-        f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} stations, but board.square_m is "
+        return None
+    return ObservationError(
+        f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} measurements, but board.square_m is "
         f"{square_m:g} m (limit {100 * SQUARE_TOLERANCE:g} %)",
         square_cure(square_m, side_m),
     )

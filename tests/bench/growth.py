@@ -17,7 +17,6 @@ _STAGES = (
     "reading",
     "finding the board's size",
     "detecting the board",
-    "measuring",
     "solving",
     "writing the report",
 )

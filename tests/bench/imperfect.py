@@ -23,7 +23,6 @@ from mobilecal_cli.model import (
     Extraction,
     FloatArray,
     Jump,
-    KnownNoise,
     Noise,
     Solution,
     Track,
@@ -241,14 +240,14 @@ def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
     return plan_route(ROBOTS[robot](), motion, stations=stations, seed=number)
 
 
-def given(noise: extractions.Noise) -> KnownNoise:
+def given(noise: extractions.Noise) -> dict[str, float]:
     """All levels of a simulation as known, and the correlation lengths of processes."""
     known = {name: getattr(noise, name) for name in (*_LEVELS, *_LENGTHS)}
     known["wheel_length_m"] /= _STRETCHES_PER_LENGTH
-    return KnownNoise(**{name: level for name, level in known.items() if level})
+    return {name: level for name, level in known.items() if level}
 
 
-def with_noise(extraction: Extraction, known: KnownNoise) -> Extraction:
+def with_noise(extraction: Extraction, known: dict[str, float]) -> Extraction:
     """The same with given noise levels."""
     return replace(extraction, rig=replace(extraction.rig, noise=known))
 
@@ -262,7 +261,7 @@ def bound_of(
     inference = Inference.of(extraction, Constraints())
     data = inference.data
     parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))
-    levels = Noise.exact(**given(noise).given)
+    levels = Noise.exact(**given(noise))
     state = initial_state(data, parameters, everything)
     lin = Posterior.at(data, state, everything, levels, inference.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]

@@ -47,26 +47,26 @@ def decode_alone(path: str, workers: str) -> float:
 
 def read_and_see(path: str, jobs: str) -> dict[str, float]:
     """Seconds to read the recording and search each image; ms per station to measure; number of boards found."""
-    from mobilecal_cli.calibrate.detect import DetectionWorkers, measure_stations, plan_recording
+    from mobilecal_cli.calibrate.detect import detect_all, plan_recording
     from mobilecal_cli.model import Board
     from mobilecal_cli.readers import open_recording, read_description
     from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.resolve import complete_rig, survey_rig
-    from mobilecal_cli.vision import Detection, Measured, resolve_square
+    from mobilecal_cli.vision import Detection, Measured, measure, resolve_square
 
     board = Board(9, 6, 0.08)
     start = time.perf_counter()
-    with open_recording([Path(path)]) as recording, DetectionWorkers(recording, int(jobs)) as workers:
-        workers.call()
+    with open_recording([Path(path)]) as recording:
         rig = complete_rig(survey_rig(load_rig(None), read_description(recording)))
         (plan,), *_ = plan_recording(recording, rig, True)
-        (detections,) = workers.detect_all(rig, board, [plan], False, lambda *_: None)
+        (detections,) = detect_all(recording, rig, board, [plan], False, int(jobs))
     seconds = time.perf_counter() - start
     each = (d for one in detections for side in one.found.values() for d in side.values())
     found = sum(isinstance(d, Detection) for d in each)
     start = time.perf_counter()
-    for item in measure_stations(0, rig.cameras, board, plan.stations[:_MEASURED], detections[:_MEASURED]):
-        if isinstance(item, Measured):
+    for station, place in zip(plan.stations[:_MEASURED], detections, strict=False):
+        shots = place.of_shots(station.shots, rig.cameras)
+        if shots and isinstance(item := measure(0, station, shots, rig.cameras, board), Measured):
             resolve_square(item, board.square_m)
     measuring = 1e3 * (time.perf_counter() - start) / _MEASURED
     return {"seconds": seconds, "measuring": measuring, "found": found}

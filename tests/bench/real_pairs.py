@@ -24,7 +24,6 @@ from mobilecal_cli.model import (
     Corners,
     Extraction,
     FloatArray,
-    KnownNoise,
     Observation,
     Parameters,
     Rejection,
@@ -231,7 +230,7 @@ def extraction_of(rig: CameraRig, pairs: Sequence[Pair]) -> Extraction:
         rig_of(tick_robot()),
         cameras=rig,
         prior_sigmas=dict.fromkeys(_CHAIN, 0.0),
-        noise=KnownNoise(**dict.fromkeys(_LEVELS, EXACT)),
+        noise=dict.fromkeys(_LEVELS, EXACT),
     )
     rest = WheelTrack.at_same_times(np.array([0, 2 * _SECOND_NS]), np.zeros(2), np.zeros(2))
     return Extraction(robot, _BOARD, seen, (rest,) * len(seen), (), (), (), {})

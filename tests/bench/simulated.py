@@ -17,7 +17,6 @@ from mobilecal_cli.model import (
     Corners,
     Extraction,
     FloatArray,
-    KnownNoise,
     Noise,
 )
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
@@ -32,7 +31,7 @@ from tests.truth import parameters_of
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
 TRUE_NOISE = Noise.exact(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
-GIVEN = KnownNoise(pixel_px=PIXEL_PX, wheel_rad_per_sqrt_rad=WHEEL, joint_rad=JOINT_RAD)
+GIVEN = {"pixel_px": PIXEL_PX, "wheel_rad_per_sqrt_rad": WHEEL, "joint_rad": JOINT_RAD}
 RUNS_PER_ROUTE = 10
 
 

@@ -41,15 +41,15 @@ def plan(stations: list[Station]) -> Plan:
 
 def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
-    segments = detecting.segments_of(plan(stations), True)
+    segments = detecting.segments_of(0, plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
     assert max(pairs) <= detecting.SEGMENT_SHOTS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
-    many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
+    many = detecting.segments_of(0, plan([station(i, 1) for i in range(1000)]), True)
     assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
-    segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
+    segments = detecting.segments_of(0, plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
 
@@ -82,14 +82,10 @@ def alone(log):
         return everything(log, 1)
 
 
-@pytest.fixture(
-    params=[pytest.param(True, marks=pytest.mark.long), False], ids=["called early", "called when needed"]
-)
-def segmented(request, monkeypatch) -> None:
-    """A short log is split into several segments; the workers start before or after the planning."""
+@pytest.fixture
+def segmented(monkeypatch) -> None:
+    """A short log is split into several segments."""
     monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
-    monkeypatch.setattr(detecting, "_MEASURED_AT_ONCE", 7)
-    monkeypatch.setattr(EXTRACTING, "WORTH_BYTES", 0 if request.param else 2**62)
 
 
 def test_processes_see_what_one_sees(log, alone, segmented):

@@ -41,13 +41,13 @@ def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     names = {row.name for row in table(rig.cameras, rig.chain)}
     assert rig.prior_sigmas.keys() == names | {"board_corners", "clock", "floor_shape", "lens_waves"}
     assert rig.prior_sigmas["pan_zero"] == pytest.approx(math.radians(0.2))
-    assert rig.noise.given == {"floor_m": 0.001}
+    assert rig.noise == {"floor_m": 0.001}
     again = tmp_path / "extraction.npz"
     again.write_bytes(extraction_to_npz(loaded(npz, priors__all="fixed", noise__floor_m=0.001)))
     kept = loaded(again, priors__focal_length="free").rig
     assert math.isinf(kept.prior_sigmas["focal_left"])
     assert kept.prior_sigmas["pan_zero"] == 0
-    assert kept.noise.given == {"floor_m": 0.001}
+    assert kept.noise == {"floor_m": 0.001}
 
 
 def test_the_solver_uses_them(npz):

@@ -111,3 +111,15 @@ def test_a_camera_that_freezes(sample_logs, tmp_path):
     assert {r.reason for r in found.rejections} == {"images do not change while the robot moves"}
     unused = "10 stereo pairs between 26 and 42 s after the first image are not used: the right images stay"
     assert unused in found.notes[-1]
+
+
+def test_a_later_recording_without_a_urdf_has_that_of_the_first(sample_logs, tmp_path):
+    """It was refused: the head chain is unknown."""
+    log = edited(
+        sample_logs / "head_fixed.mcap",
+        tmp_path / "log.mcap",
+        lambda topic, message: None if topic == "/robot_description" else message,
+    )
+    extraction, _ = extract([sample_logs / "straight.mcap", log], load_rig(None))
+    assert {o.log for o in extraction.observations} == {0, 1}
+    assert any("contains no URDF; that of an earlier one is used" in note for note in extraction.notes)

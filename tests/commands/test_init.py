@@ -24,11 +24,11 @@ def test_what_is_left_is_listed_and_then_checked(sample_logs, tmp_path):
     done = run("init", log, cwd=tmp_path)
     assert (done.code, done.left) == (0, ["rig.yaml"])
     assert "wheels.left   " in done.out
-    assert "data on /wheel_ticks/left, bits: 16 (recording: the only pair" in done.out
+    assert "topic: /wheel_ticks/left, field: data, bits: 16, sign: 1" in done.out
     needed = done.out.split("TODO: needed for a calibration\n")[1].split("\n\n")[0]
     assert needed.startswith("  wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution: ")
     optional = done.out.split("TODO: optional\n")[1].split("\n\n")[0]
-    assert "Suggestion: 70 mm, a usual size (70.0" in " ".join(optional.split())
+    assert "Suggestion: 70 mm (70.0" in " ".join(optional.split())
     assert done.out.endswith(f"Written: rig.yaml\nNext: mobilecal check rig.yaml {log}\n")
     checked = run("check", "rig.yaml", log, cwd=tmp_path)
     assert checked.code == 2

@@ -75,7 +75,7 @@ def test_everything_that_is_missing_is_named_at_once(tmp_path):
     said = [lack.what for lack in found.missing]
     assert [text.split(":")[0] for text in said[:2]] == [
         "no camera info for the camera images on /left/image_raw",
-        "no joints are named as left and right wheel",
+        "no joint is named as a left or right wheel",
     ]
     assert any("the head chain is unknown" in text for text in said)
     assert all(lack.cure for lack in found.missing)

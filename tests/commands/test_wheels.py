@@ -81,7 +81,7 @@ def test_odometry_alone(made):
     robot = parameters_from_yaml(text)
     assert robot.odometry.topic == "/odom"
     for before, after, said in (
-        ("odometry:", "odometri:", "wheels: Field required"),
+        ("odometry:", "odometri:", "wheels: missing"),
         ("  right_wheel_radius_multiplier: 0", "  right_wheel_radius_multiplier: -0", "greater than"),
         ("order: [r_x", "order: [r_y", "order and observable must list"),
     ):

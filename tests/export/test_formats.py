@@ -20,15 +20,11 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import foxglove
 from mobilecal_cli.export.formats.camchain import camchain_yaml
 from mobilecal_cli.export.formats.camera_info import camera_info_yaml
-from mobilecal_cli.export.formats.json import Json
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
-from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
-from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
-from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
-from tests.formats import HEAD_EYE
+from tests.formats import HEAD_EYE, text_of
 from tests.pairs import with_pair
 
 T = se3.transform(se3.from_rpy(np.array([-1.6, 1.56, 0.4])), np.array([0.05, -0.0123456789, 2e-6]))
@@ -56,9 +52,9 @@ DIFF_DRIVE = {
 @pytest.mark.parametrize("made", HEAD_EYE)
 def test_formats_with_frames_state_the_images(made):
     """`child_frame` means another frame for rectified images: each file says which."""
-    raw, rectified = made.text(ROBOT), made.text(replace(ROBOT, rectified=True))
+    raw, rectified = text_of(made, ROBOT), text_of(made, replace(ROBOT, rectified=True))
     assert "x_parent = R x_child" in raw
-    if isinstance(made, Json):
+    if made == "json":
         assert json.loads(raw)["child_frame_images"] == "raw"
         assert json.loads(rectified)["child_frame_images"] == "rectified"
         return
@@ -86,21 +82,21 @@ def from_quaternion(x, y, z, w):
 
 
 def test_json():
-    data = json.loads(Json().text(ROBOT))
+    data = json.loads(text_of("json", ROBOT))
     assert data["T_parent_child"] == T.tolist()
     assert data["order"] == list(NINE)
     assert from_quaternion(*data["quaternion_xyzw"]) == pytest.approx(T[:3, :3])
-    assert json.loads(Json().text(replace(ROBOT, knowledge=None)))["covariance"] is None
+    assert json.loads(text_of("json", replace(ROBOT, knowledge=None)))["covariance"] is None
 
 
 def test_static_transforms():
-    data = yaml.safe_load(StaticTransformYaml().text(ROBOT))
+    data = yaml.safe_load(text_of("static_transform_yaml", ROBOT))
     assert (data["header"]["frame_id"], data["child_frame_id"]) == ("head", "camera's eye")
     move, turn = data["transform"]["translation"], data["transform"]["rotation"]
     assert [move[k] for k in "xyz"] == pytest.approx(T[:3, 3])
     assert from_quaternion(*(turn[k] for k in "xyzw")) == pytest.approx(T[:3, :3])
     # As launch would: an XML reader, then the words of a shell.
-    node = ElementTree.fromstring(StaticTransformLaunch().text(ROBOT)).find("node")
+    node = ElementTree.fromstring(text_of("static_transform_launch", ROBOT)).find("node")
     assert (node.get("pkg"), node.get("exec")) == ("tf2_ros", "static_transform_publisher")
     words = shlex.split(node.get("args"))
     args = {name.removeprefix("--"): value for name, value in zip(words[::2], words[1::2], strict=True)}
@@ -111,7 +107,7 @@ def test_static_transforms():
 
 def test_xacro_reads_the_properties(tmp_path):
     properties = tmp_path / "calibration.xacro"
-    properties.write_text(Xacro().text(replace(ROBOT, child_frame="a--b")), encoding="utf-8")
+    properties.write_text(text_of("xacro", replace(ROBOT, child_frame="a--b")), encoding="utf-8")
     robot = f"""<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">
       <xacro:include filename="{properties}"/>
       <origin xyz="${{mobilecal_head_eye_xyz}}" rpy="${{mobilecal_head_eye_rpy}}"/>

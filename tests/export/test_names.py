@@ -14,14 +14,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats.json import Json
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
-from mobilecal_cli.export.formats.static_transform_launch import StaticTransformLaunch
-from mobilecal_cli.export.formats.static_transform_yaml import StaticTransformYaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
-from mobilecal_cli.export.formats.xacro import Xacro
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, WheelGeometry
+from tests.formats import text_of
 
 NAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12)
 URDF = (
@@ -41,14 +38,14 @@ def robot(parent: str, child: str) -> CalibratedRobot:
 @example("]]>", "<!--")
 def test_any_frame_name(parent, child):
     named = robot(parent, child)
-    assert json.loads(Json().text(named))["child_frame"] == child
-    parseString(Xacro().text(named))
-    message = yaml.safe_load(StaticTransformYaml().text(named))
+    assert json.loads(text_of("json", named))["child_frame"] == child
+    parseString(text_of("xacro", named))
+    message = yaml.safe_load(text_of("static_transform_yaml", named))
     assert (message["header"]["frame_id"], message["child_frame_id"]) == (parent, child)
     drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}))
     assert drive["diff_drive_controller"]["ros__parameters"]["left_wheel_names"] == [parent]
     with suppress(ConfigError):
-        node = parseString(StaticTransformLaunch().text(named)).getElementsByTagName("node")[0]
+        node = parseString(text_of("static_transform_launch", named)).getElementsByTagName("node")[0]
         words = shlex.split(node.getAttribute("args"))
         assert words[-4:] == ["--frame-id", parent, "--child-frame-id", child]
         assert "$(" not in node.getAttribute("args")

@@ -13,7 +13,7 @@ from mobilecal_cli.export.formats import odometry_covariance as odometry
 from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance, odometry_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import CalibratedRobot, Knowledge, KnownNoise, LogSource, WheelGeometry
+from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, WheelGeometry
 from mobilecal_cli.model import Noise as LegNoise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.targets import Target
@@ -37,7 +37,7 @@ ROOT = np.array([[2e-4, 0, 0], [1.5e-4, 1e-4, 0], [4e-4, 3e-4, 1e-3]])
 def extraction():
     """Eleven legs, with given noise levels: nothing is widened."""
     made = simulated(noise=Noise(pixel_px=0.1), seed=4)
-    known = KnownNoise(wheel_rad_per_sqrt_rad=SQRT, wheel_share=SHARE)
+    known = {"wheel_rad_per_sqrt_rad": SQRT, "wheel_share": SHARE}
     return replace(made, rig=replace(made.rig, noise=known))
 
 
@@ -108,7 +108,7 @@ def test_a_filter_adds_the_twist_up_to_the_variance_of_the_drive(extraction, pro
 
 
 def test_estimated_levels_widen_as_student_s_distribution_does(extraction):
-    estimated = replace(extraction, rig=replace(extraction.rig, noise=KnownNoise()))
+    estimated = replace(extraction, rig=replace(extraction.rig, noise={}))
     given, widened = (odometry_covariance(robot_with(), each, RATE_HZ) for each in (extraction, estimated))
     assert given.widening == 1
     assert widened.widening == pytest.approx((2.200985 / 1.959964) ** 2, rel=1e-5)  # table of t, 11 degrees

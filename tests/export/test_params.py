@@ -176,7 +176,7 @@ def test_read_back(extraction, solution):
     ("change", "said"),
     [
         (("schema_version: 3", "schema_version: 5"), "version 5 is not supported, only 1 to 4"),
-        (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: Field required"),
+        (("  radius_left_m:", "  radius_lft_m:"), "wheels.radius_left_m: missing"),
         (("  separation_m: 0", "  separation_m: -0"), "separation_m: must be from 0.01 to 100 m (got -0."),
         (("  radius_left_m: 0", "  radius_left_m: true #"), "valid number (got True)"),
         (("  radius_left_m: 0", "  radius_left_m: '0.1' #"), "valid number (got '0.1')"),
@@ -186,7 +186,7 @@ def test_read_back(extraction, solution):
         (("translation_m: [", "translation_m: [.nan, "), "head_eye.translation_m"),
         (("quaternion_xyzw: [-0.4", "quaternion_xyzw: [-2.4"), "quaternion_xyzw has norm 2.64"),
         (("head_eye:", "head_eye: ["), "not valid YAML"),
-        (("head_eye:", "head_ey:"), "head_eye: Field required"),
+        (("head_eye:", "head_ey:"), "head_eye: missing"),
     ],
 )
 def test_a_bad_file_is_a_config_error(extraction, solution, change, said):

@@ -50,7 +50,7 @@ from mobilecal_cli.simulate.robot import paper_robot, urdf_text
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, ideal_extraction
-from tests.formats import HEAD_EYE
+from tests.formats import HEAD_EYE, text_of
 from tests.readers import recordings as r
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -104,7 +104,7 @@ def _params(path: Path) -> None:
     both = (robot, robot)
     comparison_text(Comparison(("a", "b"), both, (difference(*both),), history(both)))
     for made in HEAD_EYE:
-        made.text(robot)
+        text_of(made, robot)
     diff_drive_yaml(robot, robot.wheel_joints)
 
 

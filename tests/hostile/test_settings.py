@@ -14,7 +14,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml
 from mobilecal_cli.export.extraction import LARGEST_BYTES
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.rig.config import load_rig, parse_setting, read_urdf
+from mobilecal_cli.rig.config import load_rig, parse_settings, read_urdf
 from tests.hostile.test_recordings import LAUGHS, MEMORY_BYTES, bounded
 from tests.report.example import make_extraction
 
@@ -49,7 +49,7 @@ def test_rig_yaml(tmp_path, name):
 @pytest.mark.parametrize("value", ["!!python/name:os.system", "&a [*a]", "[" * 1000])
 def test_a_setting_on_the_command_line(value):
     with bounded(), pytest.raises(ConfigError):
-        parse_setting(f"board={value}")
+        parse_settings([f"board={value}"])
 
 
 def test_params_yaml():

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from mobilecal_cli.calibrate.compare import Limits, compare
+from mobilecal_cli.calibrate.compare import compare
 from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.load import read_extraction
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml
-from mobilecal_cli.model import Board, KnownNoise, Markers, Nominal, Provenance, WheelGeometry
+from mobilecal_cli.model import Board, Markers, Nominal, Provenance, WheelGeometry
 from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS
@@ -25,7 +25,7 @@ from tests.report.example import make_extraction, make_solution
 
 
 def noise(**levels):
-    return lambda e: replace(e, rig=replace(e.rig, noise=KnownNoise(**levels)))
+    return lambda e: replace(e, rig=replace(e.rig, noise=levels))
 
 
 def prior(sigma):
@@ -67,7 +67,7 @@ CASES = {
     "separation": (nominal(0.1, 0.1, 0.0), "nominal.wheels.separation_m: must be from 0.01 to 100 m"),
     "position": (nominal(T=far(300.0)), "nominal.head_eye.translation_m.0: must be from -20 to 20 m"),
     "square": (lambda e: replace(e, board=replace(e.board, square_m=-0.1)), "board.square_m: must be from"),
-    "corners": (lambda e: replace(e, board=replace(e.board, columns=0)), "board.columns: Input should be"),
+    "corners": (lambda e: replace(e, board=replace(e.board, columns=0)), "board.columns: must be"),
     "ticks": (ticks(0.5), "wheels.left.ticks_per_revolution: must be from 1 to"),
 }
 
@@ -113,7 +113,7 @@ def test_params_yaml(tmp_path, params, name):
     for read in (
         lambda path: evaluate([tmp_path / "extraction.npz"], path),
         lambda path: export(path, "odometry_covariance"),
-        lambda path: compare([path, path], Limits()),
+        lambda path: compare([path, path]),
     ):
         with pytest.raises(ConfigError) as caught:
             read(path)

@@ -8,7 +8,7 @@ import pytest
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.rig import config
-from mobilecal_cli.rig.config import RigConfig, load_rig, parse_setting, read_urdf
+from mobilecal_cli.rig.config import RigConfig, load_rig, parse_settings, read_urdf
 
 CONTRACT = """
 schema_version: 1
@@ -130,8 +130,8 @@ def test_flags_lie_over_the_file(write):
             "did you mean topic",
         ),
         ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
-        ("board: {square_m: true}", "board.square_m: Input should be a valid number (got True)"),
-        ("board: {square_m: '0.1'}", "board.square_m: Input should be a valid number (got '0.1')"),
+        ("board: {square_m: true}", "board.square_m: must be a valid number (got True)"),
+        ("board: {square_m: '0.1'}", "board.square_m: must be a valid number (got '0.1')"),
         (
             "nominal: {wheels: {radius_left_m: 1e300, radius_right_m: 0.1, separation_m: 0.5}}",
             "nominal.wheels.radius_left_m: must be from 0.001 to 10 m (got 1e+300)",
@@ -192,20 +192,32 @@ def test_urdf_is_found_beside_the_file(write, tmp_path):
 
 
 def test_settings_are_yaml():
-    assert parse_setting("wheels.left.sign=-1") == ("wheels.left.sign", -1)
-    assert parse_setting("cameras.rectified=true") == ("cameras.rectified", True)
-    assert parse_setting("head.base_frame=base=x") == ("head.base_frame", "base=x")
-    gate = parse_setting("gates.std.wheels.separation_m=0.002")  # dots in its name
-    assert load_rig(None, dict([gate])).gates == {"std.wheels.separation_m": 0.002}
-    for bad in ("novalue", "=3", "a=[1"):
-        with pytest.raises(ConfigError):
-            parse_setting(bad)
+    assert parse_settings(["wheels.left.sign=-1"]) == {"wheels.left.sign": -1}
+    assert parse_settings(["cameras.rectified=true"]) == {"cameras.rectified": True}
+    assert parse_settings(["head.base_frame=base=x"]) == {"head.base_frame": "base=x"}
+    gate = parse_settings(["gates.std.wheels.separation_m=0.002"])  # dots in its name
+    assert load_rig(None, gate).gates == {"std.wheels.separation_m": 0.002}
+
+
+@pytest.mark.parametrize(
+    "bad", ["novalue", "=3", "a=[1", "board.columns=", "board.columns= ", "board.columns=null"]
+)
+def test_a_setting_without_a_value_is_no_default(bad):
+    """An empty value silently meant the default."""
+    with pytest.raises(ConfigError, match=re.escape(f"--set {bad}: ")):
+        parse_settings([bad])
+
+
+def test_a_setting_that_is_given_twice_is_refused():
+    """The last one silently counted."""
+    with pytest.raises(ConfigError, match=r"--set board\.columns: given twice, as 9 and 8"):
+        parse_settings(["board.columns=9", "board.rows=6", "board.columns=8"])
 
 
 def test_priors_are_numbers_or_words(write):
     rig = load_rig(write("priors: {all: fixed, focal_length: 0.2, pan_zero: free}"), {"priors.clock": 5})
     assert rig.priors == {"all": "fixed", "focal_length": 0.2, "pan_zero": "free", "clock": 5}
-    assert load_rig(None, dict([parse_setting("priors.focal_length=0.1")])).priors == {"focal_length": 0.1}
+    assert load_rig(None, parse_settings(["priors.focal_length=0.1"])).priors == {"focal_length": 0.1}
 
 
 @pytest.mark.parametrize("value", ["-0.1", ".nan", ".inf", "exact", "true", "[1]", "null"])

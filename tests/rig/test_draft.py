@@ -14,7 +14,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import BoardView, NumberField, TopicInfo
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.draft import draft_rig, likely_square_m
+from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import survey_rig
 from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description, resolve_rig
@@ -70,6 +70,7 @@ def test_a_draft_of_a_poor_log_asks_with_templates_that_can_be_uncommented():
     for name in ("cameras", "wheels", "nominal"):
         block = draft.text[draft.text.index(f"\n# {name}:\n") + 1 :].split("\n\n")[0]
         lines = [line for line in block.splitlines() if re.match(rf"# (  |{name}:)", line)]
+        assert lines.count(f"# {name}:") == 1
         text = "\n".join(line[2:] for line in lines)
         assert set(YAML(typ="safe").load(text)) == {name}, text
         assert len(lines) >= 3
@@ -124,13 +125,16 @@ def test_a_board_that_is_not_certain_is_asked_for(seen, words):
 
 @pytest.mark.parametrize(
     ("measured_m", "likely_m"),
-    [(0.0799, 0.08), (0.0702, 0.07), (0.0251, 0.025), *((m, None) for m in (0.1083, 0.0247, 0.0731, 0.2476))],
+    [(0.0799, 0.08), (0.0702, 0.07), (0.02509, 0.025), (0.02472, 0.0247), (0.1083, 0.108), (0.0736, 0.0736)],
 )
 def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
-    assert likely_square_m(measured_m) == (None if likely_m is None else pytest.approx(likely_m))
+    """The nearest millimeter, if it is within the error of the measurement."""
     sides = (measured_m, measured_m * 1.001, measured_m * 0.999)
     draft = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
-    assert f"# square_m: {likely_m or round(measured_m, 4):g}\n" in draft.text
+    assert f"# square_m: {likely_m:g}\n" in draft.text
+    assert f"Suggestion: {likely_m * 1e3:g} mm ({measured_m * 1e3:.2f} mm by" in " ".join(
+        map(str, draft.todo)
+    )
     assert loaded(draft).board.square_m is None
     sides = (measured_m, measured_m * 1.05, measured_m)
     scattered = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
@@ -156,7 +160,7 @@ def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
     draft = drafted(bare(numbers=tuple(fields)))
     assert set(todo(draft)) == {"wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution"}
     wheels = YAML(typ="safe").load(draft.text)["wheels"]
-    expected = {"topic": "/ticks/left", "field": "data", "ticks_per_revolution": "TODO"}
+    expected = {"topic": "/ticks/left", "field": "data", "ticks_per_revolution": "TODO", "sign": 1}
     assert wheels["left"] == expected | ({} if filled is None else {"bits": filled})
     with pytest.raises(ValueError, match="ticks_per_revolution"):
         loaded(draft)

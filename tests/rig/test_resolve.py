@@ -258,9 +258,7 @@ def test_flag_file_and_log_are_told_apart(tmp_path):
     assert rig.setting_sources["tilt joint head_tilt_joint"] == "flag"
     assert rig.setting_sources["left images /stereo/left/image_raw"] == "log"
     assert rig.setting_sources["reference camera left"] == "default"
-    assert resolve_rig(config(noise={"joint_rad": 0.001}), description())[0].noise.given == {
-        "joint_rad": 0.001
-    }
+    assert resolve_rig(config(noise={"joint_rad": 0.001}), description())[0].noise == {"joint_rad": 0.001}
 
 
 def test_two_stereo_cameras_are_not_guessed():
@@ -314,7 +312,7 @@ def test_explicit_chain_needs_no_urdf():
     [
         ({}, {"images": ("/stereo/left/image", "/depth/image")}, ConfigError, "one camera does not show"),
         ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
-        ({}, {"joint_names": {}}, RecordingError, "no joint states (sensor_msgs/JointState), odometry"),
+        ({}, {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
         ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
@@ -323,12 +321,17 @@ def test_explicit_chain_needs_no_urdf():
         ({}, {"joint_names": {"/joint_states": JOINTS[:3]}}, RecordingError, "no joint state for 'head_tilt"),
         ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
         ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
-        ({"wheels": {"left": {"topic": "/nope", "field": "data"}}}, {}, RecordingError, "no topic /nope"),
+        (
+            {"wheels": {"left": {"topic": "/nope", "field": "data"}}},
+            {},
+            RecordingError,
+            "/nope contains no messages",
+        ),
         (
             {},
             {"joint_names": {"/joint_states": JOINTS[2:]}},
             RecordingError,
-            "no joints are named as left and",
+            "no joint is named as a left or right wheel",
         ),
         (
             {},
@@ -433,7 +436,7 @@ def test_joints_in_other_messages_than_joint_states():
     rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names))[0]
     assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
     assert rig.sources.joints == ("/joint_states",)
-    with pytest.raises(RecordingError, match=r"joints\.fields: no topic /servo"):
+    with pytest.raises(RecordingError, match=r"joints\.fields: the topic /servo contains no messages"):
         resolve_rig(config(joints={"fields": fields}), description(joint_names=names))
     with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
         resolve_rig(config(joints={"fields": {"arm": fields["head_tilt_joint"]}}), description(extra=[topic]))
@@ -458,7 +461,7 @@ def test_odometry_with_and_without_the_wheels_that_it_was_made_with():
     assert rig.sources.wheels["left"] == WheelSource("/odom", baked_in=WheelGeometry(0.21, 0.2, 0.5))
     with pytest.raises(RecordingError, match=r"/joint_states contains no nav_msgs/msg/Odometry") as told:
         resolve_rig(config(wheels={"odometry": "/joint_states"}, nominal=nominal), bare)
-    assert told.value.hint == "topics with odometry: /odom"
+    assert told.value.hint == "topics with nav_msgs/msg/Odometry: /odom"
 
 
 @pytest.mark.parametrize(

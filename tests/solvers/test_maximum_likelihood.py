@@ -11,7 +11,7 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import NINE, Corners, KnownNoise, Noise, Nominal, Track, WheelTrack
+from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.messages import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -28,7 +28,7 @@ from tests.truth import nees
 
 ROBOT = paper_robot()
 NOISE = Disturbance(0.2, 0.003, 0.0, np.radians(0.05))
-GIVEN = KnownNoise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=float(np.radians(0.05)))
+GIVEN = {"pixel_px": 0.2, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.05))}
 
 
 def extraction_of(motion="standard", seed=1, noise=NOISE, stations=12, **more):
@@ -80,7 +80,7 @@ def test_noise_levels_are_those_of_the_simulation_or_as_given(noisy):
     assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
     assert levels.joint_rad == pytest.approx(np.radians(0.05), rel=0.5)
     assert set(levels.estimated) == {"pixel_px", "wheel_rad_per_sqrt_rad", "joint_rad"}
-    levels = solve(with_noise(noisy, KnownNoise(joint_rad=0.002))).uncertainty.noise
+    levels = solve(with_noise(noisy, {"joint_rad": 0.002})).uncertainty.noise
     assert levels.joint_rad == 0.002
     assert "joint_rad" not in levels.estimated
 
@@ -111,7 +111,7 @@ def test_play_of_the_encoders_is_told_from_noise_of_the_wheels():
     assert levels.wheel_rad_per_sqrt_rad == pytest.approx(0.003, rel=0.7)
     assert levels.redundancy["encoder_rad"] > 20
 
-    given = solve(with_noise(played, KnownNoise(encoder_rad=step))).uncertainty.noise
+    given = solve(with_noise(played, {"encoder_rad": step})).uncertainty.noise
     assert given.encoder_rad == step
     assert "encoder_rad" not in given.estimated
 

@@ -1,22 +1,22 @@
-"""Formats of `mobilecal export`, a file each: its name is that of the format, and it has one `Format`.
+"""Formats of `mobilecal export`, a file each: its name is that of the format, and its function `export` makes it.
 
-A new file is a new format: `mobilecal export --to`, its help, `export_to` and the table in docs/reference/cli.md
-(`make docs`) read the files of this directory.
+The docstring of this function is a row in the table of formats (Markdown), and its parameters after the first are the
+options that the format uses. A new file is a new format: `mobilecal export --to`, its help, `export_to` and the table
+in docs/reference/cli.md (`make docs`) read the files of this directory.
 """
 
 from __future__ import annotations
 
+import inspect
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import ClassVar
 
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.export.text import comment
-from mobilecal_cli.model import NINE, CalibratedRobot, Extraction, Side
+from mobilecal_cli.model import NINE, CalibratedRobot, Extraction
 from mobilecal_cli.model.text import visible
 
 CONVENTION = (
@@ -33,67 +33,41 @@ class Exported:
         content: the bytes of the file.
         notes: changes and notes, whole sentences.
         layout: text of a second file, the layout for Foxglove; "" for none.
+        states_verdict: the content has fields for the verdict; otherwise comments at its beginning state it.
     """
 
     content: bytes = field(repr=False)
     notes: tuple[str, ...] = ()
     layout: str = field(default="", repr=False)
+    states_verdict: bool = field(default=False, repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Request:
-    """What a format is made from.
+class Source:
+    """What formats are made from.
 
     Attributes:
         robot: the calibration.
         params: its file, for messages.
-        joints: names of the wheel joints, as far as they are known.
         measurements: reads the extraction next to the file.
-        scene: makes the scene for viewers.
-        urdf, camera, with_chain, rate_hz, distance_m, logs: see `calibrate.export.export`.
+        scene: makes the scene for viewers, with images of some recordings.
     """
 
     robot: CalibratedRobot
     params: Path
-    joints: Mapping[Side, str]
     measurements: Callable[[], Extraction]
-    scene: Callable[[], Scene]
-    urdf: Path | None = None
-    camera: str | None = None
-    with_chain: bool = False
-    rate_hz: float | None = None
-    distance_m: float | None = None
-    logs: tuple[Path, ...] = ()
+    scene: Callable[[tuple[Path, ...]], Scene]
 
 
-class Format(ABC):
-    """A format. The docstring of its class is its row in the table of formats: Markdown.
-
-    Attributes:
-        options: those of the command that only some formats use, and this one does.
-        second_file: suffix of a second file, "" for none.
-        states_verdict: whether its content has fields for the verdict; otherwise comments at its beginning state it.
-        of_file: module → the format in it.
-    """
-
-    of_file: ClassVar[dict[str, type[Format]]] = {}
-
-    options: ClassVar[frozenset[str]] = frozenset()
-    second_file: ClassVar[str] = ""
-    states_verdict: ClassVar[bool] = False
-
-    def __init_subclass__(cls) -> None:
-        Format.of_file[cls.__module__] = cls
-
-    @abstractmethod
-    def export(self, asked: Request) -> Exported:
-        """The calibration in this format."""
-
-
-def format_of(name: str) -> Format:
+def format_of(name: str) -> Callable[..., Exported]:
     """A format by its name, which is that of a file in this directory."""
-    module = import_module(f"{__name__}.{name}")
-    return Format.of_file[module.__name__]()
+    made: Callable[..., Exported] = import_module(f"{__name__}.{name}").export
+    return made
+
+
+def options_of(name: str) -> list[str]:
+    """Names of the options that a format uses."""
+    return list(inspect.signature(format_of(name)).parameters)[1:]
 
 
 def frame_note(robot: CalibratedRobot) -> str:
@@ -134,13 +108,7 @@ def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
     return content[:at] + "".join(lines).encode() + content[at:]
 
 
-class HeadEyeFormat(Format):
-    """A text with the frames of the head-eye transform."""
-
-    @abstractmethod
-    def text(self, robot: CalibratedRobot) -> str:
-        """The file. It says which frame the camera frame is."""
-
-    def export(self, asked: Request) -> Exported:
-        robot = asked.robot
-        return Exported(self.text(robot).encode(), (frame_note(robot),) if robot.rectified else ())
+def of_head_eye(robot: CalibratedRobot, text: str, states_verdict: bool = False) -> Exported:
+    """A text with the frames of the head-eye transform, which says what the camera frame is."""
+    notes = (frame_note(robot),) if robot.rectified else ()
+    return Exported(text.encode(), notes, states_verdict=states_verdict)

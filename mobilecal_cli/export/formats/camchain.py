@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.improved import camera_constants, cameras_with_notes
 from mobilecal_cli.export.text import decimals, quoted
 from mobilecal_cli.model import Camera, CameraRig
@@ -15,15 +15,11 @@ from mobilecal_cli.model import Camera, CameraRig
 _KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
-class Camchain(Format):
+def export(of: Source) -> Exported:
     """The cameras as estimated, in the format of Kalibr"""
-
-    def export(self, asked: Request) -> Exported:
-        rig = asked.measurements().rig
-        cameras, notes = cameras_with_notes(
-            rig, camera_constants(rig, asked.robot.constants or {}), kalibr=True
-        )
-        return Exported(camchain_yaml(cameras, rig.sources.image).encode(), notes)
+    rig = of.measurements().rig
+    cameras, notes = cameras_with_notes(rig, camera_constants(rig, of.robot.constants or {}), kalibr=True)
+    return Exported(camchain_yaml(cameras, rig.sources.image).encode(), notes)
 
 
 def camchain_yaml(cameras: CameraRig, topics: Mapping[str, str]) -> str:

@@ -2,49 +2,43 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.improved import camera_constants, cameras_with_notes, rectified_pair
 from mobilecal_cli.export.text import decimals, quoted
 from mobilecal_cli.model import Camera
 
 
-class CameraInfo(Format):
+def export(of: Source, camera: str | None = None) -> Exported:
     """The camera as estimated (`--camera`: another than the reference), with new R and P; only for raw images"""
-
-    options: ClassVar[frozenset[str]] = frozenset({"--camera"})
-    #: Name of the camera; "" for the one in `--camera`.
-    camera: ClassVar[str] = ""
-
-    def export(self, asked: Request) -> Exported:
-        rig = asked.measurements().rig
-        changed = camera_constants(rig, asked.robot.constants or {})
-        cameras, notes = cameras_with_notes(rig, changed)
-        what = "the stereo pair was" if cameras.calibrated else "the cameras were"
-        if not changed:
-            raise ConfigError(
-                f"{asked.params}: {what} not estimated, so its camera_info does not change",
-                "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",
-            )
-        if rig.cameras.rectified:
-            raise ConfigError(
-                "the calibration was made from rectified images, so it gives no camera_info of the raw images",
-                "calibrate from the raw images",
-            )
-        name = self.camera or asked.camera or cameras.reference
-        if name not in cameras.names:
-            raise ConfigError(
-                f"the robot has no camera {name!r}; it has {', '.join(cameras.names)}",
-                f"use --to camera_info --camera {cameras.reference}",
-            )
-        camera = cameras.each[cameras.names.index(name)]
-        alone = np.eye(3), np.hstack([camera.K, np.zeros((3, 1))])
-        R, P = rectified_pair(cameras)[name] if cameras.calibrated else alone
-        return Exported(camera_info_yaml(camera, R, P).encode(), notes)
+    rig = of.measurements().rig
+    changed = camera_constants(rig, of.robot.constants or {})
+    cameras, notes = cameras_with_notes(rig, changed)
+    what = "the stereo pair was" if cameras.calibrated else "the cameras were"
+    if not changed:
+        raise ConfigError(
+            f"{of.params}: {what} not estimated, so its camera_info does not change",
+            "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",
+        )
+    if rig.cameras.rectified:
+        raise ConfigError(
+            "the calibration was made from rectified images, so it gives no camera_info of the raw images",
+            "calibrate from the raw images",
+        )
+    name = camera or cameras.reference
+    if name not in cameras.names:
+        raise ConfigError(
+            f"the robot has no camera {name!r}; it has {', '.join(cameras.names)}",
+            f"use --to camera_info --camera {cameras.reference}",
+        )
+    own = cameras.each[cameras.names.index(name)]
+    alone = np.eye(3), np.hstack([own.K, np.zeros((3, 1))])
+    R, P = rectified_pair(cameras)[name] if cameras.calibrated else alone
+    return Exported(camera_info_yaml(own, R, P).encode(), notes)
 
 
 def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:

@@ -1,10 +1,8 @@
 """The left camera of a pair in the format of camera_calibration_parsers."""
 
-from mobilecal_cli.export.formats.camera_info import CameraInfo
+from mobilecal_cli.export.formats import Exported, Source, camera_info
 
 
-class CameraInfoLeft(CameraInfo):
+def export(of: Source) -> Exported:
     """The left camera as estimated, with new R and P; only for raw images"""
-
-    options = frozenset()
-    camera = "left"
+    return camera_info.export(of, "left")

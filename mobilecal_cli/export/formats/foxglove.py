@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,7 +20,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
-from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.scene import Motion, Scene, dark_squares
 from mobilecal_cli.model import Camera, Corners, FloatArray
 
@@ -32,21 +33,13 @@ _Part: TypeAlias = Any
 _MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
 
 
-class Foxglove(Format):
+def export(of: Source, logs: tuple[Path, ...] = ()) -> Exported:
     """[a scene for Foxglove](../how-to/apply-the-result.md#see-it-in-foxglove-or-rerun) as MCAP, and a layout next to
     it (`--output` is required); `--log RECORDING` adds the images
     """
-
-    options = frozenset({"--log"})
-    second_file = ".layout.json"
-    states_verdict = True
-
-    def export(self, asked: Request) -> Exported:
-        scene = asked.scene()
-        notes = (
-            () if asked.logs else ("The file contains no images. Give the recording with --log to add them.",)
-        )
-        return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene))
+    scene = of.scene(logs)
+    notes = () if logs else ("The file contains no images. Give the recording with --log to add them.",)
+    return Exported(foxglove_mcap(scene), notes, foxglove_layout(scene), states_verdict=True)
 
 
 def foxglove_mcap(scene: Scene) -> bytes:

@@ -8,34 +8,30 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.export.formats import CONVENTION, HeadEyeFormat
+from mobilecal_cli.export.formats import CONVENTION, Exported, Source, of_head_eye
 from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot
 
 
-class Json(HeadEyeFormat):
+def export(of: Source) -> Exported:
     """The nine parameters with their covariance"""
-
-    states_verdict = True
-
-    def text(self, robot: CalibratedRobot) -> str:
-        T, known = robot.T_parent_child, robot.knowledge
-        units = np.ones(9) if robot.odometry is None else robot.odometry.units
-        data: dict[str, Any] = {
-            "convention": CONVENTION,
-            "parent_frame": robot.parent_frame,
-            "child_frame": robot.child_frame,
-            "child_frame_images": "rectified" if robot.rectified else "raw",
-            "T_parent_child": T.tolist(),
-            "translation_m": T[:3, 3].tolist(),
-            "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
-            **_wheels(robot),
-            "covariance": None if known is None else (known.covariance / np.outer(units, units)).tolist(),
-            "observable": None if known is None else known.observable.tolist(),
-            "verdict": robot.verdict or None,
-            "verdict_reasons": list(robot.reasons),
-            "created": robot.created,
-        }
-        return json.dumps(data, indent=1, allow_nan=False) + "\n"
+    robot, T, known = of.robot, of.robot.T_parent_child, of.robot.knowledge
+    units = np.ones(9) if robot.odometry is None else robot.odometry.units
+    data: dict[str, Any] = {
+        "convention": CONVENTION,
+        "parent_frame": robot.parent_frame,
+        "child_frame": robot.child_frame,
+        "child_frame_images": "rectified" if robot.rectified else "raw",
+        "T_parent_child": T.tolist(),
+        "translation_m": T[:3, 3].tolist(),
+        "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
+        **_wheels(robot),
+        "covariance": None if known is None else (known.covariance / np.outer(units, units)).tolist(),
+        "observable": None if known is None else known.observable.tolist(),
+        "verdict": robot.verdict or None,
+        "verdict_reasons": list(robot.reasons),
+        "created": robot.created,
+    }
+    return of_head_eye(robot, json.dumps(data, indent=1, allow_nan=False) + "\n", states_verdict=True)
 
 
 def _wheels(robot: CalibratedRobot) -> dict[str, Any]:

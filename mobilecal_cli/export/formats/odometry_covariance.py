@@ -10,7 +10,7 @@ from scipy.special import ndtri, stdtrit
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import decimal, decimals
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
@@ -32,24 +32,20 @@ _PLAIN_DRIVE_M = 1.0  # for wheels that the recording does not determine
 _WHEEL_LEVELS = frozenset({"wheel_rad_per_sqrt_rad", "wheel_share"})
 
 
-class OdometryFormat(Format):
+def export(of: Source, rate_hz: float | None = None, distance_m: float | None = None) -> Exported:
     """[covariance of wheel odometry](../how-to/apply-the-result.md#odometry-covariance) for `diff_drive_controller`
     and robot_localization; `--rate HZ` (default 50), `--distance METERS` (default: the legs of the recording)
     """
-
-    options = frozenset({"--rate", "--distance"})
-
-    def export(self, asked: Request) -> Exported:
-        rate_hz = ODOMETRY_RATE.check("--rate", 50.0 if asked.rate_hz is None else asked.rate_hz)
-        if asked.distance_m is not None:
-            DISTANCE.check("--distance", asked.distance_m)
-        covariance = odometry_covariance(asked.robot, asked.measurements(), rate_hz, asked.distance_m)
-        short = asked.distance_m is None and covariance.path_m < _LEAST_LEG_M
-        note = (
-            f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies to "
-            "such drives. Give the length of your drives with --distance."
-        )
-        return Exported(odometry_yaml(covariance).encode(), (note,) if short else ())
+    rate_hz = ODOMETRY_RATE.check("--rate", 50.0 if rate_hz is None else rate_hz)
+    if distance_m is not None:
+        DISTANCE.check("--distance", distance_m)
+    covariance = odometry_covariance(of.robot, of.measurements(), rate_hz, distance_m)
+    short = distance_m is None and covariance.path_m < _LEAST_LEG_M
+    note = (
+        f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies to "
+        "such drives. Give the length of your drives with --distance."
+    )
+    return Exported(odometry_yaml(covariance).encode(), (note,) if short else ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +132,7 @@ def odometry_covariance(
     # Each leg adds about one redundant number about the noise of the wheels. Where that is not given, the factor is the
     # squared ratio of the quantiles of Student's t and the normal distribution.
     legs, upper = len(data.legs), (1 + _LEVEL) / 2
-    estimated = not extraction.rig.noise.given.keys() >= _WHEEL_LEVELS
+    estimated = not extraction.rig.noise.keys() >= _WHEEL_LEVELS
     widening = float((stdtrit(legs, upper) / ndtri(upper)) ** 2) if estimated else 1.0
     rate = rate_hz / moving_s
     slip = SLIP_M_PER_SQRT_M**2 * path_m

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request
+from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import decimal, quoted
 from mobilecal_cli.model import FACTORS, SIDES, CalibratedRobot, Side
 from mobilecal_cli.model.text import visible
 
 
-class Ros2Control(Format):
+def export(of: Source, wheel_joints: Mapping[Side, str]) -> Exported:
     """Parameters of `diff_drive_controller`"""
-
-    options = frozenset({"--left-joint", "--right-joint"})
-
-    def export(self, asked: Request) -> Exported:
-        return Exported(diff_drive_yaml(asked.robot, asked.joints).encode())
+    return Exported(diff_drive_yaml(of.robot, wheel_joints).encode())
 
 
 def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:

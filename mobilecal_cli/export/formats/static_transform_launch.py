@@ -6,7 +6,7 @@ import shlex
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import CONVENTION, HeadEyeFormat, frame_note
+from mobilecal_cli.export.formats import CONVENTION, Exported, Source, frame_note, of_head_eye
 from mobilecal_cli.export.text import attribute, comment, decimal
 from mobilecal_cli.model import CalibratedRobot
 
@@ -19,31 +19,22 @@ def transform_fields(robot: CalibratedRobot) -> dict[str, str]:
     return {name: decimal(float(value)) for name, value in zip(names, values, strict=True)}
 
 
-class StaticTransformLaunch(HeadEyeFormat):
+def export(of: Source) -> Exported:
     """Launch file for tf2"""
-
-    def text(self, robot: CalibratedRobot) -> str:
-        """As the base class.
-
-        Raises:
-            ConfigError: a frame has a name that a launch file would change or that XML does not allow.
-        """
-        for frame in (robot.parent_frame, robot.child_frame):
-            if "$(" in frame:
-                raise ConfigError(
-                    f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame"
-                )
-        words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
-        frames = (
-            f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
-        )
-        return "\n".join(
-            [
-                "<launch>",
-                f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
-                '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
-                f"        args={attribute(f'{words} {frames}')}/>",
-                "</launch>",
-                "",
-            ]
-        )
+    robot = of.robot
+    for frame in (robot.parent_frame, robot.child_frame):
+        if "$(" in frame:
+            raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
+    words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
+    frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
+    text = "\n".join(
+        [
+            "<launch>",
+            f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
+            '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
+            f"        args={attribute(f'{words} {frames}')}/>",
+            "</launch>",
+            "",
+        ]
+    )
+    return of_head_eye(robot, text)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from xml.parsers.expat import ParserCreate
 
 import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Format, Request, frame_note
+from mobilecal_cli.export.formats import Exported, Source, frame_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
-from mobilecal_cli.files.reading import read_bytes, reason_of
+from mobilecal_cli.files.reading import read_bytes
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
 from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
@@ -32,50 +33,44 @@ _WHEELS = [
 _DEEPEST = len(_WHEELS[0])
 
 
-class UrdfFormat(Format):
+def export(
+    of: Source, wheel_joints: Mapping[Side, str], urdf: Path | None = None, with_chain: bool = False
+) -> Exported:
     """`--urdf FILE` with updated camera joint, wheel joints and wheel radii, with `--with-chain` also with the
     estimated origins and axes of the head joints; all other bytes are unchanged
     """
-
-    options = frozenset({"--urdf", "--left-joint", "--right-joint", "--with-chain"})
-
-    def export(self, asked: Request) -> Exported:
-        robot, path, chain, kept = asked.robot, asked.urdf, None, ""
-        if robot.odometry is not None:
-            kept = "factors of odometry belong into the controller"
-        elif robot.side_joints:
-            kept = "the effective separation belongs into the controller"
-        joints = {} if kept else asked.joints
-        if asked.with_chain:
-            if robot.constants is None:
-                raise ConfigError(
-                    f"{asked.params}: the head chain was not estimated",
-                    "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
-                )
-            chain = improved_chain(asked.measurements().rig, robot.constants)
-        if path is None:
-            raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
-        try:
-            content = read_bytes(path, LARGEST_URDF_BYTES)
-        except (OSError, ValueError) as error:
-            hint = "check the path after --urdf"
-            raise ConfigError(f"{path}: cannot be read: {reason_of(error)}", hint) from error
-        patched = patched_urdf(content, robot, joints, chain)
-        notes = patched.notes
-        if chain is None and robot.constants:
-            notes += (
-                "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+    robot, chain, kept = of.robot, None, ""
+    if robot.odometry is not None:
+        kept = "factors of odometry belong into the controller"
+    elif robot.side_joints:
+        kept = "the effective separation belongs into the controller"
+    joints = {} if kept else wheel_joints
+    if with_chain:
+        if robot.constants is None:
+            raise ConfigError(
+                f"{of.params}: the head chain was not estimated",
+                "calibrate extraction.npz again with this version and --method ml, or omit --with-chain",
             )
-        if robot.rectified:
-            notes += (frame_note(robot),)
-        missing = " and ".join(side for side in SIDES if side not in joints)
-        if kept:
-            notes += (f"The wheels are unchanged: {kept}.",)
-        elif missing:
-            notes += (
-                f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
-            )
-        return Exported(patched.content, notes)
+        chain = improved_chain(of.measurements().rig, robot.constants)
+    if urdf is None:
+        raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
+    content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf")
+    patched = patched_urdf(content, robot, joints, chain)
+    notes = patched.notes
+    if chain is None and robot.constants:
+        notes += (
+            "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
+        )
+    if robot.rectified:
+        notes += (frame_note(robot),)
+    missing = " and ".join(side for side in SIDES if side not in joints)
+    if kept:
+        notes += (f"The wheels are unchanged: {kept}.",)
+    elif missing:
+        notes += (
+            f"The joint of the {missing} wheel is unknown: give it with --left-joint or --right-joint.",
+        )
+    return Exported(patched.content, notes)
 
 
 #: First byte of a start tag, whose attributes may change or which gets a child element, and the byte after it.
@@ -343,10 +338,10 @@ def _wheel_center(urdf: Urdf, name: str) -> tuple[FloatArray, FloatArray]:
 def _height(
     content: bytes, places: _Places, urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
 ) -> tuple[float | None, tuple[str, ...]]:
-    """New height of the wheel joints in their parent, m, None to keep it; and notes on heights that stay.
+    """New height of the wheel joints in their parent, m, None to keep it; and a note on it.
 
-    A height that follows from the wheel radius has to change with it. It does in the wheel joints; other joints, such
-    as that of a base_footprint, may also place the body, so a note names them with both numbers.
+    A height that follows from the wheel radius has to change with it. It does in the wheel joints; another joint, such
+    as that of a base_footprint, may also place the body: the note has both radii.
     """
     joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
     tags = [tag for joint in joints for tag in places.get(("link", joint.child, "wheel"), [])[:1]]
@@ -364,43 +359,12 @@ def _height(
     if max(abs(height - old_m) for height in own) <= _GROUND_M:
         return new_m, (f"joints {names}: height {new_m:.6g} m, the mean wheel radius",)
 
-    def placed_by(link: str) -> str:
-        """The fixed joint that places a link; for the root the one that hangs on it."""
-        above = [joint.name for joint in urdf.joints.values() if joint.child == link]
-        below = [j.name for j in urdf.joints.values() if j.parent == link and j.kind == "fixed"]
-        return (above or below or [link])[0]
-
-    notes = []
-    heights = _heights(urdf, joints[0])
-    for link in (link for link in urdf.links if link in heights and link != joints[0].parent):
-        height = heights[link]
-        if abs(height - old_m) <= _GROUND_M and abs(old_m - new_m) > 1e-9:
-            notes.append(
-                f"link {link!r}: the axle is {height:.6g} m above it, and the mean wheel radius is now {new_m:.6g} m; "
-                f"its joint {placed_by(link)!r} is unchanged"
-            )
-    if not notes and abs(old_m - new_m) > 1e-9:
-        notes.append(
-            f"joints {names}: height {own[0]:.6g} m over {joints[0].parent!r} is unchanged; it does not follow from "
-            f"the wheel radius ({old_m:.6g} m before, {new_m:.6g} m now)"
-        )
-    return None, tuple(notes)
-
-
-def _heights(urdf: Urdf, wheel: UrdfJoint) -> dict[str, float]:
-    """Height of a wheel's center over each link that is fixed to the parent of its joint, m."""
-    beside: dict[str, list[tuple[str, FloatArray]]] = {}
-    for joint in urdf.joints.values():
-        if joint.kind == "fixed":
-            beside.setdefault(joint.parent, []).append((joint.child, se3.inverse(joint.T_parent_child)))
-            beside.setdefault(joint.child, []).append((joint.parent, joint.T_parent_child))
-    T_link_wheel, reached = {wheel.parent: wheel.T_parent_child}, [wheel.parent]
-    for link in reached:
-        for other, T_other_link in beside.get(link, ()):
-            if other not in T_link_wheel:
-                T_link_wheel[other] = T_other_link @ T_link_wheel[link]
-                reached.append(other)
-    return {link: float(T[2, 3]) for link, T in T_link_wheel.items()}
+    if abs(old_m - new_m) <= 1e-9:
+        return None, ()
+    return None, (
+        f"joints {names}: height {own[0]:.6g} m over {joints[0].parent!r} is unchanged; the mean wheel radius is now "
+        f"{new_m:.6g} m, before {old_m:.6g} m: correct the joint of a link on the ground, such as base_footprint",
+    )
 
 
 def _joint(urdf: Urdf, name: str) -> UrdfJoint:

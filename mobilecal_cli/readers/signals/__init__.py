@@ -17,15 +17,14 @@ from mobilecal_cli.model import (
     Signals,
     Sources,
     Track,
-    camera_words,
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
-from mobilecal_cli.readers.signals.joints import FieldJoint, StatedJoint, TransformJoint, most_stated
+from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
 from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes
 from mobilecal_cli.readers.signals.sides import sides_of
-from mobilecal_cli.readers.signals.sources import Images, Source, Subscriptions
+from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
@@ -63,7 +62,9 @@ def read_signals(
             on_topics.append(read.add(StatedJoint(topic, name)))
     elsewhere = {
         name: read.add(
-            FieldJoint(name, where) if isinstance(where, JointField) else TransformJoint(name, where)
+            FieldSource(where.topic, where.field, f"joint {name}", "joints.fields", where.scale)
+            if isinstance(where, JointField)
+            else TransformJoint(name, where)
         )
         for name, where in sources.elsewhere.items()
     }
@@ -72,10 +73,8 @@ def read_signals(
     read.run(extent, infos)
 
     notes: list[str] = []
-    for name, camera in images.items():
-        _check_images(read, name, camera)
-    for wheel in itertools.chain(*turning.values()):
-        read.check(wheel, notes)
+    for source in (*images.values(), *itertools.chain(*turning.values())):
+        read.check(source, notes)
     moving: dict[str, Source] = {}
     for name in joints:
         if name in elsewhere:
@@ -91,7 +90,7 @@ def read_signals(
     def signals_of(recorded: Mapping[Source, Samples]) -> Signals:
         own_notes: list[str] = []
         samples = {source: each.arranged(own_notes) for source, each in recorded.items()}
-        tracks = {name: _track(joint, samples, own_notes) for name, joint in moving.items()}
+        tracks = {name: joint.track(samples[joint], own_notes) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
         for name, joint in moving.items():
             if len(joint.series) == 1 and not joint.series.not_finite:
@@ -102,7 +101,7 @@ def read_signals(
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
             {
-                side: [(wheel.series.label, _track(wheel, samples, own_notes)) for wheel in each]
+                side: [(wheel.series.label, wheel.track(samples[wheel], own_notes)) for wheel in each]
                 for side, each in turning.items()
             },
             own_notes,
@@ -122,24 +121,6 @@ def read_signals(
         return Signals(tracks, wheels, indices, tuple(own_notes), infos.corrected, left_out_ns)
 
     return _usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of, notes)
-
-
-def _check_images(read: Subscriptions, name: str, camera: Images) -> None:
-    topic = camera.series.topic
-    if not len(camera.series):
-        broken = read.clocks[topic].broken
-        fact = f"none of its {broken} messages can be decoded" if broken else "it has no messages"
-        raise RecordingError(
-            f"{read.recording.name}: no images of the {camera_words(name)} on {topic}: {fact}",
-            "record all cameras, or set other topics in rig.yaml",
-        )
-
-
-def _track(source: Source, samples: Mapping[Source, Samples], notes: list[str]) -> Track:
-    own = samples[source]
-    if not len(own):
-        raise RecordingError(f"{own.label}: no readings", "record the topic during the whole recording")
-    return source.track(own, notes)
 
 
 def _usable(

@@ -1,4 +1,4 @@
-"""Joints: read from joint states, from transforms, or from a field of any message."""
+"""Joints: read from joint states, or from transforms; `FieldSource` reads them from a field of any message."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JOINT_STATE, FloatArray, JointField, JointTransform, Track, listed
+from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.signals.series import Samples, Series
-from mobilecal_cli.readers.signals.sources import FieldSource, Source
+from mobilecal_cli.readers.signals.sources import Source
 
 #: Names that are kept for messages; where each message has others, all of them would fill the memory.
 _MOST_PRESENT = 1000
@@ -78,19 +78,6 @@ def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoi
         )
     best.series.check_alternation()
     return best
-
-
-class FieldJoint(FieldSource):
-    """A joint in a field of any message."""
-
-    def __init__(self, name: str, source: JointField) -> None:
-        super().__init__(
-            source.topic, source.field, f"joint {name} ({source.topic} {source.field})", "joints.fields"
-        )
-        self._scale = source.scale
-
-    def reading(self, value: float) -> float:
-        return self._scale * value
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.

@@ -73,7 +73,13 @@ class Samples:
         return keep
 
     def ordered(self, notes: list[str]) -> tuple[IntArray, FloatArray]:
-        """Strictly increasing times (n,), and values (n, width); notes what is dropped."""
+        """Strictly increasing times (n,), and values (n, width); notes what is dropped.
+
+        Raises:
+            RecordingError: there are none.
+        """
+        if not len(self):
+            raise RecordingError(f"{self.label}: no readings", "record the topic during the whole recording")
         keep = self.kept(notes)
         return self.time_ns[keep], self.value[keep]
 

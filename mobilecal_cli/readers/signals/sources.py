@@ -53,26 +53,27 @@ AnySource = TypeVar("AnySource", bound=Source)
 
 
 class FieldSource(Source):
-    """The number at a field path of each message.
+    """The number at a field path of each message, such as a joint's reading.
 
     Args:
         path: path of the field.
-        label: name for messages.
+        of: what it is a reading of, for messages.
         setting: key of the path in rig.yaml, for error messages.
+        scale: rad (or m) of one unit of the field.
 
     Raises:
         RecordingError: not a valid path.
     """
 
-    def __init__(self, topic: str, path: str, label: str, setting: str) -> None:
-        super().__init__(Series(topic, label))
-        self._path, self._setting = FieldPath.parse(path), setting
+    def __init__(self, topic: str, path: str, of: str, setting: str, scale: float = 1.0) -> None:
+        super().__init__(Series(topic, f"{of} ({topic} {path})"))
+        self._path, self._setting, self._scale = FieldPath.parse(path), setting, scale
         self._missing = 0
         self._error: RecordingError | None = None
 
     def reading(self, value: float) -> float:
         """What is stored of a number."""
-        return value
+        return self._scale * value
 
     def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
         try:
@@ -177,7 +178,7 @@ class Subscriptions:
                 self.clocks[topic].broken += 1
 
     def check(self, source: Source, notes: list[str]) -> None:
-        """Check a joint or wheel after the pass; see `Source.check`.
+        """Check a source after the pass; see `Source.check`.
 
         Raises:
             RecordingError: nothing was read.

@@ -125,9 +125,7 @@ class FieldWheel(FieldSource):
     """
 
     def __init__(self, side: Side, source: WheelSource, field: str) -> None:
-        super().__init__(
-            source.topic, field, f"{side} wheel ({source.topic} {field})", f"wheels.{side}.field"
-        )
+        super().__init__(source.topic, field, f"{side} wheel", f"wheels.{side}.field")
         self._source = source
         self._first: float | None = None
         self._range: tuple[float, float] = (0, 0)
