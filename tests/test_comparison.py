@@ -75,7 +75,7 @@ def test_no_conclusion_about_an_unobservable_parameter():
     assert found.unobservable.tolist() == [False] * 8 + [True]
     assert np.isnan(found.sigmas[8])
     assert found.chi2 == 0
-    text = comparison_text(Comparison(("one", "other"), (), (found,), None))
+    text = " ".join(comparison_text(Comparison(("one", "other"), (), (found,), None)).split())
     assert "The change of these is not significant." in text
     assert "No conclusion about separation: at least one calibration does not determine it." in text
 

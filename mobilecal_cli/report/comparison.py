@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.comparison import Difference, History, difference, nine_apart
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
@@ -99,26 +99,27 @@ def comparison_text(comparison: Comparison) -> str:
     """
     first, *others = (visible(name) for name in comparison.names)
     pairs = list(zip(others, comparison.differences, strict=True))
-    lines = [*(headline(each, first, other) for other, each in pairs), ""]
+    lines = [headline(each, first, other) for other, each in pairs]
     for other, each in pairs:
-        lines += [f"Change from {first} to {other}", ""]
         rows = []
         for k, parameter in enumerate(parameters_of(each.assumed)):
             change, s = each.change[k] * parameter.factor, each.std[k] * parameter.factor
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
             rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
+        rows += [(meaning, f"{value:+.3f}", "", "", unit) for meaning, value, unit in effects(each)]
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
-        lines += Table.of(heads, rows).lines((14 if each.assumed is None else 32, 12, 12, 10))
-        lines += ["", "  r is a small rotation about the head's axes.", ""]
-        lines += (f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(each))
-        lines += ["", f"  {conclusion(each)}", ""]
+        lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
+        lines += ["  r is a small rotation about the head's axes.", "", *wrapped(conclusion(each))]
     if comparison.past is not None:
-        tested = "tested against a robot that does not change"
-        lines += [f"All {len(comparison.names)} calibrations, {tested}", ""]
-        chances = zip(NINE, comparison.past.chance, strict=True)
-        lines += [*(f"  {number:<14}{constancy(chance)}" for number, chance in chances), ""]
-    return "\n".join(lines)
+        lines += [
+            "",
+            f"All {len(comparison.names)} calibrations, tested against a robot that does not change",
+            "",
+        ]
+        chances = zip(NINE, map(constancy, comparison.past.chance), strict=True)
+        lines += Table.of(("", ""), list(chances)).lines()
+    return "\n".join(lines) + "\n"
 
 
 def comparison_json(comparison: Comparison) -> str:
@@ -156,10 +157,10 @@ def effects(difference: Difference) -> tuple[tuple[str, float, str], ...]:
     """What a change means for the robot: (effect, value, unit)."""
     heading_deg_per_m = math.degrees(difference.heading_rad_per_m)
     return (
-        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", difference.ray_m * 1e3, "mm"),
-        ("Dead reckoning: distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
-        ("Dead reckoning: heading, driving straight", heading_deg_per_m, "deg per m"),
-        ("Heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
+        (f"shift of a point {AHEAD_M:g} m ahead", difference.ray_m * 1e3, "mm"),
+        ("distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
+        ("heading, driving straight", heading_deg_per_m, "deg per m"),
+        ("heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
@@ -81,17 +81,17 @@ _KINDS = {
 }
 
 
-def reprojection_sentence(parts_px: Mapping[str, float], noise_px: float) -> str:
+def reprojection_sentence(solution: Solution) -> str:
     """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
-    if not parts_px:
+    parts_px = {name: part.px for name, part in solution.error_parts.items()}
+    if solution.uncertainty is None or not parts_px:
         return ""
     words = {"joints": "joint readings", "floor": "the uneven floor"}
-    each = [f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items()]
-    whole = math.sqrt(sum(px**2 for px in parts_px.values()))
+    each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
     return (
-        f"One corner coordinate has a noise of {std_text(noise_px)} px. The reprojection error compares two "
-        f"stations, so it includes the robot's motion between them. Expected from the noise levels: "
-        f"{', '.join(each)}; together {std_text(whole)} px."
+        f"One corner coordinate has a noise of {std_text(solution.uncertainty.noise.pixel_px)} px. The reprojection "
+        "error compares two stations, so it includes the robot's motion between them. Expected from the noise levels: "
+        f"{each}; together {std_text(math.hypot(*parts_px.values()))} px."
     )
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
-from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
-from mobilecal_cli.report.formats import Table
+from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
+from mobilecal_cli.report.formats import Table, like
 from mobilecal_cli.report.numbers import (
     DEG,
     parameters_of,
@@ -40,7 +40,8 @@ def table(
 
 def tables(case: Case) -> tuple[Table, ...]:
     """All tables that have rows; columns without any text are left out."""
-    return tuple(made for made in (make(case) for make in _TABLES) if made.rows)
+    tested = () if case.trial is None else evaluation_tables(like(EvaluationData, case.trial))
+    return (*(made for made in (make(case) for make in _TABLES) if made.rows), *tested)
 
 
 @table("limits", "Change", "name:", "number:change", "unit", "number:in sigma", "number:in %")
@@ -156,41 +157,27 @@ def separately(case: Case) -> Rows:
     "unit", "tag:", note="Difference from the stated value. params.yaml lists all constants.",
 )  # fmt: skip
 def constants(case: Case) -> Rows:
-    """The constants that are furthest from their stated values, the contradicted ones first."""
+    """The constants that are contradicted, the clocks, and those that are furthest from their stated values."""
     solution = case.solution
     wrong = {(evidence.kind, evidence.part) for evidence in solution.contradictions}
+    bad = {name for name, c in solution.constants.items() if (c.kind, c.part) in wrong}
+    always = bad | {name for name, c in solution.constants.items() if c.kind == "clock"}
+    off = {name: abs(c.value) / c.prior if c.prior > 0 else 0.0 for name, c in solution.constants.items()}
     rows = []
-    for constant in solution.constants.values():
-        kind, bad = nuisance.kind(constant.kind), (constant.kind, constant.part) in wrong
-        off = abs(constant.value) / constant.prior if constant.prior > 0 else 0.0
-        std = constant.std * kind.shown
+    for name in sorted(off, key=lambda name: (name not in bad, name not in always, -off[name])):
+        constant = solution.constants[name]
+        kind, std = nuisance.kind(constant.kind), constant.std * nuisance.kind(constant.kind).shown
         row = (
-            constant.name,
+            name,
             constant.meaning,
             value_text(constant.value * kind.shown, std, 3, "+"),
             std_text(std),
             "fixed" if constant.prior == 0 else std_text(constant.prior * kind.shown),
             kind.shown_unit,
-            "contradicts" if bad else "",
+            "contradicts" if name in bad else "",
         )
-        rows.append(((not bad, -off), bad, row))
-    rows.sort(key=lambda each: each[0])
-    contradicted = sum(bad for _, bad, _ in rows)
-    return [row for _, _, row in rows[: max(contradicted, _MOST_CONSTANTS)]]
-
-
-@table(
-    "limits", "Held-out stations", "prediction error on a leg", "number:rms", "number:median", "number:worst", "unit"
-)  # fmt: skip
-def prediction(case: Case) -> Rows:
-    """Errors on the held-out stations."""
-    return () if case.trial is None else evaluation_rows(evaluation_data(case.trial))
-
-
-@table("limits", "Drift", "drift", "number:nominal wheels", "number:calibrated wheels", "unit")
-def drift(case: Case) -> Rows:
-    """Drift of dead reckoning between the held-out stations."""
-    return () if case.trial is None else drift_rows(evaluation_data(case.trial))
+        rows.append(row)
+    return rows[: max(len(always), _MOST_CONSTANTS)]
 
 
 @table("checks", "", "tag:", "criterion", "measured", "limit")

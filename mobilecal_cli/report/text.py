@@ -9,8 +9,7 @@ import numpy as np
 
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.comparison import Change
-from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import NumberData, decimals_of, numbers_table, std_text, value_text
+from mobilecal_cli.report.numbers import NumberData, decimals_of, numbers_table
 from mobilecal_cli.report.page import template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
@@ -48,29 +47,21 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 
 
 def _details(report: ReportData) -> list[str]:
+    """All tables of the report, and the sentences on its findings."""
     quality = report.quality
     lines = ["", *_wrapped(report.parameters.orientation, "")]
-    for key, clock in report.constants.items():
-        if clock.kind == "clock":
-            of, _, recording = key.removeprefix("time_").partition("_")
-            value, std = 1e3 * clock.value, 1e3 * (clock.std or 0.0)
-            sigma = f"± {std_text(std)} ms" if std else "ms, fixed"
-            where = f"in recording {recording}, too" if recording else "to the image stamps"
-            shown = f"{value_text(value, std or None, 3)} {sigma}, added {where}"
-            lines.append(f"  {f'clock of the {of}':<{_LABEL}}{shown}")
     lines.append(f"  {'point error':<{_LABEL}}{quality.point_rms_mm:.2f} mm")
     if quality.reprojection_rms_px:
         lines.append(f"  {'reprojection error':<{_LABEL}}{quality.reprojection_rms_px:.2f} px")
-    lines += _wrapped(quality.reprojection_text, "")
-    lines += ["", *(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})"
-              for check in report.verdict.checks)]  # fmt: skip
-    if report.hold_out is not None:
-        lines += ["", "Test on the held-out stations", evaluation_text(report.hold_out).rstrip("\n")]
+    lines += [*_wrapped(quality.reprojection_text, ""), "", *report.verdict.checks.lines]
+    for table in report.tables:
+        if table.section != "checks":
+            lines += ["", table.title, *table.lines()] if table.title else ["", *table.lines()]
     for each in report.contradictions:
         lines += _wrapped(f"{each.text} {each.cure}", "Robot description: ")
     for sentence in report.outliers_text:
         lines += _wrapped(sentence, "Outlier: ")
-    return [visible(line) if line else line for line in lines]
+    return [visible(line) for line in lines]
 
 
 def notebook_html(report: ReportData, path: str) -> str:

@@ -52,13 +52,11 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     monkeypatch.setattr(criteria, "CRITERIA", [*criteria.CRITERIA])
     monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
 
-    @criteria.criterion(criteria.Metric("color", "shades"), section="limits")
-    def color(made):
+    @criteria.criterion(criteria.Metric("color", "shades", section="limits"))
+    def color(made, metric):
         shades = len(made.extraction.observations) / 4
-        yield criteria.Check(
-            "color", shades, 2.0, "fail",
-            "color of the robot", f"{shades:g} shades", "under 2 shades", "The robot is too gray.", "Paint it.",
-        )  # fmt: skip
+        why = "The robot is too gray."
+        yield metric.check(shades, 2.0, "color of the robot", "Paint it.", why=why)
 
     report = made(*case)
     (check,) = (check for check in report.verdict.checks if check.id == "color")

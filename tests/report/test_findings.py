@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import NINE, Outlier
-from mobilecal_cli.report.checks import outliers_as_noise
-from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.findings import contradiction_sentences, jackknife_sentence, outlier_sentences
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.verdict import judge
@@ -129,8 +127,7 @@ def test_noise_is_named_by_its_kind():
     solution = make_solution(make_extraction(), "ml")
 
     def said(*kinds):
-        made = Calibration(replace(solution, noisy=kinds), make_extraction())
-        (check,) = outliers_as_noise(made)
+        check = judge(replace(solution, noisy=kinds), make_extraction()).checks["outliers_as_noise"]
         assert (check.value, check.limit, check.outcome) == (len(kinds), 0, "warning")
         return check.why
 
