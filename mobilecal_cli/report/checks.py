@@ -383,8 +383,8 @@ def description(made: Calibration, metric: Metric) -> Iterator[Check]:
     solution = made.solution
     if solution.uncertainty is not None and not solution.contradictions:
         most = max((evidence.sigmas for evidence in solution.evidence), default=0.0)
-        name = "robot description: largest difference from the stated values"
-        yield metric.check(most, CONTRADICTION_SIGMAS, name, passes=True)
+        name = "largest difference from stated values"
+        yield metric.check(most, CONTRADICTION_SIGMAS, name, measured=f"{most:.1f} sigma", passes=True)
 
 
 @criterion(Metric("second_solution", at_least=True))
@@ -702,7 +702,7 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
         at_limit=f"at most {100 * ERROR_BAD:g} % without depth noise and uneven floor",
     )  # fmt: skip
     error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])
-    of_px = f" ({cause}: {std_text(every[cause].px)} px)" if cause else ""
+    of_px = f" (expected of the {cause}: {std_text(every[cause].px)} px)" if cause else ""
     yield of_pixels.check(
         math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0)), limit,
         "reprojection error", _ERROR_CURES[cause],
@@ -793,7 +793,7 @@ def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     for use in sorted(limited.values(), key=lambda use: -use.share):
         figure, value = use.figure, f"{std_text(use.value)} {use.figure.unit}"
         yield of[figure].check(
-            use.value, use.limit, f"expected error (1 sigma): {figure.meaning}",
+            use.value, use.limit, f"expected error: {figure.meaning}",
             " ".join(small_motion(made.solution, figure))
             or next_step_of(use, made.solution, made.extraction),
             measured=value if use.value else "fixed by the user",

@@ -141,3 +141,14 @@ class Table(JsonValue):
             wide, side = max(len(row[k]) for row in rows), ">" if kind == "number" else "<"
             lines = [f"{line}  {row[k]:{side}{wide}}" for line, row in zip(lines, rows, strict=True)]
         return [line.rstrip() for line in lines if line.strip()]
+
+    def markdown(self) -> list[str]:
+        """The table as Markdown."""
+        heads = tuple(label for label, _ in self.heads)
+        first, *others = (f"| {' | '.join(map(markdown, row))} |" for row in (heads, *self.rows))
+        return [first, f"|{' --- |' * len(heads)}", *others]
+
+
+def markdown(text: str) -> str:
+    """Text of a recording for Markdown: no markup, no new column."""
+    return visible(text).translate({ord(character): f"\\{character}" for character in "\\|*_`<>[]"})

@@ -1,13 +1,12 @@
 """The plots of the page, each an <svg> element, "" where there is nothing to show.
 
-A new plot is a function with the decorator `plot`. `path_picture` and `budget_bar` are those of the first screen.
+A new plot is a function with the decorator `plot`. The first screen has `path_picture` and `budget_bar`.
 """
 
 from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
@@ -100,7 +99,11 @@ _PLOTS: list[Callable[[Solution, Extraction], Plot]] = []
 
 
 def plot(
-    section: str, *, half: bool = False, each: Literal["log", "camera"] | None = None, corners: bool = False
+    section: str,
+    *,
+    half: bool = False,
+    each: Literal["further log", "camera"] | None = None,
+    corners: bool = False,
 ) -> Callable[[_Draw], _Draw]:
     """Add a function to the plots of the page.
 
@@ -108,7 +111,7 @@ def plot(
 
     Args:
         section, half: see `Plot`.
-        each: draw it for each recording, or for each camera.
+        each: draw it for each recording but the first, or for each camera.
         corners: it is about corners, and is left out where poses were measured in their place.
     """
 
@@ -116,13 +119,13 @@ def plot(
         def drawn_each(solution: Solution, extraction: Extraction) -> Plot:
             logs = sorted({o.log for o in extraction.observations})
             subjects: dict[str | None, Sequence[int]] = {
-                "log": logs[:_MOST_PATHS],
+                "further log": logs[1:_MOST_PATHS],
                 "camera": range(len(extraction.rig.cameras.names)),
                 None: [0],
             }
             parts: list[tuple[str, str, str]] = []
             for subject in () if corners and extraction.measured else subjects[each]:
-                title = extraction.log_names[subject] if each == "log" and len(logs) > 1 else ""
+                title = extraction.log_names[subject] if each == "further log" else ""
                 element, caption = draw(solution, extraction, *([] if each is None else [subject]))
                 said = {earlier for _, _, earlier in parts}
                 parts += [(title, element, "" if caption in said else caption)] if element else []
@@ -148,79 +151,46 @@ _MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
 _TRAIL_POINTS = 400  # of a path: more are finer than a pixel
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
-_LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 _MARK_BYTES = 160  # of a detected and a predicted corner in the page
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08  # of a bar: less is no pixel wide, or too narrow for a label
 
 
-@plot("stations", each="log")
-def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
-    """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
-    picked, boards, path, everything = _from_above(solution, extraction, log)
-    T_c_k = np.stack([extraction.observations[i].T_c_k for i in picked])
-    T_w_v, T_w_c = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked] @ se3.inverse(T_c_k)
-    canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
+@plot("stations", half=True, each="further log")
+def path_picture(solution: Solution, extraction: Extraction, log: int | None = None) -> Drawn:
+    """Top view of a recording, or the first: path of the base, cameras, and the board as measured at each station."""
+    log = min(o.log for o in extraction.observations) if log is None else log
+    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    observations, board = [extraction.observations[i] for i in picked], extraction.board
+    T_w_v, T_w_k = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked]
+    T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in observations]))
+    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
+    ends_k *= float(np.median([o.square_m for o in observations]))
+    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(picked), 2, 3)))[..., :2]
+    path = trail(extraction, log, solution.parameters.wheels)
+    everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    canvas = Canvas(HALF, 0.85 * HALF, "top view of the base path with cameras and board")
     x, y = (Scale.of(column) for column in everything.T)
-    axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
+    axes = Axes.of(canvas, x, y).with_equal_units()
     axes.grid("x at the first station [m]")
-    entries = [("line soft", "path of the base")]
+    entries = [("line soft", "path"), ("line green", "board"), ("line orange", "camera")]
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
         without = trail(extraction, log, nominal)
         axes.clipped_line(without, "red thin dots")
-        entries.append(("line red dots", "with nominal wheels"))
+        entries.append(("line red dots", "nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
         caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
-        tip = f"station {names[i]}"
-        axes.line(boards[k], "green", [i], f"board from {tip}")
-        x_axis, z_axis = T_w_v[k, :2, 0], T_w_c[k, :2, 2]
-        at, eye = T_w_v[k, :2, 3], T_w_c[k, :2, 3]
-        axes.arrow(at, at + size * x_axis, "blue", [i], tip)
+        tip, at, eye, z_axis = f"station {names[i]}", T_w_v[k, :2, 3], T_w_c[k, :2, 3], T_w_c[k, :2, 2]
+        axes.line(boards[k], "green thin", [i], f"board from {tip}")
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
-        axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
+        axes.dot(float(at[0]), float(at[1]), "blue", [i], tip, r=3)
     if len(picked) <= _MOST_LABELS:
         canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
-    entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
-    canvas.legend(entries, 8.0, 16.0)
+    canvas.legend(entries, 8.0, 12.0)
     return canvas.svg, caption
-
-
-def path_picture(solution: Solution, extraction: Extraction) -> str:
-    """Small top view of the first recording: the path, the mean board, and a scale bar."""
-    log = min(o.log for o in extraction.observations)
-    picked, boards, path, everything = _from_above(solution, extraction, log)
-    canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
-    left, low = 10.0, canvas.height - 22.0
-    x, y = (Scale.of(column) for column in everything.T)
-    x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
-    axes = Axes(canvas, x, y).with_equal_units()
-    axes.line(path, "soft")
-    for i, board in zip(picked, boards, strict=True):
-        axes.line(board, "green thin", [i])
-        x_m, y_m = solution.residuals.T_w_v[i, :2, 3].tolist()
-        axes.dot(x_m, y_m, "blue", [i], r=3)
-    meter = axes.x(1.0) - axes.x(0.0)
-    canvas.path(np.array([[left, canvas.height - 8], [left + meter, canvas.height - 8]]), "line ink")
-    canvas.text(left + meter + 6, canvas.height - 4, "1 m")
-    canvas.legend([("line green", "board")], HALF - 70.0, canvas.height - 4)
-    return canvas.svg
-
-
-def _from_above(
-    solution: Solution, extraction: Extraction, log: int
-) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
-    """Observations of one recording (n), the board's ends as seen from each, (n, 2, 2), path, and all points, m."""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
-    observations, board = [extraction.observations[i] for i in picked], extraction.board
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
-    ends_k *= float(np.median([o.square_m for o in observations]))
-    ends = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(observations), 2, 3)))
-    boards, path = ends[..., :2], trail(extraction, log, solution.parameters.wheels)
-    stations = solution.residuals.T_w_v[picked, :2, 3]
-    return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
 
 
 def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray:
@@ -283,66 +253,66 @@ def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes
     return canvas, axes
 
 
+def _panel(
+    canvas: Canvas,
+    row: int,
+    title: str,
+    values: Sequence[float],
+    names: Sequence[str],
+    stations: Sequence[Sequence[int]],
+    levels: Sequence[tuple[str, str, float]],
+    x_label: str,
+) -> None:
+    """One value for each name as a bar from zero, with levels (style, label, value), in a row of the canvas."""
+    top, unit = 216.0 * row, title.partition("[")[2].strip("]")
+    y = Scale.of([*values, *(value for _, _, value in levels)], zero=True)
+    axes = Axes.of(canvas, Scale(-0.6, len(names) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
+    axes.grid(x=False)
+    for k, (name, value, linked) in enumerate(zip(names, values, stations, strict=True)):
+        axes.bar(k, value, "blue", linked, f"{name}: {value:.3g} {unit}")
+    for style, _, value in levels:
+        axes.level(value, style)
+    canvas.legend([(f"line {style}", label) for style, label, _ in levels], 300.0, top + 16.0)
+    axes.names(names, x_label)
+
+
 @plot("stations")
 def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
         return "", ""
-    point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, residuals.corner_noise_m * 1e3
-    legs = [(f"{names[i]}–{names[j]}", (i, j)) for i, j in residuals.legs.tolist()]
-    canvas = Canvas(WIDE, 440.0, "point error and reprojection error of each leg")
-    for top, title, values, unit, whole in (
-        (14.0, "point error [mm]", point_mm, "mm", solution.point_rms_m * 1e3),
-        (230.0, "reprojection error [px]", residuals.leg_reprojection_px, "px", solution.reprojection_rms_px),
-    ):
-        y = Scale.of([*values, whole, depth_mm if unit == "mm" else 0.0], zero=True)
-        axes = Axes.of(canvas, Scale(-0.6, len(legs) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
-        axes.grid(x=False)
-        for k, ((name, ends), value) in enumerate(zip(legs, values.tolist(), strict=True)):
-            axes.bar(k, value, "blue", ends, f"{name}: {value:.2f} {unit}")
-        axes.level(whole, "ink thin")
-        if unit == "mm":
-            axes.level(depth_mm, "orange dash")
-        axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
-    canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
-    errors_px = residuals.leg_reprojection_px
+    ends = residuals.legs.tolist()
+    legs, errors_px = [f"{names[i]}–{names[j]}" for i, j in ends], residuals.leg_reprojection_px
+    canvas = Canvas(WIDE, 430.0, "point error and reprojection error of each leg")
+    levels = [
+        ("ink thin", "all legs", solution.point_rms_m * 1e3),
+        ("orange dash", "depth noise alone", residuals.corner_noise_m * 1e3),
+    ]
+    _panel(canvas, 0, "point error [mm]", (residuals.leg_point_rms_m * 1e3).tolist(), legs, ends, levels, "")
+    levels, label = [("ink thin", "all legs", solution.reprojection_rms_px)], "leg (from station–to station)"
+    _panel(canvas, 1, "reprojection error [px]", errors_px.tolist(), legs, ends, levels, label)
     worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
     times = float(errors_px[worst]) / median if median else 1.0
-    return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
+    return canvas.svg, f"Largest: leg {legs[worst]}, {times:.1f} times the median reprojection error."
 
 
 @plot("description", corners=True)
 def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
-    """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
-    observations, names = extraction.observations, station_names(extraction)
-    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(observations) if o.several}
-    stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
-    x = Scale(-0.6, len(observations) - 0.4)
-    pair = extraction.rig.cameras.calibrated and bool(square_mm)
-    what = "residual and square size" if pair else "residual"
-    canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
-    residual = Scale.of([o.reprojection_px for o in observations], zero=True)
-    axes = Axes.of(canvas, x, residual, "residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
-    axes.grid(x=False)
-    for i, o in enumerate(observations):
-        axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
-    axes.names(names, "" if pair else "station")
-    if not pair:
-        return canvas.svg, ""
-    sizes_mm = list(square_mm.values())
-    size = Scale.of([*sizes_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * sizes_mm[0])
-    axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
-    axes.grid(x=False)
-    for value in stated:
-        axes.level(value, "ink thin")
-        canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
-    for i, value in square_mm.items():
-        axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
-    axes.names(names, "station")
-    median = float(np.median([o.reprojection_px for o in observations]))
-    sizes = f"the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
-    return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
+    """Residual of the flat board in the images at each station; in words, the square size that a pair measures."""
+    errors_px = [o.reprojection_px for o in extraction.observations]
+    names, every = station_names(extraction), [[i] for i in range(len(errors_px))]
+    canvas, title = Canvas(WIDE, 210.0, "residual at each station"), "residual of the flat board [px]"
+    _panel(canvas, 0, title, errors_px, names, every, [], "station")
+    sizes_mm, stated = (
+        [o.square_m * 1e3 for o in extraction.observations if o.several],
+        extraction.board.square_m,
+    )
+    sizes = ""
+    if extraction.rig.cameras.calibrated and sizes_mm:
+        sizes = f"; the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
+        sizes += "" if stated is None else f" (stated: {stated * 1e3:.2f} mm)"
+    return canvas.svg, f"Median residual {std_text(float(np.median(errors_px)))} px{sizes}."
 
 
 @plot("description", half=True, each="camera", corners=True)
@@ -425,30 +395,18 @@ def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
     return canvas.svg, f"Position of a point ahead, 1 sigma: {ends}."
 
 
-@plot("limits")
-def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
-    """Correlation matrix of the nine parameters; nothing without a covariance."""
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return "", ""
-    std = np.sqrt(np.diag(uncertainty.reference_covariance))
-    std = np.where(std > 0, std, np.nan)
-    correlation = uncertainty.reference_covariance / np.outer(std, std)
-    canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
-    left, top, wide, high = 100.0, 6.0, 58.0, 32.0
-    for k, name in enumerate(NINE):
-        canvas.text(left - 8, top + (k + 0.6) * high, name, anchor="end")
-        x, y = left + (k + 0.5) * wide, top + 9 * high + 14
-        canvas.text(x, y, name, anchor="end", turn=-30)
-    for (i, j), value in np.ndenumerate(correlation):
-        if np.isfinite(value):
-            x, y, kind = left + j * wide, top + i * high, f"fill {'blue' if value > 0 else 'orange'}"
-            shade = 0.6 * min(1.0, abs(value))
-            canvas.shape("rect", kind, x=x, y=y, width=wide - 1, height=high - 1, fill_opacity=shade)
-            canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
-    apart = np.triu(np.nan_to_num(np.abs(correlation)), 1)
-    i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    return canvas.svg, f"Largest correlation: {NINE[i]} and {NINE[j]}, {correlation[i, j]:+.2f}."
+def _stack(
+    canvas: Canvas, box: tuple[float, float, float, float], shares: Sequence[tuple[float, str]]
+) -> None:
+    """Shares of groups of sources, (share, group), side by side in a box: left, top, width and height."""
+    x, y, wide, high = box
+    for share, family in shares:
+        tip = f"{family} {100 * share:.0f} %"
+        kind, width = f"fill {FAMILIES[family].style}", wide * share
+        canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=high)
+        if share > _LABELED_SHARE:
+            canvas.text(x + width / 2, y + high / 2 + 4, f"{100 * share:.0f} %", anchor="middle")
+        x += width
 
 
 @plot("limits")
@@ -458,24 +416,14 @@ def error_budget(solution: Solution, _: Extraction) -> Drawn:
         return "", ""
     labels = {name: name for name in NINE}
     labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
-    shares = {
-        (name, family): share for name in labels for share, family in family_shares(shares_of(solution, name))
-    }
-    used = [f for f in FAMILIES if max(shares.get((name, f), 0.0) for name in labels) > _LEAST_SHARE]
+    shares = {name: {f: s for s, f in family_shares(shares_of(solution, name))} for name in labels}
+    used = [f for f in FAMILIES if max(of.get(f, 0.0) for of in shares.values()) > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
-    left, wide = 122.0, WIDE - 132.0
     canvas.legend([(f"fill {FAMILIES[family].style}", family) for family in used], 8.0, 14.0)
     for row, (name, label) in enumerate(labels.items()):
-        y, x = 46.0 + 24.0 * row, left
-        canvas.text(left - 8, y + 13, label, anchor="end")
-        for family in (family for family in used if (name, family) in shares):
-            share, kind = shares[name, family], f"fill {FAMILIES[family].style}"
-            width = wide * share
-            tip = f"{label}: {family} {100 * share:.0f} %"
-            canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=18)
-            if share > _LABELED_SHARE:
-                canvas.text(x + width / 2, y + 13, f"{100 * share:.0f} %", anchor="middle")
-            x += width
+        y, of = 46.0 + 24.0 * row, shares[name]
+        canvas.text(114.0, y + 13, label, anchor="end")
+        _stack(canvas, (122.0, y, WIDE - 132.0, 18.0), [(of[f], f) for f in used if f in of])
     return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
 
 
@@ -484,11 +432,7 @@ def budget_bar(error: Error) -> Bar:
     value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
     canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
-    x = 0.0
-    for share, name in used:
-        kind = f"fill {FAMILIES[name].style}"
-        canvas.shape("rect", kind, (), name, x=x, y=0.0, width=WIDE * share, height=24.0)
-        x += WIDE * share
+    _stack(canvas, (0.0, 0.0, WIDE, 24.0), used)
     legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
     return Bar(f"What limits the {error.figure.short} ({value})", canvas.svg, legend)
 
