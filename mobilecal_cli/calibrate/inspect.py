@@ -14,7 +14,7 @@ import numpy as np
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
-from mobilecal_cli.calibrate.sample import lack_of, sample_board
+from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
@@ -34,7 +34,15 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
-from mobilecal_cli.report.inspection import Inspection, JointRange, Lack, MotionView, TopicView
+from mobilecal_cli.report.inspection import (
+    Inspection,
+    JointRange,
+    Line,
+    MotionView,
+    State,
+    TopicView,
+    problem_of,
+)
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
@@ -50,29 +58,26 @@ _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
 class _Findings:
-    """What is missing for a calibration, what limits it, and notes, in the order of the work."""
+    """What prevents or limits a calibration, and notes, in the order of the work."""
 
     def __init__(self) -> None:
-        self.missing: list[Lack] = []
-        self.weak: list[Lack] = []
+        self.lines: list[Line] = []
         self.notes: list[str] = []
 
     def miss(self, about: str, error: MobilecalError) -> None:
-        self.missing.append(lack_of(about, error))
+        self.lines.append(problem_of(about, error))
 
     def add_gaps(self, about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> None:
         """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others are missing.
 
         What is `unread` of the recording may show the others.
         """
-        fixed: list[Lack] = []
         for gap in gaps:
             of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
             nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
+            state: State = "problem" if nominal is None and not unread else "limit"
             what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-            lack = Lack(about, what, gap.cure, SolveError.exit_code)
-            (fixed if nominal is not None else self.weak if unread else self.missing).append(lack)
-        self.weak += fixed
+            self.lines.append(Line(about, state, what, gap.cure, SolveError.exit_code))
 
 
 def inspect(
@@ -106,21 +111,20 @@ def inspect(
         except RecordingError as error:
             findings.miss("recording", error)
         if survey is not None and survey.lacks:
-            findings.missing += [lack_of(part, error) for part, error in survey.lacks]
+            findings.lines += [problem_of(part, error) for part, error in survey.lacks]
         elif survey is not None:
             rig = complete_rig(survey)
             findings.notes += survey.notes
             progress("motion", 0, None)
-            findings.weak += _wrong_chain(config, rig, survey.description)
+            findings.lines += _wrong_chain(config, rig, survey.description)
             findings.add_gaps("priors", rig, _without_priors(rig, config))
-            findings.missing += _without_height(rig)
+            findings.lines += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings)
         if survey is not None and survey.images is not None:
             progress("images", 0, None)
-            board, lacks, limits = sample_board(recording, survey)
-            findings.missing += lacks
-            findings.weak += limits
+            board, of_board = sample_board(recording, survey)
+            findings.lines += of_board
         return Inspection(
             name=recording.name,
             containers=recording.containers,
@@ -133,8 +137,7 @@ def inspect(
             board=board,
             motion=motion,
             covered=covered,
-            missing=tuple(findings.missing),
-            weak=tuple(findings.weak),
+            found=tuple(findings.lines),
             notes=(*findings.notes, *recording.damage),
         )
 
@@ -170,35 +173,37 @@ def check(
         about = "recording"
         return inspect(logs, config, progress)
     except (ConfigError, RecordingError) as error:
-        return Inspection(str(logs[0]), missing=(lack_of(about, error),))
+        return Inspection(str(logs[0]), found=(problem_of(about, error),))
 
 
-def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Lack]:
+def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Line]:
     """Joints that the head chain probably has twice, or not at all."""
     links = Counter(link.joint for link in config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
-        yield Lack(
+        yield Line(
             "head chain",
+            "limit",
             f"joint {name!r} is in head.chain {links[name]} times",
             "delete the repeated link, unless the mechanism moves both by the same reading",
             SolveError.exit_code,
         )
     for name in outside_chain(rig.chain, description):
-        yield Lack(
+        yield Line(
             "head chain",
+            "limit",
             f"{name!r} was recorded, but is not a joint between {rig.chain.base_frame} and {rig.chain.head_frame}",
             "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
             SolveError.exit_code,
         )
 
 
-def _without_height(rig: Rig) -> list[Lack]:
+def _without_height(rig: Rig) -> list[Line]:
     """The height of a camera that no joint tilts, if it is not stated: no motion of the robot shows it."""
     if unseen_height(rig.chain) is None or rig.nominal.T_h_reference is not None:
         return []
     what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
     cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
-    return [Lack("head chain", what, cure, SolveError.exit_code)]
+    return [Line("head chain", "problem", what, cure, SolveError.exit_code)]
 
 
 def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
@@ -235,13 +240,14 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: _Findings) -> tu
     others_words = "".join(f"{other} images, " for other in other_names)
     cameras_words = {0: "the camera", 1: "both cameras"}.get(len(others), "all cameras")
     if count < _LEAST_COVERED * total:
-        lack = Lack(
+        line = Line(
             "time",
+            "limit" if count else "problem",
             f"{count} of {total} {name} images were recorded while {others_words}joints and wheels were",
             f"record {cameras_words}, joint states and wheels at the same time",
             RecordingError.exit_code,
         )
-        (findings.weak if count else findings.missing).append(lack)
+        findings.lines.append(line)
     return count, total
 
 
@@ -283,7 +289,7 @@ def _motion(
                 f"the readings look like {like}, and {expected} are expected"
             )
             cure = "set its unit in joints.fields, or correct the driver"
-            findings.weak.append(Lack("joints", what, cure, SolveError.exit_code))
+            findings.lines.append(Line("joints", "limit", what, cure, SolveError.exit_code))
     alone = rig.sources.assumed_wheels is not None  # odometry has no wheels
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
@@ -338,14 +344,15 @@ def _rests(
         findings.miss("motion", error)
         return None
     if len(plan.stations) < MIN_STATIONS:
-        lack = Lack(
+        line = Line(
             "motion",
+            "problem" if len(plan.stations) < FEWEST_STATIONS else "limit",
             f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
             f"and {MIN_STATIONS} to pass.",
             "record at least ten rests of two seconds, and move head and base in between",
             ObservationError.exit_code,
         )
-        (findings.missing if len(plan.stations) < FEWEST_STATIONS else findings.weak).append(lack)
+        findings.lines.append(line)
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         stops = np.stack([station.joints for station in plan.stations])

@@ -9,7 +9,7 @@ import numpy as np
 
 from mobilecal_cli.calibrate.detect import check_picture
 from mobilecal_cli.calibrate.extract import board_of
-from mobilecal_cli.errors import MobilecalError, ObservationError, QualityError, RecordingError
+from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import (
     Board,
     BoardView,
@@ -20,7 +20,7 @@ from mobilecal_cli.model import (
     Station,
 )
 from mobilecal_cli.readers import Recording, pictures_near
-from mobilecal_cli.report.inspection import Lack
+from mobilecal_cli.report.inspection import Line, problem_of
 from mobilecal_cli.rig.resolve import Survey
 from mobilecal_cli.vision import Detection, Measured, Miss, find_board, identify_size, measure, square_cure
 from mobilecal_cli.vision.observing import SQUARE_TOLERANCE
@@ -33,8 +33,8 @@ _FEWEST_SQUARES = 2
 _SQUARE_PERCENT = 1.0
 
 
-def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None, list[Lack], list[Lack]]:
-    """The board in a few images (None if no image can be read), what is wrong with it, and what limits a calibration.
+def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None, list[Line]]:
+    """The board in a few images (None if no image can be read), and what prevents or limits a calibration.
 
     Args:
         survey: of a recording whose image topics are known; the board's size is found in the images if its
@@ -44,7 +44,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     board, stated_m = board_of(config), config.board.square_m
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
-        return None, [], []
+        return None, []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
     sources = Sources(images, {}, (), {}, layout=config.cameras.layout)
     samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
@@ -54,25 +54,24 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     if not readable:
         broken = [image for some in samples.values() for image in some if isinstance(image, Rejection)]
         why = f": {broken[0].detail}" if broken else ""
-        lack = Lack(
-            "cameras", f"no image can be read{why}", "record the cameras' images", ObservationError.exit_code
-        )
-        return None, [lack], []
-    lacks: list[Lack] = []
+        what, cure = f"no image can be read{why}", "record the cameras' images"
+        return None, [Line("cameras", "problem", what, cure, ObservationError.exit_code)]
+    lines: list[Line] = []
     for name, some in samples.items() if cameras is not None else ():
         first = next((image for image in some if not isinstance(image, Rejection)), None)
         try:
             if first is not None and cameras is not None:
                 check_picture(first, name, cameras)
         except RecordingError as error:
-            lacks.append(lack_of("camera infos", error))
+            lines.append(problem_of("camera infos", error))
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
         if vote.size is not None and board is not None and set(vote.size) != {board.columns, board.rows}:
-            lacks.append(
-                Lack(
+            lines.append(
+                Line(
                     "board",
+                    "problem",
                     f"the configured board has {board.columns} x {board.rows} inner corners, but the images show "
                     f"{vote.size[0]} x {vote.size[1]}",
                     "correct board.columns and board.rows",
@@ -88,8 +87,8 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         where = "an image" if cameras is None else cameras.images_words
         where = "both images" if len(images) == 2 else where
         cure = f"keep the whole board in {where}, in good light, with squares of 7 pixels or more"
-        lacks.append(Lack("board", what, cure, ObservationError.exit_code))
-        return BoardView(len(readable), 0, None, other_sizes=others), lacks, []
+        lines.append(Line("board", "problem", what, cure, ObservationError.exit_code))
+        return BoardView(len(readable), 0, None, other_sizes=others), lines
     detections = {
         name: [None if isinstance(image, Rejection) else find_board(image, board) for image in some]
         for name, some in samples.items()
@@ -98,15 +97,13 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
     )
     squares_m = (
-        () if cameras is None or not cameras.calibrated or lacks else _squares_m(cameras, board, detections)
+        () if cameras is None or not cameras.calibrated or lines else _squares_m(cameras, board, detections)
     )
     square_m = float(np.median(squares_m)) if squares_m else None
     wrong = _wrong_square(stated_m, squares_m) if stated_m and squares_m else None
-    weak: list[Lack] = []
-    if wrong is not None:
-        (weak if wrong.exit_code == QualityError.exit_code else lacks).append(wrong)
+    lines += [] if wrong is None else [wrong]
     size = board.columns, board.rows
-    return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), lacks, weak
+    return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), lines
 
 
 def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:
@@ -114,12 +111,13 @@ def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:
     return whole is not None and size[0] <= whole[0] and size[1] <= whole[1]
 
 
-def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
+def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Line | None:
     """A stated size of the squares that `calibrate` refuses, or that several stereo pairs do not confirm."""
     median = float(np.median(squares_m))
     if abs(median - stated_m) > SQUARE_TOLERANCE * stated_m:
-        return Lack(
+        return Line(
             "square size",
+            "problem",
             f"the squares measure {median * 1e3:.1f} mm, {stated_m * 1e3:.1f} mm are stated "
             f"(limit {100 * SQUARE_TOLERANCE:g} %)",
             square_cure(stated_m, median),
@@ -130,18 +128,14 @@ def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> Lack | None:
     mean, noise = float(np.mean(squares_m)), float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m))
     if abs(mean - stated_m) <= max(_SQUARE_PERCENT / 100 * stated_m, 3 * noise):
         return None
-    return Lack(
+    return Line(
         "square size",
+        "limit",
         f"the squares measure {mean * 1e3:.2f} mm in {len(squares_m)} stereo pairs, {stated_m * 1e3:.2f} mm "
         f"are stated (limit {_SQUARE_PERCENT:g} %)",
         square_cure(stated_m, mean),
         QualityError.exit_code,
     )
-
-
-def lack_of(about: str, error: MobilecalError) -> Lack:
-    """An error as a lack of a recording."""
-    return Lack(about, error.message, error.hint, error.exit_code)
 
 
 def _squares_m(

@@ -310,7 +310,7 @@ class Report:
 
     def _repr_html_(self) -> str:
         """Verdict, numbers and path, for notebooks; `html` is the whole page."""
-        return notebook_html(self.values, path_picture(self.fit.solution, self.fit.extraction)[0])
+        return notebook_html(self.values, path_picture(self.fit.solution, self.fit.extraction).svg)
 
     @property
     def markdown(self) -> str:

@@ -41,8 +41,9 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
-    below_limits,
+    Figure,
     missing_motion,
+    motion_cure,
     next_step_of,
     small_motion,
     uses,
@@ -189,6 +190,7 @@ def legs(made: Calibration, metric: Metric) -> Iterator[Check]:
         float(have), MIN_STATIONS - 1, "legs between consecutive stations" if logs > 1 else "",
         "Record again with more stops in each recording.",
         measured=f"{have} in {logs} recordings",
+        why=f"The {logs} recordings have only {have} legs between consecutive stations (limit {MIN_STATIONS - 1}).",
     )  # fmt: skip
 
 
@@ -294,25 +296,21 @@ def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
 def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
     head, base = bool(set(missing) & set(NINE[:6])), bool(set(missing) & set(NINE[6:]))
-    constants = made.solution.constants.values()
+    constants, motion = made.solution.constants.values(), made.solution.motion
     free = {c.kind for c in constants if c.prior >= nuisance.FREE * nuisance.kind(c.kind).sigma}
     ignored = sorted(free - ({"square_size"} if made.extraction.board.square_m is None else set()))
-    if ignored and not below_limits(made.solution.motion, head, base):
+    if ignored and not small_motion(motion, head, base):
         return (
             f": the stated values of {', '.join(ignored)} are ignored",
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
         )
-    lacking, cures = missing_motion(made.solution, missing), []
-    if head:
-        cures.append("tilt the head up and down by 15 degrees or more between stops, and pan it")
-    if {"turned_deg", "driven_m"} <= set(lacking):
-        cures.append("drive and turn the base between stops")
-    elif "turned_deg" in lacking:
-        cures.append("turn the base by 20 degrees or more between stops")
-    elif "driven_m" in lacking:
-        cures.append("drive forward and back by 20 cm or more between stops")
-    because = f": {' and '.join(lacking.values())}" if lacking else ""
-    return because, f"Record again and {'; '.join(cures)}."
+    lacking = missing_motion(motion, missing)
+    because = " and ".join(
+        extent.too_small.format(extent.text(motion[key])) for key, extent in lacking.items()
+    )
+    cures = [MOTION["tilt_range_deg"].cure] if head and "tilt_range_deg" not in lacking else []
+    cures += [extent.cure for extent in lacking.values()]
+    return f": {because}" if because else "", f"Record again and {'; '.join(cures)}."
 
 
 @criterion(*(Metric(f"motion.{key}", extent.unit, True, "stations") for key, extent in MOTION.items()))
@@ -322,7 +320,11 @@ def motion(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         if key in made.solution.motion:
             value, judged = made.solution.motion[key], made.solution.uncertainty is None
             cure = f"Record again and {extent.cure}."
-            yield metric.check(value, extent.least, extent.name if judged else "", cure)
+            small = f"{value:.1f} {extent.unit} only (limit {extent.least:g})"
+            yield metric.check(
+                value, extent.least, extent.name if judged else "", cure,
+                why=f"The {extent.name} in the recording is {small}.",
+            )  # fmt: skip
 
 
 @criterion(Metric("camera_info", section="description"), gated=False)
@@ -432,6 +434,7 @@ def wheel_difference(made: Calibration, metric: Metric) -> Iterator[Check]:
     yield metric.check(
         apart, _SIZE_BAD, "difference between the wheel radii", f"Measure both wheels, and check {signal}.",
         measured=f"{apart:.1f} % ({sizes})",
+        why=f"The wheel radii differ by {apart:.1f} %: {sizes}.",
     )  # fmt: skip
 
 
@@ -474,7 +477,7 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
                 "Check ticks_per_revolution and the sides of the wheels. The effective separation of a skid-steered "
                 f"base is 1 to {_MOST_EFFECTIVE:g} times the distance between its wheels."
             )
-        usual = {"about half of": 0.5, "about twice": 2.0}
+        usual = {"about half of": 0.5, "about twice": 2.0} if passes is None else {}
         times = next((said for said, r in usual.items() if abs(ratio / r - 1) < _ALIKE), f"{ratio:.2f} times")
         yield metric.check(
             100 * (ratio - 1), limit, f"{label} against its nominal value", cure,
@@ -538,10 +541,12 @@ def stereo_error(made: Calibration, metric: Metric) -> Iterator[Check]:
     px = stated if uncertainty is None else uncertainty.noise.pixel_px
     of = "median" if uncertainty is None else f"with camera_info as stated: {std_text(stated)} px"
     pair = made.extraction.rig.cameras.calibrated
+    name = f"{'stereo ' if pair else ''}reprojection error of the board"
     yield metric.check(
-        px, 1.2, f"{'stereo ' if pair else ''}reprojection error of the board",
+        px, 1.2, name,
         f"Calibrate the {'stereo pair' if pair else 'cameras'} again (camera_info), and check that the board is flat.",
         measured=f"{std_text(px)} px ({of})",
+        why=f"The {name} is {std_text(px)} px (0.3 px is usual).",
     )  # fmt: skip
 
 
@@ -565,20 +570,20 @@ def square_size(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
 _HEIGHT = Metric("noise.height", "mm", section="limits")
-#: Noise level → its limit, its name, and what to check.
+#: Noise level → the largest usual level, the limit, its name, and what to check.
 _NOISE = {
-    _HEIGHT: (30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
-    Metric("noise.joint", "degrees", section="limits"): (0.4, *_PLAY),
-    Metric("noise.sliding_joint", "mm", section="limits"): (0.7, *_PLAY),
-    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (0.03, "wheels", "the wheels for slip"),
+    _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
+    Metric("noise.joint", "degrees", section="limits"): (0.2, 0.4, *_PLAY),
+    Metric("noise.sliding_joint", "mm", section="limits"): (0.35, 0.7, *_PLAY),
+    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (0.015, 0.03, "wheels", "the wheels for slip"),
     Metric("noise.wheel_share", "%", section="limits"): (
-        5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
+        1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
     ),
     Metric("noise.floor", "degrees", section="limits"): (
-        1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
+        0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
     ),
     Metric("noise.stamp", "ms", section="limits"): (
-        20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
+        2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
 }  # fmt: skip
 
@@ -603,10 +608,11 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
     }
     for metric in levels:
-        (bad, name, cause), level = _NOISE[metric], measured[metric.name]
+        (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         yield metric.check(
             level, bad, f"noise of the {name}" if level else "", f"Check {cause}. Then record again.",
             measured=f"{level:.2g} {metric.unit}",
+            why=f"The noise of the {name} is {level:.2g} {metric.unit} (below {usual:g} {metric.unit} is usual).",
         )  # fmt: skip
 
 
@@ -653,9 +659,10 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         yield metric.check(
             error, limit, f"largest {kind} error of a leg",
             "Check for wheel slip and for a moved board between these stations, and record again.",
-            measured=f"{error:.1f} {metric.unit} between stations {first} and {second} "
-            f"(median {median:.1f} {metric.unit})",
+            measured=f"{error:.1f} {metric.unit} (median {median:.1f} {metric.unit})",
             at_limit=f"at most {times:g} times the median, or at most {limit:.1f} {metric.unit}",
+            why=f"The {kind} error between stations {first} and {second} is {error:.1f} {metric.unit} "
+            f"(median {median:.1f} {metric.unit}).",
             passes=error <= times * median or error <= limit,
             beyond=_warning_of(made),
         )  # fmt: skip
@@ -695,19 +702,21 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
     explained = predicted**2 * of_corners + sum(part.m**2 for part in parts) * of_legs
     unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
     cause = max(every, key=lambda name: every[name].px, default="")
+    depth = f"(depth noise alone: {predicted * 1e3:.1f} mm)"
     yield of_points.check(
         unexplained, 100 * ERROR_BAD, "point error", _ERROR_CURES[cause],
-        measured=f"{1e3 * error:.1f} mm at {distance:.1f} m, {100 * error / distance:.2f} % "
-        f"(depth noise alone: {predicted * 1e3:.1f} mm)",
+        measured=f"{1e3 * error:.1f} mm, {100 * error / distance:.2f} % of the distance {depth}",
         at_limit=f"at most {100 * ERROR_BAD:g} % without depth noise and uneven floor",
+        why=f"The point error is {1e3 * error:.1f} mm at {distance:.1f} m {depth}.",
     )  # fmt: skip
     error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])
-    of_px = f" (expected of the {cause}: {std_text(every[cause].px)} px)" if cause else ""
+    of_px = f" The {cause} contribute {std_text(every[cause].px)} px of it." if cause else ""
     yield of_pixels.check(
         math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0)), limit,
         "reprojection error", _ERROR_CURES[cause],
-        measured=f"{error_px:.2f} px{of_px}",
+        measured=f"{error_px:.2f} px",
         at_limit=f"at most {limit:.1f} px",
+        why=f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px).{of_px}",
     )  # fmt: skip
 
 
@@ -718,7 +727,7 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
     The linear method alone has errors up to 2 degrees, 60 mm and 5 % of the wheels. It knows no fixed values, and
     unobservable ones only roughly. It uses outliers too: where there are any, a large difference says nothing.
     """
-    limits, shown = (6.0, 200.0, 15.0), "{:.2g} degrees, {:.3g} mm and {:.2g} % of the wheels"
+    limits = (6.0, 200.0, 15.0)
     linear, refined = made.solution.linear.parameters, made.solution.parameters
     if made.solution.refinement is None:
         return
@@ -734,11 +743,13 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
     largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
     if largest > 1 and any(outlier.kind != "corners" for outlier in made.solution.outliers):
         return
+    text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
     yield metric.check(
-        largest, 1.0, "difference between the linear and the refined solution",
+        largest, 1.0, "linear against refined solution",
         "Check the head joints for play. Then record again with more stops, head motion and turns.",
-        measured=shown.format(*apart),
-        at_limit=f"at most {shown.format(*limits)}",
+        measured=f"differ by {text}",
+        at_limit="at most {:g} degrees, {:g} mm and {:g} %".format(*limits),
+        why=f"The linear and the refined solution differ by {text}.",
         beyond=_warning_of(made),
     )  # fmt: skip
 
@@ -780,6 +791,13 @@ def outliers_as_noise(made: Calibration, metric: Metric) -> Iterator[Check]:
 criterion(*(metric for metric in _NOISE if metric is not _HEIGHT))(noise)
 
 
+def _moves(made: Calibration, figure: Figure) -> tuple[bool, bool]:
+    """Whether motion of the head, and of the base, improves an expected error."""
+    fixed = np.zeros(9, bool) if made.solution.uncertainty is None else made.solution.uncertainty.fixed
+    of_camera_alone = figure.of_camera and figure.field != "point_m"
+    return figure.of_camera and not fixed[:6].all(), not of_camera_alone and not fixed[6:].all()
+
+
 @criterion(*(Metric(figure.name, figure.unit, section="limits") for figure in FIGURES))
 def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
@@ -794,7 +812,7 @@ def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         figure, value = use.figure, f"{std_text(use.value)} {use.figure.unit}"
         yield of[figure].check(
             use.value, use.limit, f"expected error: {figure.meaning}",
-            " ".join(small_motion(made.solution, figure))
+            motion_cure(made.solution.motion, *_moves(made, figure))
             or next_step_of(use, made.solution, made.extraction),
             measured=value if use.value else "fixed by the user",
             why=f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "

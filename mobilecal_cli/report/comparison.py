@@ -99,7 +99,7 @@ def comparison_text(comparison: Comparison) -> str:
     """
     first, *others = (visible(name) for name in comparison.names)
     pairs = list(zip(others, comparison.differences, strict=True))
-    lines = [headline(each, first, other) for other, each in pairs]
+    lines = [line for other, each in pairs for line in wrapped(conclusion(each, first, other), "", "  ")]
     for other, each in pairs:
         rows = []
         for k, parameter in enumerate(parameters_of(each.assumed)):
@@ -110,13 +110,10 @@ def comparison_text(comparison: Comparison) -> str:
         rows += [(meaning, f"{value:+.3f}", "", "", unit) for meaning, value, unit in effects(each)]
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
-        lines += ["  r is a small rotation about the head's axes.", "", *wrapped(conclusion(each))]
+        lines.append("  r is a small rotation about the head's axes.")
     if comparison.past is not None:
-        lines += [
-            "",
-            f"All {len(comparison.names)} calibrations, tested against a robot that does not change",
-            "",
-        ]
+        count = len(comparison.names)
+        lines += ["", f"All {count} calibrations, tested against a robot that does not change", ""]
         chances = zip(NINE, map(constancy, comparison.past.chance), strict=True)
         lines += Table.of(("", ""), list(chances)).lines()
     return "\n".join(lines) + "\n"
@@ -169,40 +166,20 @@ def changed(difference: Difference) -> bool | None:
     return None if difference.chance is None else difference.chance < _UNLIKELY
 
 
-def headline(difference: Difference, first: str, second: str) -> str:
-    """Whether the second calibration differs from the first, with the largest change in sigmas."""
-    change = changed(difference)
-    if change is None:
+def conclusion(difference: Difference, first: str, second: str) -> str:
+    """Whether the second calibration differs from the first, how much at most, and how certain that is."""
+    hidden = ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
+    note = f" No conclusion about {hidden}: at least one calibration does not determine it." if hidden else ""
+    if difference.chance is None:
         unknown = "have no parameter that both determine with a standard deviation"
-        return f"Unknown: {first} and {second} {unknown}."
+        return f"Unknown: {first} and {second} {unknown}.{note}"
     sigmas = np.where(difference.known, np.abs(difference.sigmas), 0.0)
     worst = int(np.argmax(sigmas))
-    said = "Changed" if change else "Unchanged"
-    note = f"; no conclusion about {hidden}" if (hidden := _unobservable(difference)) else ""
-    return f"{said}: from {first} to {second}, at most {sigmas[worst]:.1f} sigma ({NINE[worst]}){note}."
-
-
-def _unobservable(difference: Difference) -> str:
-    return ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
-
-
-def conclusion(difference: Difference) -> str:
-    """Whether the robot has changed, and how certain that is."""
-    names = _unobservable(difference)
-    blind = f"No conclusion about {names}: at least one calibration does not determine it." if names else ""
-    if difference.chance is None:
-        return blind or "No significance test: at least one calibration has no standard deviations."
-    verdict = (
-        "The robot has changed, or one of the two calibrations is wrong."
-        if changed(difference)
-        else f"The change{' of these' if blind else ''} is not significant."
-    )
-    note = " The calibrations share a recording, so this test is weak." if difference.shared else ""
-    if blind:
-        note += f" {blind}"
+    weak = " They share a recording, so this test is weak." if difference.shared else ""
     return (
-        f"Chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters; probability by chance "
-        f"{percent_text(difference.chance)}. {verdict}{note}"
+        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second}, at most "
+        f"{sigmas[worst]:.1f} sigma ({NINE[worst]}). Probability by chance {percent_text(difference.chance)} "
+        f"(chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters).{weak}{note}"
     )
 
 

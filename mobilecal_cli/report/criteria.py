@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from mobilecal_cli.model import Evaluation, Extraction, Solution
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.comparison import Change
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
@@ -68,14 +68,6 @@ class Check:
     unit: str
     at_least: bool
     section: str
-
-    @property
-    def share(self) -> float:
-        """How much of the limit is used: above 1 beyond it; 0 without a number."""
-        if self.value is None or not self.limit:
-            return 0.0
-        share = abs(self.value / self.limit)
-        return 1 / max(share, 1e-300) if self.at_least else share
 
     @property
     def label(self) -> str:
@@ -150,28 +142,25 @@ class Checks(tuple[Check, ...]):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:  # noqa: ANN401
-        """A criterion by its id or kind, or as in a tuple; of a kind ("leg_outlier") the worst.
+        """A criterion by its id, or as in a tuple.
 
         Raises:
             KeyError: there is none.
         """
         if not isinstance(key, str):
             return super().__getitem__(key)
-        for check in self:
-            if check.id == key:
-                return check
-        alike = [check for check in self if check.id.partition(".")[0] == key]
-        if not alike:
-            raise KeyError(key)
-        return max(alike, key=lambda check: (_SEVERITY.index(check.outcome), check.share))
+        return {check.id: check for check in self}[key]
 
     @property
     def lines(self) -> list[str]:
-        """All criteria for the terminal, escaped."""
-        return [
-            visible(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})")
-            for check in self
-        ]
+        """All criteria for the terminal, escaped, with what to do where one is not met."""
+        lines = []
+        for check in self:
+            lines.append(
+                visible(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})")
+            )
+            lines += wrapped(f"{check.why} {check.next_step}", " " * 14, " " * 14) if check.why else []
+        return lines
 
     @property
     def worst(self) -> Check:

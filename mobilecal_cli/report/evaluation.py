@@ -27,7 +27,7 @@ from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
-from mobilecal_cli.report.use import small_extents
+from mobilecal_cli.report.use import motion_cure
 from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
@@ -185,8 +185,8 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
             cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
         elif largest > needed:
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
-            small = " ".join(small_extents(own.motion, of_camera, not of_camera))
-            cure = small or "Record more stations; mobilecal suggest lists the most useful ones."
+            cure = motion_cure(own.motion, of_camera, not of_camera)
+            cure = cure or "Record more stations; mobilecal suggest lists the most useful ones."
         yield Metric("agreement", unit).check(
             value, limit, name, cure,
             part=key,

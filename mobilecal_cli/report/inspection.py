@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any, ClassVar, Literal
 
+from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import SIDES, BoardView, CameraRig, Rig, listed
 from mobilecal_cli.model.text import visible, wrapped
@@ -73,21 +74,32 @@ class MotionView:
     share_read: float
 
 
+State = Literal["ok", "limit", "problem", "unknown"]
+
+
 @dataclass(frozen=True, slots=True)
-class Lack:
-    """Something that is missing for a calibration.
+class Line:
+    """What was found about one criterion, or what is missing for a calibration.
 
     Attributes:
-        about: what it concerns, one of `Inspection.CRITERIA`.
-        what: what is wrong.
+        about: one of `Inspection.CRITERIA`.
+        state: "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem
+            prevents the check.
+        what: what was found, or what is wrong.
         cure: what to do.
         exit_code: the exit code of `calibrate` for this, see `errors`.
     """
 
     about: str
+    state: State
     what: str
-    cure: str
-    exit_code: int
+    cure: str = ""
+    exit_code: int = 0
+
+
+def problem_of(about: str, error: MobilecalError) -> Line:
+    """An error as a problem of a recording."""
+    return Line(about, "problem", error.message, error.hint, error.exit_code)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +107,7 @@ class Inspection:
     """Summary of a recording.
 
     Attributes:
-        CRITERIA: what is checked, in order; see `Lack.about`.
+        CRITERIA: what is checked, in order; see `Line.about`.
         name: path as given by the user.
         containers: file formats.
         size_bytes: total size.
@@ -107,8 +119,7 @@ class Inspection:
         motion: None if joints or wheels cannot be read.
         covered: number of images of the first camera within the time of the others, joints and wheels, and of all; None
             if their times are unknown.
-        missing: what prevents a calibration.
-        weak: what limits a calibration.
+        found: what prevents or limits a calibration.
         notes: irregularities and losses, whole sentences.
     """
 
@@ -139,26 +150,41 @@ class Inspection:
     board: BoardView | None = None
     motion: MotionView | None = None
     covered: tuple[int, int] | None = None
-    missing: tuple[Lack, ...] = ()
-    weak: tuple[Lack, ...] = ()
+    found: tuple[Line, ...] = ()
     notes: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[Line, ...]:
+        """What prevents a calibration."""
+        return tuple(line for line in self.found if line.state == "problem")
+
+    @property
+    def weak(self) -> tuple[Line, ...]:
+        """What limits a calibration."""
+        return tuple(line for line in self.found if line.state == "limit")
 
     @property
     def exit_code(self) -> int:
         """The exit code that `calibrate` would end with; 0 if nothing is missing."""
-        codes = [lack.exit_code for lack in self.missing]
-        if not codes:
-            return 0
+        codes = [line.exit_code for line in self.missing] or [0]
         return codes[0] if self.rig is None else min(codes)
+
+    @property
+    def duration_s(self) -> float | None:
+        """Time from the first to the last message, s; None where unknown."""
+        if self.start_ns is None or self.end_ns is None:
+            return None
+        return (self.end_ns - self.start_ns) * 1e-9
 
 
 def inspection_json(inspection: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
     rig, board = inspection.rig, inspection.board
     columns, rows = (board.size if board is not None else None) or (None, None)
-    recording = _fields(inspection, "name", "containers", "size_bytes", "start_ns", "end_ns")
     data = {
-        "recording": {**recording, "duration_s": _duration_s(inspection)},
+        "recording": _fields(
+            inspection, "name", "containers", "size_bytes", "start_ns", "end_ns", "duration_s"
+        ),
         "topics": inspection.topics,
         "roles": rig and rig.setting_sources,
         "head": rig
@@ -188,12 +214,6 @@ def _fields(value: object, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 
-def _duration_s(inspection: Inspection) -> float | None:
-    if inspection.start_ns is None or inspection.end_ns is None:
-        return None
-    return (inspection.end_ns - inspection.start_ns) * 1e-9
-
-
 def _cameras(cameras: CameraRig) -> dict[str, Any]:
     each: dict[str, Any] = {
         name: {
@@ -210,10 +230,9 @@ def _cameras(cameras: CameraRig) -> dict[str, Any]:
 def inspection_text(inspection: Inspection) -> str:
     """The summary for the terminal; control characters from the recording are escaped."""
     facts = [", ".join(inspection.containers), f"{inspection.size_bytes / 1e6:.1f} MB"]
-    duration_s = _duration_s(inspection)
-    if duration_s is not None and inspection.start_ns is not None:
+    if inspection.duration_s is not None and inspection.start_ns is not None:
         start = datetime.fromtimestamp(inspection.start_ns // 10**9, UTC)
-        facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
+        facts += [f"{inspection.duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
     lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
     sources = {} if inspection.rig is None else inspection.rig.setting_sources
     roles = (f"{role}: {_WHY.get(origin, origin)}" for role, origin in sources.items())
@@ -248,22 +267,6 @@ def _topics(inspection: Inspection) -> list[str]:
 
 #: Criteria without which no other can be checked, and those that are listed for their problems only.
 _FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("rig.yaml", "recording", "priors", "gates")
-State = Literal["ok", "limit", "problem", "unknown"]
-
-
-@dataclass(frozen=True, slots=True)
-class Line:
-    """One criterion, see `Lack`: what was found, or what is wrong, and the exit code of `calibrate` for it.
-
-    "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem prevents the
-    check.
-    """
-
-    about: str
-    state: State
-    what: str
-    cure: str = ""
-    exit_code: int = 0
 
 
 def checklist(inspection: Inspection) -> tuple[Line, ...]:
@@ -271,20 +274,14 @@ def checklist(inspection: Inspection) -> tuple[Line, ...]:
 
     A configuration that is invalid, or a recording that cannot be read, is the only line.
     """
-    lacks: dict[State, tuple[Lack, ...]] = {"problem": inspection.missing, "limit": inspection.weak}
-    bad = [
-        Line(lack.about, state, lack.what, lack.cure, lack.exit_code)
-        for state in lacks
-        for lack in lacks[state]
-    ]
-    opened = tuple(line for line in bad if line.state == "problem" and line.about in _FIRST)
+    opened = tuple(line for line in inspection.missing if line.about in _FIRST)
     if opened:
         return opened
     lines: list[Line] = []
     known = {**_known(inspection.survey), **_measured(inspection)}
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
     for about in inspection.CRITERIA:
-        problems = [line for line in bad if line.about == about]
+        problems = [line for line in (*inspection.missing, *inspection.weak) if line.about == about]
         if problems or about in _ONLY_PROBLEMS:
             lines += problems
         else:

@@ -12,14 +12,10 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from mobilecal_cli.model import Snapshot
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.numbers import percent_text
-from mobilecal_cli.report.plots import budget_bar, leg_views, path_picture, plots, thumbnails
+from mobilecal_cli.report.plots import SHOWN_LEGS, budget_bar, leg_views, path_picture, plots, thumbnails
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN, worst_error
 from mobilecal_cli.report.values import ReportData
@@ -38,7 +34,6 @@ CONTENTS = {
     "record": "Input",
     "terms": "Terms",
 }
-_LEAST_PROBABILITY = 1e-6  # worth a digit
 
 
 def opened_section(report: ReportData) -> str:
@@ -62,13 +57,13 @@ def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = 
         report=report,
         plots=plots(solution, extraction),
         views=leg_views(solution, extraction, snapshots),
+        shown_legs=SHOWN_LEGS,
         thumbnails=thumbnails(solution, extraction, snapshots),
         path=path_picture(solution, extraction),
         limits=None if worst is None else budget_bar(worst),
         contents=list(CONTENTS.items()),
         opened=opened_section(report),
         stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
-        change="" if report.change is None else _change(report.change),
         policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
         style=Markup(style),
     )
@@ -107,15 +102,3 @@ def template(name: str) -> Template:
         finalize=shown,
     )
     return environment.get_template(name)
-
-
-def _change(change: Change) -> str:
-    in_sigma = np.isfinite(change.sigmas).any()
-    more = "; in sigma: divided by the standard deviation of the difference" if in_sigma else ""
-    text = f"Change: difference from {change.against}{more}."
-    if change.p_value is not None:
-        text += (
-            " If the robot did not change, the probability of a difference this large is "
-            f"{percent_text(change.p_value, _LEAST_PROBABILITY)}."
-        )
-    return text

@@ -1,4 +1,4 @@
-"""The plots of the page, each an <svg> element, "" where there is nothing to show.
+"""The plots of the page, each an <svg> element.
 
 A new plot is a function with the decorator `plot`. The first screen has `path_picture` and `budget_bar`.
 """
@@ -6,8 +6,8 @@ A new plot is a function with the decorator `plot`. The first screen has `path_p
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple, TypeAlias, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -30,23 +30,23 @@ from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, s
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
-#: An SVG element ("" for none), and its caption: what this plot shows, from its numbers.
-Drawn: TypeAlias = tuple[str, str]
-_Draw = TypeVar("_Draw", bound=Callable[..., Drawn])
 _MOST_PATHS = 4  # recordings with their own plots
 
 
-class Plot(NamedTuple):
-    """A plot in a section of the page, or the same plot of several recordings or of both cameras.
+class Drawn(NamedTuple):
+    """An SVG element, its caption (what it shows, from its numbers), and a title above it."""
 
-    Attributes:
-        parts: title ("" for none), SVG element and caption of each.
-        half: half as wide as the page, side by side.
-    """
+    svg: str
+    caption: str = ""
+    title: str = ""
+
+
+class Plot(NamedTuple):
+    """A plot in a section of the page, in one or several parts; half as wide as the page, side by side, if `half`."""
 
     section: str
-    parts: tuple[tuple[str, str, str], ...]
     half: bool
+    parts: tuple[Drawn, ...]
 
 
 class Overlay(NamedTuple):
@@ -65,16 +65,10 @@ class Overlay(NamedTuple):
 
 
 class LegView(NamedTuple):
-    """The images of a leg's first station, with the corners predicted from the leg's other end.
-
-    The rank is "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
-    """
+    """The images of a leg's first station (observation), with the corners predicted from the leg's other end."""
 
     observation: int
-    rank: str
-    from_station: str
-    to_station: str
-    error_px: float
+    title: str
     pictures: tuple[Overlay, ...]
 
 
@@ -87,51 +81,15 @@ class Thumbnail(NamedTuple):
     reason: str
 
 
-class Bar(NamedTuple):
-    """One bar with its title and its legend: (style, label) each."""
-
-    title: str
-    svg: str
-    legend: tuple[tuple[str, str], ...]
+_Draw: TypeAlias = Callable[[Solution, Extraction], Iterator[Drawn]]
+_PLOTS: list[tuple[str, bool, _Draw]] = []
 
 
-_PLOTS: list[Callable[[Solution, Extraction], Plot]] = []
-
-
-def plot(
-    section: str,
-    *,
-    half: bool = False,
-    each: Literal["further log", "camera"] | None = None,
-    corners: bool = False,
-) -> Callable[[_Draw], _Draw]:
-    """Add a function to the plots of the page.
-
-    Its arguments are the solution, its data, and a log or a camera's index.
-
-    Args:
-        section, half: see `Plot`.
-        each: draw it for each recording but the first, or for each camera.
-        corners: it is about corners, and is left out where poses were measured in their place.
-    """
+def plot(section: str, *, half: bool = False) -> Callable[[_Draw], _Draw]:
+    """Add a function to the plots of the page; see `Plot`. It yields nothing where there is nothing to show."""
 
     def registered(draw: _Draw) -> _Draw:
-        def drawn_each(solution: Solution, extraction: Extraction) -> Plot:
-            logs = sorted({o.log for o in extraction.observations})
-            subjects: dict[str | None, Sequence[int]] = {
-                "further log": logs[1:_MOST_PATHS],
-                "camera": range(len(extraction.rig.cameras.names)),
-                None: [0],
-            }
-            parts: list[tuple[str, str, str]] = []
-            for subject in () if corners and extraction.measured else subjects[each]:
-                title = extraction.log_names[subject] if each == "further log" else ""
-                element, caption = draw(solution, extraction, *([] if each is None else [subject]))
-                said = {earlier for _, _, earlier in parts}
-                parts += [(title, element, "" if caption in said else caption)] if element else []
-            return Plot(section, tuple(parts), half)
-
-        _PLOTS.append(drawn_each)
+        _PLOTS.append((section, half, draw))
         return draw
 
     return registered
@@ -139,9 +97,11 @@ def plot(
 
 def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
     """All plots that have something to show, in the order of their definition."""
-    return [each for each in (drawn(solution, extraction) for drawn in _PLOTS) if each.parts]
+    every = (Plot(section, half, tuple(draw(solution, extraction))) for section, half, draw in _PLOTS)
+    return [each for each in every if each.parts]
 
 
+SHOWN_LEGS = 3  # of which the page shows the images; those of others on request
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
@@ -155,7 +115,13 @@ _MARK_BYTES = 160  # of a detected and a predicted corner in the page
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08  # of a bar: less is no pixel wide, or too narrow for a label
 
 
-@plot("stations", half=True, each="further log")
+@plot("stations", half=True)
+def further_paths(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
+    """Top views of the recordings but the first, which is on the first screen."""
+    for log in sorted({o.log for o in extraction.observations})[1:_MOST_PATHS]:
+        yield path_picture(solution, extraction, log)._replace(title=extraction.log_names[log])
+
+
 def path_picture(solution: Solution, extraction: Extraction, log: int | None = None) -> Drawn:
     """Top view of a recording, or the first: path of the base, cameras, and the board as measured at each station."""
     log = min(o.log for o in extraction.observations) if log is None else log
@@ -190,7 +156,7 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
     if len(picked) <= _MOST_LABELS:
         canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
     canvas.legend(entries, 8.0, 12.0)
-    return canvas.svg, caption
+    return Drawn(canvas.svg, caption)
 
 
 def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray:
@@ -210,12 +176,12 @@ def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray
 
 
 @plot("stations", half=True)
-def head_angles(_: Solution, extraction: Extraction) -> Drawn:
+def head_angles(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """Pan and tilt angle at each station; nothing if the chain names neither joint."""
     chain, observations = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
     if not columns:
-        return "", ""
+        return
     joints_deg = np.degrees(np.stack([o.joints for o in observations]))
     pan = joints_deg[:, columns[0]]
     other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(observations))
@@ -233,7 +199,7 @@ def head_angles(_: Solution, extraction: Extraction) -> Drawn:
         canvas.labels(axes.at(np.column_stack([pan, other])), names)
     spans = zip(labels, (pan, other), strict=False)
     ranges = (f"{label.partition(' [')[0]} {np.ptp(angles):.0f}°" for label, angles in spans)
-    return canvas.svg, f"Range: {', '.join(ranges)}."
+    yield Drawn(canvas.svg, f"Range: {', '.join(ranges)}.")
 
 
 def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes]:
@@ -277,11 +243,11 @@ def _panel(
 
 
 @plot("stations")
-def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
+def leg_residuals(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
-        return "", ""
+        return
     ends = residuals.legs.tolist()
     legs, errors_px = [f"{names[i]}–{names[j]}" for i, j in ends], residuals.leg_reprojection_px
     canvas = Canvas(WIDE, 430.0, "point error and reprojection error of each leg")
@@ -294,12 +260,14 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
     _panel(canvas, 1, "reprojection error [px]", errors_px.tolist(), legs, ends, levels, label)
     worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
     times = float(errors_px[worst]) / median if median else 1.0
-    return canvas.svg, f"Largest: leg {legs[worst]}, {times:.1f} times the median reprojection error."
+    yield Drawn(canvas.svg, f"Largest: leg {legs[worst]}, {times:.1f} times the median reprojection error.")
 
 
-@plot("description", corners=True)
-def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
+@plot("description")
+def station_residuals(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """Residual of the flat board in the images at each station; in words, the square size that a pair measures."""
+    if extraction.measured:
+        return
     errors_px = [o.reprojection_px for o in extraction.observations]
     names, every = station_names(extraction), [[i] for i in range(len(errors_px))]
     canvas, title = Canvas(WIDE, 210.0, "residual at each station"), "residual of the flat board [px]"
@@ -312,37 +280,39 @@ def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
     if extraction.rig.cameras.calibrated and sizes_mm:
         sizes = f"; the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
         sizes += "" if stated is None else f" (stated: {stated * 1e3:.2f} mm)"
-    return canvas.svg, f"Median residual {std_text(float(np.median(errors_px)))} px{sizes}."
+    yield Drawn(canvas.svg, f"Median residual {std_text(float(np.median(errors_px)))} px{sizes}.")
 
 
-@plot("description", half=True, each="camera", corners=True)
-def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
-    """Board in the images of one camera: outlines, and the residuals of the corners, one line each, magnified.
+@plot("description", half=True)
+def corner_residuals(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
+    """Board in the images of each camera: outlines, and the residuals of the corners, one line each, magnified.
 
     Residuals are from the fitted flat board, whose pose at each station comes from the cameras, so the robot's motion
     has no influence.
     """
     import cv2  # slow to import, and other plots do not need it
 
-    of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
-    detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
-    if not len(detected):
-        return "", ""
-    of_camera = camera_words(extraction.rig.cameras.names[k])
-    canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
-    longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
-    scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
-    every = max(1, len(detected) // _MOST_DOTS)
-    outlined = max(1, len(of_station) // _MOST_OUTLINES)
-    for i, (name, (pixels, residual)) in enumerate(zip(station_names(extraction), of_station, strict=True)):
-        if len(pixels) and i % outlined == 0:
-            hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
-            axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
-        lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
-        axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {name}")
-    canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    share = 100 * image_coverage(extraction, k)
-    return canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}."
+    for k in () if extraction.measured else range(len(extraction.rig.cameras.names)):
+        of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
+        detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
+        if not len(detected):
+            continue
+        of_camera = camera_words(extraction.rig.cameras.names[k])
+        canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
+        longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
+        scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
+        every = max(1, len(detected) // _MOST_DOTS)
+        outlined = max(1, len(of_station) // _MOST_OUTLINES)
+        each_station = zip(station_names(extraction), of_station, strict=True)
+        for i, (name, (pixels, residual)) in enumerate(each_station):
+            if len(pixels) and i % outlined == 0:
+                hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
+                axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
+            lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)
+            axes.line(lines[::every].reshape(-1, 2), "blue thin", [i], f"station {name}")
+        canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
+        share = 100 * image_coverage(extraction, k)
+        yield Drawn(canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}.")
 
 
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:
@@ -354,11 +324,11 @@ def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray
     return measured, measured - project(cameras.each[k], points)
 
 
-@plot("limits", half=True, corners=True)
-def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
+@plot("limits", half=True)
+def projection_map(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """1 sigma of the pixel of a point that is known in the base, over the image of the first camera."""
-    if solution.uncertainty is None:
-        return "", ""
+    if solution.uncertainty is None or extraction.measured:
+        return
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
     (across, down) = CELLS
     u = (np.arange(across) + 0.5) * camera.width / across - 0.5
@@ -375,14 +345,14 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
         canvas.shape("rect", "fill blue", x=left, y=top, width=wide, height=high, fill_opacity=shade)
         canvas.text(x, y + 4, std_text(sigma), anchor="middle")
     extent = f"{std_text(min(std))} to {std_text(max(std))}"
-    return canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}."
+    yield Drawn(canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}.")
 
 
 @plot("limits", half=True)
-def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
+def error_over_distance(solution: Solution, _: Extraction) -> Iterator[Drawn]:
     """1 sigma of the position in the base of points ahead of the first camera, over their distance."""
     if solution.uncertainty is None:
-        return "", ""
+        return
     distances = np.linspace(0.0, _FARTHEST_M, 41)
     std_mm = ahead_std_m(solution, distances) * 1e3
     canvas = Canvas(HALF, 0.85 * HALF, "1 sigma of the position of a point in the base over its distance")
@@ -392,7 +362,7 @@ def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
     at_mm = float(ahead_std_m(solution, np.array([AHEAD_M]))[0]) * 1e3
     axes.dot(AHEAD_M, at_mm, "blue", tip=f"{AHEAD_M:g} m: {at_mm:.2g} mm")
     ends = f"{std_text(at_mm)} mm at {AHEAD_M:g} m, {std_text(std_mm[-1])} mm at {_FARTHEST_M:g} m"
-    return canvas.svg, f"Position of a point ahead, 1 sigma: {ends}."
+    yield Drawn(canvas.svg, f"Position of a point ahead, 1 sigma: {ends}.")
 
 
 def _stack(
@@ -410,10 +380,10 @@ def _stack(
 
 
 @plot("limits")
-def error_budget(solution: Solution, _: Extraction) -> Drawn:
+def error_budget(solution: Solution, _: Extraction) -> Iterator[Drawn]:
     """What each variance consists of, one bar per parameter and expected error; nothing without a budget."""
     if solution.uncertainty is None:
-        return "", ""
+        return
     labels = {name: name for name in NINE}
     labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
     shares = {name: {f: s for s, f in family_shares(shares_of(solution, name))} for name in labels}
@@ -424,52 +394,45 @@ def error_budget(solution: Solution, _: Extraction) -> Drawn:
         y, of = 46.0 + 24.0 * row, shares[name]
         canvas.text(114.0, y + 13, label, anchor="end")
         _stack(canvas, (122.0, y, WIDE - 132.0, 18.0), [(of[f], f) for f in used if f in of])
-    return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
+    yield Drawn(
+        canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
+    )
 
 
-def budget_bar(error: Error) -> Bar:
+def budget_bar(error: Error) -> Drawn:
     """What the variance of one expected error consists of."""
-    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
-    canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
+    canvas = Canvas(WIDE, 46.0, f"error budget of the {error.figure.meaning}")
     _stack(canvas, (0.0, 0.0, WIDE, 24.0), used)
-    legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
-    return Bar(f"What limits the {error.figure.short} ({value})", canvas.svg, legend)
+    canvas.legend(
+        [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
+    )
+    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
+    return Drawn(canvas.svg, title=f"What limits the {error.figure.short} ({value})")
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
-    """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
+    """The legs whose first station has images, the largest error first, as many as fit."""
     residuals, observations = solution.residuals, extraction.observations
-    cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     first = [(observations[i].log, observations[i].station) for i in residuals.legs[:, 0]]
-    shown = [leg for leg, station in enumerate(first) if station in pictures]
-    order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
-    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
-    words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
-    ranks = dict(zip(chosen, words, strict=True))
-    names = station_names(extraction)
+    names, size = station_names(extraction), 0
     views: list[LegView] = []
-    for leg in (*ranks, *(leg for leg in order if leg not in ranks)):
-        size = sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for view in views for each in view.pictures)
-        if len(views) >= len(ranks) and size > _MOST_VIEW_BYTES:
+    for leg in np.argsort(-residuals.leg_reprojection_px, kind="stable").tolist():
+        if first[leg] not in pictures:
+            continue
+        if len(views) >= SHOWN_LEGS and size > _MOST_VIEW_BYTES:
             break
-        (i, j), predicted_px = residuals.legs[leg], residuals.predicted_px[:, leg]
-        snapshot = pictures[first[leg]]
-        views.append(
-            LegView(
-                observation=int(i),
-                rank=ranks.get(leg, ""),
-                from_station=names[i],
-                to_station=names[j],
-                error_px=float(residuals.leg_reprojection_px[leg]),
-                pictures=tuple(
-                    _overlay(camera_words(name), snapshot.jpegs.get(name, b""), view, predicted_px[k])
-                    for k, (name, view) in enumerate(zip(cameras.names, observations[i].views, strict=True))
-                    if view.pictures
-                ),
-            )
+        i, j = residuals.legs[leg].tolist()
+        jpegs, cameras = pictures[first[leg]].jpegs, extraction.rig.cameras.names
+        overlays = tuple(
+            _overlay(camera_words(name), jpegs.get(name, b""), view, residuals.predicted_px[k, leg])
+            for k, (name, view) in enumerate(zip(cameras, observations[i].views, strict=True))
+            if view.pictures
         )
+        title = f"Leg {names[i]}–{names[j]}: {residuals.leg_reprojection_px[leg]:.2f} px"
+        views.append(LegView(i, title, overlays))
+        size += sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for each in overlays)
     return views
 
 

@@ -53,8 +53,6 @@ def _details(report: ReportData) -> list[str]:
     for table in report.tables:
         if table.section != "checks":
             lines += ["", table.title, *table.lines()] if table.title else ["", *table.lines()]
-    for each in report.contradictions:
-        lines += _wrapped(f"{each.text} {each.cure}", "Robot description: ")
     for sentence in report.outliers_text:
         lines += _wrapped(sentence, "Outlier: ")
     return [visible(line) for line in lines]
@@ -84,8 +82,8 @@ def job_summary(report: ReportData) -> str:
         f"Stations used: {markdown(report.quality.stations_text)}.",
     ]
     for table in report.tables:
-        if report.change is not None and table.title == "Change":
-            lines += ["", f"Change from {markdown(report.change.against)}", "", *table.markdown()]
+        if table.title == "Change":
+            lines += ["", markdown(table.note), "", *table.markdown()]
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
     lines += [""] if open_checks else []
     for check in open_checks:

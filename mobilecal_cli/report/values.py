@@ -35,10 +35,8 @@ from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.findings import (
     SCALES,
     contradiction_sentences,
-    jackknife_sentence,
     outlier_sentences,
     reprojection_sentence,
-    scale_sentence,
     suggestion_sentences,
 )
 from mobilecal_cli.report.formats import (
@@ -71,7 +69,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import LEAST_GAIN, cures_of, next_step_of, worst_error
+from mobilecal_cli.report.use import LEAST_GAIN, cures_of, worst_error
 from mobilecal_cli.report.verdict import Case, Verdict, figures_of
 
 
@@ -206,7 +204,6 @@ class UncertaintyData(JsonValue):
     noise: NoiseLevels
     fixed: Mapping[str, bool] = _by_parameter("fixed")
     jackknife_std: ByName = _by_parameter("jackknife_std")
-    jackknife_text: str
     widened: ByName = _by_parameter("widened")
     predicted: AtWork = by(lambda uncertainty: uncertainty.at_work)
 
@@ -231,7 +228,6 @@ class BudgetData(JsonValue):
     nine: Mapping[str, ByName]
     at_work: Mapping[str, ByName]
     limiting: str
-    advice: str
 
 
 class ContradictionData(Evidence, JsonValue):
@@ -249,7 +245,6 @@ class ScaleData(JsonValue):
     square_m: float
     baseline_m: float
     consistent: bool
-    text: str
 
 
 class LogsData(JsonValue):
@@ -357,7 +352,7 @@ class ProvenanceData(Provenance, JsonValue):
 class ReportData(JsonValue):
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[6]
+    schema_version: Literal[7]
     verdict: Verdict
     numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
@@ -424,6 +419,7 @@ def build_report(case: Case) -> ReportData:
     solution, extraction, cameras = case.solution, case.extraction, case.solution.cameras
     linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
     scale, between, counts = solution.scale, solution.between, extraction.counts
+    contradicted = {evidence.kind for evidence in solution.contradictions}
     vector_std_deg, euler_std_deg = rotation_std_deg(solution)
     errors = residuals.leg_point_rms_m * 1e3, residuals.leg_reprojection_px
     legs = zip(*(each.tolist() for each in (residuals.legs, *errors)), strict=True)
@@ -434,7 +430,7 @@ def build_report(case: Case) -> ReportData:
         case,
         solution,
         extraction,
-        schema_version=6,
+        schema_version=7,
         numbers=numbers_of(solution, extraction.rig),
         metrics=figures_of(case),
         parameters=like(
@@ -464,15 +460,7 @@ def build_report(case: Case) -> ReportData:
             for evidence in solution.contradictions
             for text, cure in [contradiction_sentences(evidence, solution, extraction)]
         ),
-        scale=None
-        if scale is None
-        else like(
-            ScaleData,
-            scale,
-            consistent=not scale.apart
-            and not any(evidence.kind in SCALES for evidence in solution.contradictions),
-            text=scale_sentence(scale),
-        ),
+        scale=scale and like(ScaleData, scale, consistent=not (scale.apart or SCALES & contradicted)),
         logs=between and like(LogsData, between),
         suggestions=_suggestions(solution, extraction),
         hold_out=case.trial and like(EvaluationData, case.trial),
@@ -544,7 +532,6 @@ def _uncertainty(solution: Solution) -> UncertaintyData | None:
         order=NINE,
         std=dict(zip(NINE, std.tolist(), strict=True)),
         correlation=uncertainty.reference_covariance / np.outer(known, known),
-        jackknife_text=jackknife_sentence(solution),
     )
 
 
@@ -574,7 +561,6 @@ def _budget(case: Case) -> BudgetData | None:
         nine=nine,
         at_work=at_work,
         limiting="" if error is None else error.limiting,
-        advice="" if error is None else next_step_of(error, solution, case.extraction),
     )
 
 

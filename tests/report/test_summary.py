@@ -84,7 +84,7 @@ def test_the_summary_has_the_change_and_is_appended(result):
     assert done.code == 0, done.err
     text = path.read_text()
     assert text.startswith("before\n### PASS: ")
-    assert "Change from" in text
+    assert "Difference from" in text
     assert len(re.findall(r"\| [+-][\d.]+ \| (?:m|rad) \| [+-]0\.0 \|", text)) == 9
     suite = ET.parse(result / "junit.xml").getroot()
     assert 0 < float(suite.get("time")) < 600

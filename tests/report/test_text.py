@@ -64,10 +64,14 @@ def texts(extraction):
         "page": prose(page),
         "suggestions": "\n".join(suggestion_sentences(solution, slipping)) + "\n",
         "findings": "\n".join(
-            [report.quality.reprojection_text, report.uncertainty.jackknife_text, report.error_budget.limiting,
-             report.error_budget.advice, *report.outliers_text]
+            [report.quality.reprojection_text, report.error_budget.limiting, *report.outliers_text]
         ) + "\n",
     }  # fmt: skip
+
+
+def test_lines_of_the_terminal_are_lines(texts):
+    """The test on the held-out stations had its line breaks as escapes."""
+    assert "\\n" not in texts["details"]
 
 
 def prose(page):
