@@ -12,7 +12,6 @@ from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.comparison import Change
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
-_SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,11 +160,6 @@ class Checks(tuple[Check, ...]):
             )
             lines += wrapped(f"{check.why} {check.next_step}", " " * 14, " " * 14) if check.why else []
         return lines
-
-    @property
-    def worst(self) -> Check:
-        """The first of those with the most severe outcome."""
-        return max(self, key=lambda check: _SEVERITY.index(check.outcome))
 
 
 _Judge = Callable[..., Iterator[Check]]

@@ -28,7 +28,7 @@ from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
-from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
+from mobilecal_cli.report.verdict import Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (
@@ -88,7 +88,7 @@ def judge_evaluation(
 
     Args:
         evaluation: errors of the calibration on the recording.
-        cameras: the recording's stereo pair.
+        cameras: of the recording.
         robot: the calibration under test.
         own: the recording solved by itself, or the error that prevented it.
         cure: the motion that the recording lacks to determine all parameters; "" if it lacks none.
@@ -98,13 +98,15 @@ def judge_evaluation(
     enough_stations = _STATIONS.check(
         evaluation.stations,
         MIN_STATIONS,
-        "stations with the board in both images",
+        f"stations with the board in {cameras.images_words}",
         "Record at least ten stations.",
     )
     agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
     checks = Checks((enough_stations, _corner_error(evaluation, cameras, own), *agreement, *gates))
-    if checks.worst.outcome in LEVELS:
-        return decided_by(checks.worst, checks)
+    for outcome in ("fail", "not_enough"):
+        decisive = next((check for check in checks if check.outcome == outcome), None)
+        if decisive is not None:
+            return decided_by(decisive, checks)
     agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
     unused = "Evaluate a recording that was not used for this calibration."
     next_step = unused if used else "Use params.yaml on the robot."

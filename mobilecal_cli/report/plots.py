@@ -108,6 +108,7 @@ _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
 _FARTHEST_M = 5.0  # most heads look at things that are nearer
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
+_VISIBLE_M = 0.01  # in a picture of a drive: a pixel
 _TRAIL_POINTS = 400  # of a path: more are finer than a pixel
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
@@ -146,7 +147,8 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
         axes.clipped_line(without, "red thin dots")
         entries.append(("line red dots", "nominal wheels"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
-        caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
+        if apart >= _VISIBLE_M:
+            caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
         tip, at, eye, z_axis = f"station {names[i]}", T_w_v[k, :2, 3], T_w_c[k, :2, 3], T_w_c[k, :2, 2]
