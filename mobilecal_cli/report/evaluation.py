@@ -305,7 +305,7 @@ def evaluation_tables(evaluation: EvaluationData) -> tuple[Table, Table]:
     ]
     heads = ("prediction error on a leg", "number:rms", "number:median", "number:worst", "unit")
     of_drift = ("drift of dead reckoning", "number:wheels before", "number:calibrated wheels", "unit")
-    return Table.of(heads, rows, "limits", "Test on other stations"), Table.of(of_drift, drift, "limits")
+    return Table.of(heads, rows, "limits", "Held-out stations"), Table.of(of_drift, drift, "limits")
 
 
 def evaluation_text(result: Evaluated) -> str:

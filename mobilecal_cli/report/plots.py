@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -136,27 +137,29 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
     path = trail(extraction, log, solution.parameters.wheels)
     everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
     canvas = Canvas(HALF, 0.85 * HALF, "top view of the base path with cameras and board")
+    left, low = 10.0, canvas.height - 22.0
     x, y = (Scale.of(column) for column in everything.T)
-    axes = Axes.of(canvas, x, y).with_equal_units()
-    axes.grid("x at the first station [m]")
+    x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=24.0)
+    axes = Axes(canvas, x, y).with_equal_units()
     entries = [("line soft", "path"), ("line green", "board"), ("line orange", "camera")]
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
         without = trail(extraction, log, nominal)
         axes.clipped_line(without, "red thin dots")
-        entries.append(("line red dots", "nominal wheels"))
+        entries.append(("line red dots", "nominal"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
         if apart >= _VISIBLE_M:
-            caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
+            caption = f"Nominal wheels: {apart:.2f} m elsewhere."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
         tip, at, eye, z_axis = f"station {names[i]}", T_w_v[k, :2, 3], T_w_c[k, :2, 3], T_w_c[k, :2, 2]
         axes.line(boards[k], "green thin", [i], f"board from {tip}")
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
         axes.dot(float(at[0]), float(at[1]), "blue", [i], tip, r=3)
-    if len(picked) <= _MOST_LABELS:
-        canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
+    meter = axes.x(1.0) - axes.x(0.0)
+    canvas.path(np.array([[left, low + 14], [left + meter, low + 14]]), "line ink")
+    canvas.text(left + meter + 6, low + 18, "1 m")
     canvas.legend(entries, 8.0, 12.0)
     return Drawn(canvas.svg, caption)
 
@@ -368,7 +371,10 @@ def error_over_distance(solution: Solution, _: Extraction) -> Iterator[Drawn]:
 
 
 def _stack(
-    canvas: Canvas, box: tuple[float, float, float, float], shares: Sequence[tuple[float, str]]
+    canvas: Canvas,
+    box: tuple[float, float, float, float],
+    shares: Sequence[tuple[float, str]],
+    labels: bool = True,
 ) -> None:
     """Shares of groups of sources, (share, group), side by side in a box: left, top, width and height."""
     x, y, wide, high = box
@@ -376,7 +382,7 @@ def _stack(
         tip = f"{family} {100 * share:.0f} %"
         kind, width = f"fill {FAMILIES[family].style}", wide * share
         canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=high)
-        if share > _LABELED_SHARE:
+        if labels and share > _LABELED_SHARE:
             canvas.text(x + width / 2, y + high / 2 + 4, f"{100 * share:.0f} %", anchor="middle")
         x += width
 
@@ -405,7 +411,7 @@ def budget_bar(error: Error) -> Drawn:
     """What the variance of one expected error consists of."""
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
     canvas = Canvas(WIDE, 46.0, f"error budget of the {error.figure.meaning}")
-    _stack(canvas, (0.0, 0.0, WIDE, 24.0), used)
+    _stack(canvas, (0.0, 0.0, WIDE, 24.0), used, labels=False)
     canvas.legend(
         [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
     )
