@@ -141,7 +141,7 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
     x, y = (Scale.of(column) for column in everything.T)
     x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=24.0)
     axes = Axes(canvas, x, y).with_equal_units()
-    entries = [("line soft", "path"), ("line green", "board"), ("line orange", "camera")]
+    entries = [("line green", "board"), ("line orange", "camera")]
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
