@@ -75,8 +75,8 @@ def test_no_conclusion_about_an_unobservable_parameter():
     assert found.unobservable.tolist() == [False] * 8 + [True]
     assert np.isnan(found.sigmas[8])
     assert found.chi2 == 0
-    text = comparison_text(Comparison(("one", "other"), (), (found,), None))
-    assert "The change of these is not significant." in text
+    text = " ".join(comparison_text(Comparison(("one", "other"), (), (found,), None)).split())
+    assert text.startswith("Unchanged: from one to other")
     assert "No conclusion about separation: at least one calibration does not determine it." in text
 
 
@@ -113,7 +113,7 @@ def test_the_text_has_digits_that_match_the_sigma():
     row = next(line.split() for line in text.splitlines() if line.startswith("  t_x"))
     assert row == ["t_x", "+1.2", "2.8", "+0.4", "mm"]
     assert "Change from a to b" in text
-    assert "probability by chance 100 %" in text
+    assert "Probability by chance 100 %" in text
 
 
 NOTHING_SHARED = "have no parameter that both determine with a standard deviation"
@@ -132,7 +132,7 @@ def test_the_first_line_says_whether_the_robot_changed(t_x, std, said, value):
     other = robot(se3.transform(np.eye(3), np.array([t_x, 0.0, 0.0])), log="b", std=std)
     found = difference(first, other)
     comparison = Comparison(("a", "b"), (first, other), (found,), None)
-    assert comparison_text(comparison).splitlines()[0] == said
+    assert " ".join(comparison_text(comparison).split()).startswith(said)
     plain = json.loads(comparison_json(comparison))
     assert plain["against_first"][0]["changed"] is value
 

@@ -22,10 +22,10 @@ def main() -> None:
             constraints = constraints_of(["t_y=0"] if name == "head_fixed" else [], [], [])
             report = steps.calibrate([SAMPLES / f"{name}.mcap"], Path(folder) / name, constraints=constraints)
             done = report.fit
-            way = plots.seen_from_above(done.solution, done.extraction, 0)
-            (IMAGES / f"way-{name}.svg").write_text(standalone(way), encoding="utf-8")
-            head = plots.head_angles(done.solution, done.extraction)
-            (IMAGES / f"head-{name}.svg").write_text(standalone(head), encoding="utf-8")
+            way = plots.path_picture(done.solution, done.extraction)
+            (IMAGES / f"way-{name}.svg").write_text(standalone(way.svg), encoding="utf-8")
+            (head,) = plots.head_angles(done.solution, done.extraction)
+            (IMAGES / f"head-{name}.svg").write_text(standalone(head.svg), encoding="utf-8")
 
 
 if __name__ == "__main__":

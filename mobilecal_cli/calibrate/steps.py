@@ -46,7 +46,7 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
-from mobilecal_cli.report.verdict import Case, gates_of, judge, reasons_of
+from mobilecal_cli.report.verdict import Case, gates_of, reasons_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
@@ -281,11 +281,11 @@ class Report:
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(robot, earlier, name)
         made = (solution, extraction, limits, fit.trial, self.change)
-        self.verdict = judge(*made)
+        self._case = Case(*made, provenance=self.provenance)
+        self.verdict = self._case.verdict
         level, reasons = self.verdict.level, reasons_of(self.verdict)
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
-        self._case = Case(*made, provenance=self.provenance, verdict=self.verdict)
         self.values = build_report(self._case)
 
     def __repr__(self) -> str:
@@ -310,7 +310,7 @@ class Report:
 
     def _repr_html_(self) -> str:
         """Verdict, numbers and path, for notebooks; `html` is the whole page."""
-        return notebook_html(self.values, path_picture(self.fit.solution, self.fit.extraction))
+        return notebook_html(self.values, path_picture(self.fit.solution, self.fit.extraction).svg)
 
     @property
     def markdown(self) -> str:

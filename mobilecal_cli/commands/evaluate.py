@@ -46,7 +46,7 @@ def evaluate(
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.export import write_file
-    from mobilecal_cli.report.evaluation import evaluation_data, evaluation_json, evaluation_text
+    from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.rig.config import load_rig
 
@@ -68,9 +68,6 @@ def evaluate(
             )
         if junit is not None:
             write_file(junit, junit_xml(str(logs[0]), result.verdict), force)
-    if as_json:
-        text = evaluation_json(result)
-    else:
-        text = evaluation_text(evaluation_data(result.evaluation), result.notes, result.verdict)
+    text = evaluation_json(result) if as_json else evaluation_text(result)
     typer.echo(text, nl=False)
     options.conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)

@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.comparison import Difference, History, difference, nine_apart
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
@@ -99,26 +99,24 @@ def comparison_text(comparison: Comparison) -> str:
     """
     first, *others = (visible(name) for name in comparison.names)
     pairs = list(zip(others, comparison.differences, strict=True))
-    lines = [*(headline(each, first, other) for other, each in pairs), ""]
+    lines = [line for other, each in pairs for line in wrapped(conclusion(each, first, other), "", "  ")]
     for other, each in pairs:
-        lines += [f"Change from {first} to {other}", ""]
         rows = []
         for k, parameter in enumerate(parameters_of(each.assumed)):
             change, s = each.change[k] * parameter.factor, each.std[k] * parameter.factor
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
             rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
+        rows += [(meaning, f"{value:+.3f}", "", "", unit) for meaning, value, unit in effects(each)]
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
-        lines += Table.of(heads, rows).lines((14 if each.assumed is None else 32, 12, 12, 10))
-        lines += ["", "  r is a small rotation about the head's axes.", ""]
-        lines += (f"  {meaning:<52}{value:>+10.3f}  {unit}" for meaning, value, unit in effects(each))
-        lines += ["", f"  {conclusion(each)}", ""]
+        lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
+        lines.append("  r is a small rotation about the head's axes.")
     if comparison.past is not None:
-        tested = "tested against a robot that does not change"
-        lines += [f"All {len(comparison.names)} calibrations, {tested}", ""]
-        chances = zip(NINE, comparison.past.chance, strict=True)
-        lines += [*(f"  {number:<14}{constancy(chance)}" for number, chance in chances), ""]
-    return "\n".join(lines)
+        count = len(comparison.names)
+        lines += ["", f"All {count} calibrations, tested against a robot that does not change", ""]
+        chances = zip(NINE, map(constancy, comparison.past.chance), strict=True)
+        lines += Table.of(("", ""), list(chances)).lines()
+    return "\n".join(lines) + "\n"
 
 
 def comparison_json(comparison: Comparison) -> str:
@@ -156,10 +154,10 @@ def effects(difference: Difference) -> tuple[tuple[str, float, str], ...]:
     """What a change means for the robot: (effect, value, unit)."""
     heading_deg_per_m = math.degrees(difference.heading_rad_per_m)
     return (
-        (f"Shift of a point {AHEAD_M:g} m ahead of the camera", difference.ray_m * 1e3, "mm"),
-        ("Dead reckoning: distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
-        ("Dead reckoning: heading, driving straight", heading_deg_per_m, "deg per m"),
-        ("Heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
+        (f"shift of a point {AHEAD_M:g} m ahead", difference.ray_m * 1e3, "mm"),
+        ("distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
+        ("heading, driving straight", heading_deg_per_m, "deg per m"),
+        ("heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
     )
 
 
@@ -168,40 +166,20 @@ def changed(difference: Difference) -> bool | None:
     return None if difference.chance is None else difference.chance < _UNLIKELY
 
 
-def headline(difference: Difference, first: str, second: str) -> str:
-    """Whether the second calibration differs from the first, with the largest change in sigmas."""
-    change = changed(difference)
-    if change is None:
+def conclusion(difference: Difference, first: str, second: str) -> str:
+    """Whether the second calibration differs from the first, how much at most, and how certain that is."""
+    hidden = ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
+    note = f" No conclusion about {hidden}: at least one calibration does not determine it." if hidden else ""
+    if difference.chance is None:
         unknown = "have no parameter that both determine with a standard deviation"
-        return f"Unknown: {first} and {second} {unknown}."
+        return f"Unknown: {first} and {second} {unknown}.{note}"
     sigmas = np.where(difference.known, np.abs(difference.sigmas), 0.0)
     worst = int(np.argmax(sigmas))
-    said = "Changed" if change else "Unchanged"
-    note = f"; no conclusion about {hidden}" if (hidden := _unobservable(difference)) else ""
-    return f"{said}: from {first} to {second}, at most {sigmas[worst]:.1f} sigma ({NINE[worst]}){note}."
-
-
-def _unobservable(difference: Difference) -> str:
-    return ", ".join(name for name, hides in zip(NINE, difference.unobservable, strict=True) if hides)
-
-
-def conclusion(difference: Difference) -> str:
-    """Whether the robot has changed, and how certain that is."""
-    names = _unobservable(difference)
-    blind = f"No conclusion about {names}: at least one calibration does not determine it." if names else ""
-    if difference.chance is None:
-        return blind or "No significance test: at least one calibration has no standard deviations."
-    verdict = (
-        "The robot has changed, or one of the two calibrations is wrong."
-        if changed(difference)
-        else f"The change{' of these' if blind else ''} is not significant."
-    )
-    note = " The calibrations share a recording, so this test is weak." if difference.shared else ""
-    if blind:
-        note += f" {blind}"
+    weak = " They share a recording, so this test is weak." if difference.shared else ""
     return (
-        f"Chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters; probability by chance "
-        f"{percent_text(difference.chance)}. {verdict}{note}"
+        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second}, at most "
+        f"{sigmas[worst]:.1f} sigma ({NINE[worst]}). Probability by chance {percent_text(difference.chance)} "
+        f"(chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters).{weak}{note}"
     )
 
 

@@ -1,19 +1,20 @@
-"""What a criterion of a verdict is: a function that returns its numbers and its sentences."""
+"""What a criterion of a verdict is: a function that compares a figure of a calibration with its limit, in sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal, NamedTuple
 
 from mobilecal_cli.model import Evaluation, Extraction, Solution
+from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.comparison import Change
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
-_SEVERITY: tuple[Outcome, ...] = ("pass", "warning", "not_enough", "fail")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Calibration:
     """What the criteria judge.
 
@@ -30,66 +31,108 @@ class Calibration:
     trial: Evaluation | None = None
     change: Change | None = None
 
+    @cached_property
+    def checks(self) -> tuple[Check, ...]:
+        """What every criterion finds, evaluated once; also figures alone."""
+        return tuple(check for each in CRITERIA for check in each.judge(self, *each.metrics))
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One criterion of the verdict, with its sentences; `Metric.check` makes it.
+
+    Attributes:
+        id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint").
+        value: as measured, None where it is unknown.
+        limit: beyond it the outcome is "fail" or "not_enough"; None for a criterion without a number.
+        outcome: "pass", "warning" (which passes), "fail" or "not_enough" (too little data to decide).
+        name: the criterion; "" for a figure alone, which gates can limit and no criterion judges.
+        measured_text, limit_text: values with their units.
+        why: a sentence; empty for "pass".
+        next_step: what to do then; empty for "pass".
+        unit: of value and limit, "" for counts and ratios.
+        at_least: whether the limit is a lower one.
+        section: of the page, which shows what is judged.
+    """
+
+    id: str
+    value: float | None
+    limit: float | None
+    outcome: Outcome
+    name: str
+    measured_text: str
+    limit_text: str
+    why: str
+    next_step: str
+    unit: str
+    at_least: bool
+    section: str
+
+    @property
+    def label(self) -> str:
+        """The outcome in words."""
+        return self.outcome.replace("_", " ")
+
 
 @dataclass(frozen=True, slots=True)
 class Metric:
     """A figure that a gate can limit, by a lower limit if `at_least`.
 
     The name is for `--gate`, in `metrics` of report.json, and the id of the criterion that judges it. The unit is ""
-    for counts and ratios. If the name ends in a unit, the value has this unit.
+    for counts and ratios. If the name ends in a unit, the value has this unit. `section` is that of its checks.
     """
 
     name: str
     unit: str = ""
     at_least: bool = False
+    section: str = "checks"
 
+    def check(
+        self,
+        value: float | None,
+        limit: float | None = None,
+        name: str = "",
+        next_step: str = "",
+        *,
+        part: str = "",
+        measured: str = "",
+        at_limit: str = "",
+        why: str = "",
+        passes: bool | None = None,
+        beyond: Outcome | None = None,
+    ) -> Check:
+        """The figure against its limit; a signed figure counts by its size.
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One criterion of the verdict, with its sentences; `limit` is a lower one if `at_least`.
-
-    Attributes:
-        id: its name for programs; a part after the first dot distinguishes criteria of one kind ("noise.joint").
-        value: as measured, None where it is unknown.
-        limit: beyond it the outcome is "fail" or "not_enough"; None for a criterion without a number.
-        unit: of both, "" for counts and ratios; of the criteria of a calibration, `criterion` fills it in.
-        at_least: whether the limit is a lower one; filled in likewise.
-        outcome: "pass", "warning" (which passes), "fail" or "not_enough" (too little data to decide).
-        name: the criterion; "" for a figure alone, which gates can limit and no criterion judges.
-        measured_text, limit_text: values with their units.
-        why: a sentence; empty for "pass".
-        next_step: what to do then; empty for "pass".
-    """
-
-    id: str
-    value: float | None
-    limit: float | None = None
-    outcome: Outcome = "pass"
-    name: str = ""
-    measured_text: str = ""
-    limit_text: str = ""
-    why: str = ""
-    next_step: str = ""
-    unit: str = field(default="", kw_only=True)
-    at_least: bool = field(default=False, kw_only=True)
-
-    def __post_init__(self) -> None:
-        if self.outcome == "pass":
-            object.__setattr__(self, "why", "")
-            object.__setattr__(self, "next_step", "")
-
-    @property
-    def share(self) -> float:
-        """How much of the limit is used: above 1 beyond it; 0 without a number."""
-        if self.value is None or not self.limit:
-            return 0.0
-        share = abs(self.value / self.limit)
-        return 1 / max(share, 1e-300) if self.at_least else share
-
-    @property
-    def label(self) -> str:
-        """The outcome in words."""
-        return self.outcome.replace("_", " ")
+        Args:
+            value, limit, name, next_step: see `Check`; a figure alone has a value only.
+            part: of the id, after the name of the metric.
+            measured, at_limit: value and limit as texts, where more than the numbers is to be said.
+            why: what is wrong, where that is not name, value and limit.
+            passes: whether it is within its limit, where that is no comparison of two numbers.
+            beyond: outcome if it is not; by default "not_enough" for a lower limit and "fail" for an upper one.
+        """
+        unit = f" {self.unit}" if self.unit else ""
+        if passes is None:
+            bound = 0.0 if limit is None else limit
+            passes = value is not None and (value >= bound if self.at_least else abs(value) <= bound)
+        measured = measured or ("unknown" if value is None else f"{value:.3g}{unit}")
+        if limit is not None:
+            at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:g}{unit}"
+        why = why or f"{name[:1].upper()}{name[1:]}: {measured}. Limit: {at_limit}."
+        return Check(
+            id=f"{self.name}.{part}" if part else self.name,
+            value=value,
+            limit=limit,
+            outcome="pass" if passes else beyond or ("not_enough" if self.at_least else "fail"),
+            name=name,
+            measured_text=measured,
+            limit_text=at_limit,
+            why="" if passes else why,
+            next_step="" if passes else next_step,
+            unit=self.unit,
+            at_least=self.at_least,
+            section=self.section,
+        )
 
 
 class Checks(tuple[Check, ...]):
@@ -98,79 +141,51 @@ class Checks(tuple[Check, ...]):
     __slots__ = ()
 
     def __getitem__(self, key: Any) -> Any:  # noqa: ANN401
-        """A criterion by its id or kind, or as in a tuple; of a kind ("leg_outlier") the worst.
+        """A criterion by its id, or as in a tuple.
 
         Raises:
             KeyError: there is none.
         """
         if not isinstance(key, str):
             return super().__getitem__(key)
-        for check in self:
-            if check.id == key:
-                return check
-        alike = [check for check in self if check.id.partition(".")[0] == key]
-        if not alike:
-            raise KeyError(key)
-        return max(alike, key=lambda check: (_SEVERITY.index(check.outcome), check.share))
+        return {check.id: check for check in self}[key]
 
     @property
-    def worst(self) -> Check:
-        """The first of those with the most severe outcome."""
-        return max(self, key=lambda check: _SEVERITY.index(check.outcome))
+    def lines(self) -> list[str]:
+        """All criteria for the terminal, escaped, with what to do where one is not met."""
+        lines = []
+        for check in self:
+            lines.append(
+                visible(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})")
+            )
+            lines += wrapped(f"{check.why} {check.next_step}", " " * 14, " " * 14) if check.why else []
+        return lines
 
 
-def graded(value: float, bad: float) -> Outcome:
-    """The outcome of a value that should be small."""
-    return "fail" if value > bad else "pass"
+_Judge = Callable[..., Iterator[Check]]
 
 
-def enough(value: float, least: float) -> Outcome:
-    """The outcome of a value that should not be small."""
-    return "pass" if value >= least else "not_enough"
+class Criterion(NamedTuple):
+    """A criterion, or several of one kind: a function of a calibration and the metrics, without checks where it does
+    not apply.
 
-
-#: Section of the page with all criteria.
-_CHECKS = "checks"
-_Judge = Callable[[Calibration], Iterator[Check]]
-
-
-@dataclass(frozen=True, slots=True)
-class Criterion:
-    """A criterion, or several of one kind: a function from a calibration to checks, none where it does not apply.
-
-    The name of a metric without a dot also stands for ids with further parts. Gates can limit the metrics of gated
-    criteria: not those that arise only where something is wrong. The section of the page shows what is judged.
+    Gates can limit the metrics of gated criteria: not those that arise only where something is wrong.
     """
 
     metrics: tuple[Metric, ...]
     gated: bool
     judge: _Judge
-    section: str = _CHECKS
-
-    def checks(self, made: Calibration) -> Iterator[Check]:
-        """The checks, with their units."""
-        metrics = {metric.name: metric for metric in self.metrics}
-        for check in self.judge(made):
-            metric = metrics.get(check.id) or metrics[check.id.partition(".")[0]]
-            yield replace(check, unit=metric.unit, at_least=metric.at_least)
 
 
 #: All criteria of a calibration in the order of the verdict: the first that is not met decides.
 CRITERIA: list[Criterion] = []
 
 
-def criterion(*metrics: Metric, gated: bool = True, section: str = _CHECKS) -> Callable[[_Judge], _Judge]:
+def criterion(*metrics: Metric, gated: bool = True) -> Callable[[_Judge], _Judge]:
     """Add a function to the criteria of a calibration; see `Criterion`."""
 
     def registered(judge: _Judge) -> _Judge:
-        CRITERIA.append(Criterion(metrics, gated, judge, section))
+        CRITERIA.append(Criterion(metrics, gated, judge))
         return judge
 
     return registered
-
-
-def section_of(check: Check) -> str:
-    """The section of the page that shows what a criterion judges; that of all criteria for a gate."""
-    names = {check.id, check.id.partition(".")[0]}
-    sections = (each.section for each in CRITERIA if names & {metric.name for metric in each.metrics})
-    return next(sections, _CHECKS)

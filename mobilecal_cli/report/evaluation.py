@@ -6,21 +6,29 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import CalibratedRobot, CameraRig, Evaluation, Extraction, Parameters, Solution
+from mobilecal_cli.model import (
+    CalibratedRobot,
+    CameraRig,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Solution,
+)
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
-from mobilecal_cli.report.criteria import Check, Checks, Outcome, enough
-from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, json_text, like
+from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
+from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
-from mobilecal_cli.report.use import small_extents
-from mobilecal_cli.report.verdict import LEVELS, Verdict, decided_by
+from mobilecal_cli.report.use import motion_cure
+from mobilecal_cli.report.verdict import Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (
@@ -36,6 +44,8 @@ _SIGMAS = 3.0
 _SIGMA_SHARE = 0.5
 #: Corner errors above the limit fail the calibration if they are so many times those of the recording's own estimate.
 _TIMES_OWN = 1.5
+_STATIONS = Metric("evaluated_stations", at_least=True)
+_CORNER_ERROR = Metric("corner_error", "px")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,27 +88,25 @@ def judge_evaluation(
 
     Args:
         evaluation: errors of the calibration on the recording.
-        cameras: the recording's stereo pair.
+        cameras: of the recording.
         robot: the calibration under test.
         own: the recording solved by itself, or the error that prevented it.
         cure: the motion that the recording lacks to determine all parameters; "" if it lacks none.
         used: names of the recordings that the calibration was made from.
         gates: the user's limits, see `gate_checks`.
     """
-    have, least = evaluation.stations, MIN_STATIONS
-    enough_stations = Check(
-        "evaluated_stations", have, least, enough(have, least),
-        "stations",
-        f"{have:g}",
-        f"at least {least:g}",
-        f"Both cameras see the board at {have:g} stations; at least {least:g} are needed.",
+    enough_stations = _STATIONS.check(
+        evaluation.stations,
+        MIN_STATIONS,
+        f"stations with the board in {cameras.images_words}",
         "Record at least ten stations.",
-        at_least=True,
-    )  # fmt: skip
+    )
     agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
     checks = Checks((enough_stations, _corner_error(evaluation, cameras, own), *agreement, *gates))
-    if checks.worst.outcome in LEVELS:
-        return decided_by(checks.worst, checks)
+    for outcome in ("fail", "not_enough"):
+        decisive = next((check for check in checks if check.outcome == outcome), None)
+        if decisive is not None:
+            return decided_by(decisive, checks)
     agreed = ", ".join(f"{c.name} {c.measured_text}" for c in checks if c.id.startswith("agreement."))
     unused = "Evaluate a recording that was not used for this calibration."
     next_step = unused if used else "Use params.yaml on the robot."
@@ -113,34 +121,31 @@ def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | Mo
     if not isinstance(own, MobilecalError):
         best_px = float(np.median(own.residuals.leg_reprojection_px))
         best = f"; the recording's own estimate leaves {best_px:.1f} px"
-    limit = max(limit_px, _TIMES_OWN * best_px)
-    outcome: Outcome = "not_enough" if best_px > limit_px else "fail" if px > limit else "pass"
-    if outcome == "not_enough":
-        why = f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px)."
-        cure = "Check for wheel slip, a moved board and wrong encoder settings, and record again."
-    else:
-        why = f"The median station-to-station corner error is {px:.1f} px (limit {limit_px:.1f} px){best}."
-        cure = "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again."
-    return Check(
-        "corner_error", px, limit, outcome,
-        "median station-to-station corner error",
-        f"{px:.2f} px",
-        f"at most {limit:.1f} px",
-        why,
-        cure,
-        unit="px",
+    limit, name = max(limit_px, _TIMES_OWN * best_px), "median station-to-station corner error"
+    if best_px > limit_px:
+        return _CORNER_ERROR.check(
+            px, limit, name, "Check for wheel slip, a moved board and wrong encoder settings, and record again.",
+            why=f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px).",
+            passes=False,
+            beyond="not_enough",
+        )  # fmt: skip
+    return _CORNER_ERROR.check(
+        px, limit, name, "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again.",
+        measured=f"{px:.2f} px{best}",
+        at_limit=f"at most {limit:.1f} px",
     )  # fmt: skip
 
 
 def _unsolved(error: MobilecalError) -> Iterator[Check]:
     """That the recording has no estimate of its own."""
-    yield Check(
-        "own_estimate", None, None, "not_enough",
-        "estimate from this recording",
-        "none",
-        "all nine parameters",
-        f"This recording cannot be solved by itself: {error.message}.",
+    yield Metric("own_estimate").check(
+        None, None, "estimate from this recording",
         f"{error.hint[:1].upper()}{error.hint[1:]}." if error.hint else "Record again.",
+        measured="none",
+        at_limit="all nine parameters",
+        why=f"This recording cannot be solved by itself: {error.message}.",
+        passes=False,
+        beyond="not_enough",
     )  # fmt: skip
 
 
@@ -162,7 +167,6 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         if robot.odometry is not None and not of_camera:
             name = f"{name} multiplier"  # nobody measured the wheels
         part = np.arange(9)[whole][~uncertainty.described[whole]]
-        at_most = f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma"
         x, C = change[part], covariance[np.ix_(part, part)]
         size = float(np.linalg.norm(x))
         along = x / size if size > 0 else np.eye(len(x))[0]
@@ -170,10 +174,10 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         needed = _SIGMA_SHARE * limit
         measured = f"{value_text(size, largest, 2)} ± {std_text(largest)} {unit}"
         value: float | None = size
-        outcome: Outcome = "pass"
+        outcome: Outcome = "not_enough"
         why = cure = ""
         if not uncertainty.observable[part].all():
-            value, outcome, measured = None, "not_enough", "unobservable"
+            value, measured = None, "unobservable"
             why = f"The {name} is unobservable in this recording."
             cure = missing or "record more motion of base and head"
             cure = f"{cure[:1].upper()}{cure[1:]}."
@@ -182,11 +186,18 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
             why = f"The {name} differs from this recording by {measured} (limit {limit:g} {unit})."
             cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
         elif largest > needed:
-            outcome = "not_enough"
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
-            small = " ".join(small_extents(own.motion, of_camera, not of_camera))
-            cure = small or "Record more stations; mobilecal suggest lists the most useful ones."
-        yield Check(f"agreement.{key}", value, limit, outcome, name, measured, at_most, why, cure, unit=unit)
+            cure = motion_cure(own.motion, of_camera, not of_camera)
+            cure = cure or "Record more stations; mobilecal suggest lists the most useful ones."
+        yield Metric("agreement", unit).check(
+            value, limit, name, cure,
+            part=key,
+            measured=measured,
+            at_limit=f"at most {limit:g} {unit}, or {_SIGMAS:g} sigma",
+            why=why,
+            passes=not why,
+            beyond=outcome,
+        )  # fmt: skip
 
 
 class SpreadData(JsonValue):
@@ -215,55 +226,50 @@ class LegErrorData(JsonValue):
     translation_mm: float
 
 
+_ERRORS: Mapping[str, Callable[[Evaluation], FloatArray]] = {
+    "reprojection_px": lambda evaluation: evaluation.reprojection_px,
+    "rotation_deg": lambda evaluation: np.degrees(evaluation.rotation_rad),
+    "translation_mm": lambda evaluation: evaluation.translation_m * 1e3,
+}
+
+
+def _spread(name: str) -> Any:  # noqa: ANN401
+    def of(evaluation: Evaluation) -> SpreadData:
+        values = _ERRORS[name](evaluation)
+        return SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
+
+    return by(of)
+
+
+def _legs(evaluation: Evaluation) -> tuple[LegErrorData, ...]:
+    errors = {name: of(evaluation).tolist() for name, of in _ERRORS.items()}
+    return tuple(
+        LegErrorData(
+            log=log, from_station=i, to_station=j, **{name: each[k] for name, each in errors.items()}
+        )
+        for k, (log, i, j) in enumerate(evaluation.legs.tolist())
+    )
+
+
 class EvaluationData(JsonValue):
     """Errors of a calibration on stations that it was not made from."""
 
     stations: int
-    legs: int
+    legs: int = by(lambda evaluation: len(evaluation.legs))
     driven_m: float
     turned_deg: float
-    reprojection_px: SpreadData
-    rotation_deg: SpreadData
-    translation_mm: SpreadData
-    drift_before: DriftData | None
-    drift_after: DriftData
-    per_leg: tuple[LegErrorData, ...]
+    reprojection_px: SpreadData = _spread("reprojection_px")
+    rotation_deg: SpreadData = _spread("rotation_deg")
+    translation_mm: SpreadData = _spread("translation_mm")
+    drift_before: DriftData | None = by(lambda e: e.before and like(DriftData, e.before))
+    drift_after: DriftData = by(lambda e: like(DriftData, e.after))
+    per_leg: tuple[LegErrorData, ...] = by(_legs)
     clock_offsets_s: ByName
-
-
-def evaluation_data(evaluation: Evaluation) -> EvaluationData:
-    """Every number of an evaluation."""
-    errors = {
-        "reprojection_px": evaluation.reprojection_px,
-        "rotation_deg": np.degrees(evaluation.rotation_rad),
-        "translation_mm": evaluation.translation_m * 1e3,
-    }
-    return like(
-        EvaluationData,
-        evaluation,
-        legs=len(evaluation.legs),
-        turned_deg=math.degrees(evaluation.turned_rad),
-        **{
-            key: SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
-            for key, values in errors.items()
-        },
-        drift_before=None if evaluation.before is None else like(DriftData, evaluation.before),
-        drift_after=like(DriftData, evaluation.after),
-        per_leg=tuple(
-            LegErrorData(
-                log=log,
-                from_station=first,
-                to_station=second,
-                **{key: float(values[leg]) for key, values in errors.items()},
-            )
-            for leg, (log, first, second) in enumerate(evaluation.legs.tolist())
-        ),
-    )
 
 
 def evaluation_json(result: Evaluated) -> str:
     """An evaluation with its verdict and gates for programs."""
-    numbers = evaluation_data(result.evaluation)
+    numbers = like(EvaluationData, result.evaluation)
     return json_text(
         {
             "schema_version": 2,
@@ -277,49 +283,40 @@ def evaluation_json(result: Evaluated) -> str:
     )
 
 
-def evaluation_rows(evaluation: EvaluationData) -> tuple[tuple[str, ...], ...]:
-    """Table rows: name of the error, its rms, median, worst value and unit."""
-    return tuple(
-        (meaning, *(f"{value:.{digits}f}" for value in (spread.rms, spread.median, spread.worst)), unit)
-        for meaning, spread, digits, unit in (
-            ("station-to-station corner error", evaluation.reprojection_px, 2, "px"),
-            ("camera rotation error", evaluation.rotation_deg, 3, "deg"),
-            ("camera position error", evaluation.translation_mm, 2, "mm"),
-        )
+def evaluation_tables(evaluation: EvaluationData) -> tuple[Table, Table]:
+    """The errors on the legs, and the drift of dead reckoning."""
+    errors = (
+        ("station-to-station corner error", evaluation.reprojection_px, 2, "px"),
+        ("camera rotation error", evaluation.rotation_deg, 3, "deg"),
+        ("camera position error", evaluation.translation_mm, 2, "mm"),
     )
+    rows = [
+        (name, *(f"{value:.{digits}f}" for value in (spread.rms, spread.median, spread.worst)), unit)
+        for name, spread, digits, unit in errors
+    ]
+    before, after = evaluation.drift_before, evaluation.drift_after
+    drifts = (
+        ("position", "mm per m", before and before.mm_per_m, after.mm_per_m),
+        ("heading", "deg per turn", before and before.deg_per_turn, after.deg_per_turn),
+    )
+    drift = [
+        (name, *("-" if value is None else f"{value:.2f}" for value in values), unit)
+        for name, unit, *values in drifts
+    ]
+    heads = ("prediction error on a leg", "number:rms", "number:median", "number:worst", "unit")
+    of_drift = ("drift of dead reckoning", "number:wheels before", "number:calibrated wheels", "unit")
+    return Table.of(heads, rows, "limits", "Held-out stations"), Table.of(of_drift, drift, "limits")
 
 
-def drift_rows(evaluation: EvaluationData) -> tuple[tuple[str, ...], ...]:
-    """Table rows: name of the drift, before, after and unit."""
-    return tuple(
-        (meaning, *("-" if drift is None or getattr(drift, key) is None else f"{getattr(drift, key):.2f}"
-                    for drift in (evaluation.drift_before, evaluation.drift_after)), unit)
-        for meaning, key, unit in (
-            ("dead reckoning: position", "mm_per_m", "mm per m"),
-            ("dead reckoning: heading", "deg_per_turn", "deg per turn"),
-        )
-    )  # fmt: skip
-
-
-def evaluation_text(
-    evaluation: EvaluationData, notes: Sequence[str] = (), verdict: Verdict | None = None
-) -> str:
+def evaluation_text(result: Evaluated) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
-    lines = [f"Note: {visible(note)}" for note in notes]
-    motion = f"driven {evaluation.driven_m:.2f} m, turned {evaluation.turned_deg:.0f} deg"
-    lines.append(f"{evaluation.stations} stations, {evaluation.legs} legs; {motion}")
-    if evaluation.clock_offsets_s:
-        offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in evaluation.clock_offsets_s.items())
+    data = like(EvaluationData, result.evaluation)
+    lines = [f"Note: {visible(note)}" for note in result.notes]
+    motion = f"driven {data.driven_m:.2f} m, turned {data.turned_deg:.0f} deg"
+    lines.append(f"{data.stations} stations, {data.legs} legs; {motion}")
+    if data.clock_offsets_s:
+        offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in data.clock_offsets_s.items())
         lines.append(f"Clock offsets: {offsets}")
-    heads = ("Prediction from station to station", "number:rms", "number:median", "number:worst", "")
-    lines += ["", *Table.of(heads, evaluation_rows(evaluation)).lines((36, 9, 9, 9)), ""]
-    lines += Table.of(("Drift", "number:before", "number:after", ""), drift_rows(evaluation)).lines(
-        (36, 9, 9)
-    )
-    if verdict is not None:
-        lines += ["", f"  {'Calibration against this recording':<56}{'':<21}limit"]
-        lines += (
-            f"  {check.label:<12}{check.name:<44}{check.measured_text:<21}{check.limit_text}"
-            for check in verdict.checks
-        )
-    return "\n".join(lines) + "\n"
+    for table in evaluation_tables(data):
+        lines += ["", *table.lines()]
+    return "\n".join([*lines, "", "Calibration against this recording", *result.verdict.checks.lines]) + "\n"

@@ -1,13 +1,12 @@
-"""The sentences on results beyond the nine parameters: contradictions, outliers, scale, jackknife, suggestions."""
+"""The sentences on results beyond the nine parameters: contradictions, outliers, suggestions."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.budget import usual_jackknife_factor
-from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, ScaleCheck, Solution, Suggestion
+from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import SOURCES
@@ -81,57 +80,17 @@ _KINDS = {
 }
 
 
-def reprojection_sentence(parts_px: Mapping[str, float], noise_px: float) -> str:
+def reprojection_sentence(solution: Solution) -> str:
     """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
-    if not parts_px:
+    parts_px = {name: part.px for name, part in solution.error_parts.items()}
+    if solution.uncertainty is None or not parts_px:
         return ""
     words = {"joints": "joint readings", "floor": "the uneven floor"}
-    each = [f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items()]
-    whole = math.sqrt(sum(px**2 for px in parts_px.values()))
+    each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
     return (
-        f"One corner coordinate has a noise of {std_text(noise_px)} px. The reprojection error compares two "
-        f"stations, so it includes the robot's motion between them. Expected from the noise levels: "
-        f"{', '.join(each)}; together {std_text(whole)} px."
-    )
-
-
-def jackknife_sentence(solution: Solution) -> str:
-    """Comparison of the jackknife's standard deviations with those of the estimate; "" where there are none."""
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return ""
-    known = (uncertainty.noise_std > 0) & (uncertainty.jackknife_std > 0)
-    if not known.any():
-        return ""
-    ratio = uncertainty.jackknife_std[known] / uncertainty.noise_std[known]
-    usual = usual_jackknife_factor(len(solution.residuals.legs))
-    sentence = (
-        "Jackknife test: solving repeatedly, each time without the corners or the joint readings of one station or "
-        f"the wheel rotations of one leg, gives {ratio.min():.2f} to {ratio.max():.2f} times the standard deviations "
-        f"of the noise levels. With {len(solution.residuals.legs)} legs, factors from {1 / usual:.1f} to {usual:.1f} "
-        "are usual."
-    )
-    widened = [
-        f"{name} ({factor:.1f} times)"
-        for name, factor in zip(NINE, uncertainty.widened, strict=True)
-        if factor > 1
-    ]
-    if widened:
-        sentence += (
-            f" The standard deviations of {', '.join(widened)} are therefore those of the jackknife: the residuals "
-            "vary more from station to station than their noise levels say."
-        )
-    return sentence
-
-
-def scale_sentence(scale: ScaleCheck) -> str:
-    """Square size and baseline as measured, if the other one is correct, and as stated."""
-    squares, baseline = scale.square_m * scale.ratio, scale.baseline_m / scale.ratio
-    return (
-        f"With the stated baseline of {scale.baseline_m * 1e3:.2f} mm, the squares measure {squares * 1e3:.2f} mm "
-        f"(stated: {scale.square_m * 1e3:.2f} mm); with the stated squares, the baseline measures "
-        f"{baseline * 1e3:.2f} mm. The difference is {100 * (scale.ratio - 1):+.2f} % with a standard deviation of "
-        f"{100 * scale.std:.2g} %."
+        f"One corner coordinate has a noise of {std_text(solution.uncertainty.noise.pixel_px)} px. The reprojection "
+        "error compares two stations, so it includes the robot's motion between them. Expected from the noise levels: "
+        f"{each}; together {std_text(math.hypot(*parts_px.values()))} px."
     )
 
 

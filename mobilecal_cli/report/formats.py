@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, dataclass_transform
 
 import numpy as np
 from pydantic import GetPydanticSchema
 
 from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model.text import visible
 
 Number: TypeAlias = float | None
 ByName: TypeAlias = Mapping[str, float]
@@ -47,11 +48,35 @@ class JsonValue:
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
 
 
+def by(source: Callable[[Any], Any]) -> Any:  # noqa: ANN401
+    """A field of a `JsonValue` that is a function of the first source of `like`."""
+    return field(metadata={"by": source})
+
+
+#: Unit at the end of a name → that of the code, and how many of it one of that is.
+_UNITS = {"mm": ("m", 1e3), "deg": ("rad", 180 / math.pi)}
+
+
 def like(cls: type[_T], *sources: object, **more: Any) -> _T:  # noqa: ANN401
-    """A value with further fields, and each of the others as in the first source that has it."""
-    names = [field.name for field in fields(cls) if field.name not in more]  # type: ignore[arg-type]
-    own = {name: next(getattr(s, name) for s in sources if hasattr(s, name)) for name in names}
-    return cls(**own, **more)
+    """A value whose fields are as given, by their function of the first source, or as in the first source with this
+    name, also with the unit of the code in place of the one for people ("turn_deg" from `turn_rad`).
+    """
+    for each in fields(cls):  # type: ignore[arg-type]
+        if each.name not in more:
+            of = each.metadata.get("by")
+            more[each.name] = of(sources[0]) if of else _value_of(sources, each.name)
+    return cls(**more)
+
+
+def _value_of(sources: Sequence[object], name: str) -> Any:  # noqa: ANN401
+    stem, _, unit = name.rpartition("_")
+    in_code, factor = _UNITS.get(unit, ("", 1.0))
+    for source in sources:
+        if hasattr(source, name):
+            return getattr(source, name)
+        if hasattr(source, f"{stem}_{in_code}"):
+            return factor * getattr(source, f"{stem}_{in_code}")
+    raise AttributeError(name)
 
 
 def json_text(value: object, sort_keys: bool = True) -> str:
@@ -108,15 +133,22 @@ class Table(JsonValue):
         rows = tuple(tuple(row[k] for k in shown) for row in self.rows)
         return replace(self, heads=tuple(self.heads[k] for k in shown), rows=rows)
 
-    def lines(self, widths: Sequence[int] = ()) -> list[str]:
-        """The table for the terminal, numbers to the right.
-
-        Columns without a given width are as wide as their cells, after two spaces.
-        """
-        rows = [tuple(label for label, _ in self.heads), *self.rows]
-        lines = ["  " if widths else "" for _ in rows]
+    def lines(self) -> list[str]:
+        """The table for the terminal, escaped: each column as wide as its cells, numbers to the right."""
+        rows = [[visible(cell) for cell in row] for row in ([label for label, _ in self.heads], *self.rows)]
+        lines = [""] * len(rows)
         for k, (_, kind) in enumerate(self.heads):
-            given, side = k < len(widths), ">" if kind == "number" else "<"
-            wide, gap = (widths[k], "") if given else (max(len(row[k]) for row in rows), "  ")
-            lines = [f"{line}{gap}{row[k]:{side}{wide}}" for line, row in zip(lines, rows, strict=True)]
-        return [line.rstrip() for line in lines]
+            wide, side = max(len(row[k]) for row in rows), ">" if kind == "number" else "<"
+            lines = [f"{line}  {row[k]:{side}{wide}}" for line, row in zip(lines, rows, strict=True)]
+        return [line.rstrip() for line in lines if line.strip()]
+
+    def markdown(self) -> list[str]:
+        """The table as Markdown."""
+        heads = tuple(label for label, _ in self.heads)
+        first, *others = (f"| {' | '.join(map(markdown, row))} |" for row in (heads, *self.rows))
+        return [first, f"|{' --- |' * len(heads)}", *others]
+
+
+def markdown(text: str) -> str:
+    """Text of a recording for Markdown: no markup, no new column."""
+    return visible(text).translate({ord(character): f"\\{character}" for character in "\\|*_`<>[]"})

@@ -166,19 +166,25 @@ class Inspection:
     @property
     def exit_code(self) -> int:
         """The exit code that `calibrate` would end with; 0 if nothing is missing."""
-        codes = [lack.exit_code for lack in self.missing]
-        if not codes:
-            return 0
+        codes = [line.exit_code for line in self.missing] or [0]
         return codes[0] if self.rig is None else min(codes)
+
+    @property
+    def duration_s(self) -> float | None:
+        """Time from the first to the last message, s; None where unknown."""
+        if self.start_ns is None or self.end_ns is None:
+            return None
+        return (self.end_ns - self.start_ns) * 1e-9
 
 
 def inspection_json(inspection: Inspection) -> str:
     """The summary for programs; docs/reference/cli.md lists the keys."""
     rig, board = inspection.rig, inspection.board
     columns, rows = (board.size if board is not None else None) or (None, None)
-    recording = _fields(inspection, "name", "containers", "size_bytes", "start_ns", "end_ns")
     data = {
-        "recording": {**recording, "duration_s": _duration_s(inspection)},
+        "recording": _fields(
+            inspection, "name", "containers", "size_bytes", "start_ns", "end_ns", "duration_s"
+        ),
         "topics": inspection.topics,
         "roles": rig and rig.setting_sources,
         "head": rig
@@ -208,12 +214,6 @@ def _fields(value: object, *names: str) -> dict[str, Any]:
     return {name: getattr(value, name) for name in names}
 
 
-def _duration_s(inspection: Inspection) -> float | None:
-    if inspection.start_ns is None or inspection.end_ns is None:
-        return None
-    return (inspection.end_ns - inspection.start_ns) * 1e-9
-
-
 def _cameras(cameras: CameraRig) -> dict[str, Any]:
     each: dict[str, Any] = {
         name: {
@@ -230,10 +230,9 @@ def _cameras(cameras: CameraRig) -> dict[str, Any]:
 def inspection_text(inspection: Inspection) -> str:
     """The summary for the terminal; control characters from the recording are escaped."""
     facts = [", ".join(inspection.containers), f"{inspection.size_bytes / 1e6:.1f} MB"]
-    duration_s = _duration_s(inspection)
-    if duration_s is not None and inspection.start_ns is not None:
+    if inspection.duration_s is not None and inspection.start_ns is not None:
         start = datetime.fromtimestamp(inspection.start_ns // 10**9, UTC)
-        facts += [f"{duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
+        facts += [f"{inspection.duration_s:.1f} s", f"from {start:%Y-%m-%d %H:%M:%S} UTC"]
     lines = [visible(inspection.name), f"  {', '.join(facts)}", "", *_topics(inspection)]
     sources = {} if inspection.rig is None else inspection.rig.setting_sources
     roles = (f"{role}: {_WHY.get(origin, origin)}" for role, origin in sources.items())

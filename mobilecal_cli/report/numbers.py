@@ -27,7 +27,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.formats import JsonValue
+from mobilecal_cli.report.formats import JsonValue, Table
 
 _MOST_DECIMALS = 6  # of rad and m: one digit of the smallest standard deviations
 _UNCERTAIN_DIGITS = 5  # decimals where no standard deviation is known: 0.01 mm
@@ -172,14 +172,12 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     )
 
 
-def numbers_table(numbers: Sequence[NumberData]) -> list[tuple[str, str]]:
-    """Label, and value with standard deviation and unit, of each number."""
-    rows = []
-    for n in numbers:
-        sigma = f" ± {n.std_text}" if n.std_text else ""
-        state = f", {n.state}" if n.state else ""
-        rows.append((n.label, f"{n.value_text}{sigma} {n.unit}".rstrip() + state))
-    return rows
+def numbers_table(numbers: Sequence[NumberData]) -> Table:
+    """Label, value, standard deviation, unit and state of each number."""
+    rows = [
+        (n.label, n.value_text, f"± {n.std_text}" if n.std_text else "", n.unit, n.state) for n in numbers
+    ]
+    return Table.of(("parameter", "strong:value", "number:1 sigma", "unit", ""), rows).without_empty_columns()
 
 
 def stations_text(extraction: Extraction) -> str:

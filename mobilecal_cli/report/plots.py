@@ -1,14 +1,14 @@
-"""The plots of the page, each an <svg> element, "" where there is nothing to show.
+"""The plots of the page, each an <svg> element.
 
-A new plot is a function with the decorator `plot`. `path_picture` and `budget_bar` are those of the first screen.
+A new plot is a function with the decorator `plot`. The first screen has `path_picture` and `budget_bar`.
 """
 
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,23 +31,23 @@ from mobilecal_cli.report.numbers import CELLS, image_coverage, station_names, s
 from mobilecal_cli.report.svg import HALF, WIDE, Axes, Canvas, Scale
 from mobilecal_cli.report.use import FAMILIES, FIGURES, Error, family_shares, shares_of
 
-#: An SVG element ("" for none), and its caption: what this plot shows, from its numbers.
-Drawn: TypeAlias = tuple[str, str]
-_Draw = TypeVar("_Draw", bound=Callable[..., Drawn])
 _MOST_PATHS = 4  # recordings with their own plots
 
 
-class Plot(NamedTuple):
-    """A plot in a section of the page, or the same plot of several recordings or of both cameras.
+class Drawn(NamedTuple):
+    """An SVG element, its caption (what it shows, from its numbers), and a title above it."""
 
-    Attributes:
-        parts: title ("" for none), SVG element and caption of each.
-        half: half as wide as the page, side by side.
-    """
+    svg: str
+    caption: str = ""
+    title: str = ""
+
+
+class Plot(NamedTuple):
+    """A plot in a section of the page, in one or several parts; half as wide as the page, side by side, if `half`."""
 
     section: str
-    parts: tuple[tuple[str, str, str], ...]
     half: bool
+    parts: tuple[Drawn, ...]
 
 
 class Overlay(NamedTuple):
@@ -66,16 +66,10 @@ class Overlay(NamedTuple):
 
 
 class LegView(NamedTuple):
-    """The images of a leg's first station, with the corners predicted from the leg's other end.
-
-    The rank is "worst", "median", "best" or "only"; "" for the others, which the page shows on request.
-    """
+    """The images of a leg's first station (observation), with the corners predicted from the leg's other end."""
 
     observation: int
-    rank: str
-    from_station: str
-    to_station: str
-    error_px: float
+    title: str
     pictures: tuple[Overlay, ...]
 
 
@@ -88,47 +82,15 @@ class Thumbnail(NamedTuple):
     reason: str
 
 
-class Bar(NamedTuple):
-    """One bar with its title and its legend: (style, label) each."""
-
-    title: str
-    svg: str
-    legend: tuple[tuple[str, str], ...]
+_Draw: TypeAlias = Callable[[Solution, Extraction], Iterator[Drawn]]
+_PLOTS: list[tuple[str, bool, _Draw]] = []
 
 
-_PLOTS: list[Callable[[Solution, Extraction], Plot]] = []
-
-
-def plot(
-    section: str, *, half: bool = False, each: Literal["log", "camera"] | None = None, corners: bool = False
-) -> Callable[[_Draw], _Draw]:
-    """Add a function to the plots of the page.
-
-    Its arguments are the solution, its data, and a log or a camera's index.
-
-    Args:
-        section, half: see `Plot`.
-        each: draw it for each recording, or for each camera.
-        corners: it is about corners, and is left out where poses were measured in their place.
-    """
+def plot(section: str, *, half: bool = False) -> Callable[[_Draw], _Draw]:
+    """Add a function to the plots of the page; see `Plot`. It yields nothing where there is nothing to show."""
 
     def registered(draw: _Draw) -> _Draw:
-        def drawn_each(solution: Solution, extraction: Extraction) -> Plot:
-            logs = sorted({o.log for o in extraction.observations})
-            subjects: dict[str | None, Sequence[int]] = {
-                "log": logs[:_MOST_PATHS],
-                "camera": range(len(extraction.rig.cameras.names)),
-                None: [0],
-            }
-            parts: list[tuple[str, str, str]] = []
-            for subject in () if corners and extraction.measured else subjects[each]:
-                title = extraction.log_names[subject] if each == "log" and len(logs) > 1 else ""
-                element, caption = draw(solution, extraction, *([] if each is None else [subject]))
-                said = {earlier for _, _, earlier in parts}
-                parts += [(title, element, "" if caption in said else caption)] if element else []
-            return Plot(section, tuple(parts), half)
-
-        _PLOTS.append(drawn_each)
+        _PLOTS.append((section, half, draw))
         return draw
 
     return registered
@@ -136,91 +98,70 @@ def plot(
 
 def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
     """All plots that have something to show, in the order of their definition."""
-    return [each for each in (drawn(solution, extraction) for drawn in _PLOTS) if each.parts]
+    every = (Plot(section, half, tuple(draw(solution, extraction))) for section, half, draw in _PLOTS)
+    return [each for each in every if each.parts]
 
 
+SHOWN_LEGS = 3  # of which the page shows the images; those of others on request
 _MOST_VIEW_BYTES = 400_000  # of the images of legs, so that the page stays under 1 MB
 _VIEW_WIDTH_PX = 480  # wider regions are scaled down; the marks are vectors and stay sharp
 _VIEW_MARGIN = 0.3  # around the board, as a share of its size in the image
 _FARTHEST_M = 5.0  # most heads look at things that are nearer
 _MOST_LABELS = 40  # more labels than this are not readable
 _MOST_OUTLINES = 150  # of boards in one image, so that the page stays small
+_VISIBLE_M = 0.01  # in a picture of a drive: a pixel
 _TRAIL_POINTS = 400  # of a path: more are finer than a pixel
 _LEAST_SPAN_DEG = 20.0  # so that the noise of a fixed head does not look like motion
 _MOST_DOTS = 4000  # corners in one scatter
-_LEAST_SPAN_SHARE = 0.01  # of an axis of square sizes, so that noise does not look like a difference
 _MARK_BYTES = 160  # of a detected and a predicted corner in the page
 _LEAST_SHARE, _LABELED_SHARE = 0.005, 0.08  # of a bar: less is no pixel wide, or too narrow for a label
 
 
-@plot("stations", each="log")
-def seen_from_above(solution: Solution, extraction: Extraction, log: int) -> Drawn:
-    """Top view of one recording: path of the base, camera poses, and the board as measured from each station."""
-    picked, boards, path, everything = _from_above(solution, extraction, log)
-    T_c_k = np.stack([extraction.observations[i].T_c_k for i in picked])
-    T_w_v, T_w_c = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked] @ se3.inverse(T_c_k)
-    canvas = Canvas(WIDE, 420.0, "top view of the base path with cameras and board")
+@plot("stations", half=True)
+def further_paths(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
+    """Top views of the recordings but the first, which is on the first screen."""
+    for log in sorted({o.log for o in extraction.observations})[1:_MOST_PATHS]:
+        yield path_picture(solution, extraction, log)._replace(title=extraction.log_names[log])
+
+
+def path_picture(solution: Solution, extraction: Extraction, log: int | None = None) -> Drawn:
+    """Top view of a recording, or the first: path of the base, cameras, and the board as measured at each station."""
+    log = min(o.log for o in extraction.observations) if log is None else log
+    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
+    observations, board = [extraction.observations[i] for i in picked], extraction.board
+    T_w_v, T_w_k = solution.residuals.T_w_v[picked], solution.residuals.T_w_k[picked]
+    T_w_c = T_w_k @ se3.inverse(np.stack([o.T_c_k for o in observations]))
+    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
+    ends_k *= float(np.median([o.square_m for o in observations]))
+    boards = se3.act(T_w_k, np.broadcast_to(ends_k, (len(picked), 2, 3)))[..., :2]
+    path = trail(extraction, log, solution.parameters.wheels)
+    everything = np.concatenate([boards.reshape(-1, 2), path, T_w_v[:, :2, 3]])
+    canvas = Canvas(HALF, 0.85 * HALF, "top view of the base path with cameras and board")
+    left, low = 10.0, canvas.height - 22.0
     x, y = (Scale.of(column) for column in everything.T)
-    axes = Axes.of(canvas, x, y, "y [m]", (0.0, 18.0, WIDE, 420.0)).with_equal_units()
-    axes.grid("x at the first station [m]")
-    entries = [("line soft", "path of the base")]
+    x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=24.0)
+    axes = Axes(canvas, x, y).with_equal_units()
+    entries = [("line green", "board"), ("line orange", "camera")]
     axes.line(path, "soft")
     nominal, caption = extraction.rig.nominal.wheels, ""
     if nominal is not None:
         without = trail(extraction, log, nominal)
         axes.clipped_line(without, "red thin dots")
-        entries.append(("line red dots", "with nominal wheels"))
+        entries.append(("line red dots", "nominal"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
-        caption = f"With the nominal wheels, the path ends {apart:.2f} m elsewhere."
+        if apart >= _VISIBLE_M:
+            caption = f"Nominal wheels: {apart:.2f} m elsewhere."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
-        tip = f"station {names[i]}"
-        axes.line(boards[k], "green", [i], f"board from {tip}")
-        x_axis, z_axis = T_w_v[k, :2, 0], T_w_c[k, :2, 2]
-        at, eye = T_w_v[k, :2, 3], T_w_c[k, :2, 3]
-        axes.arrow(at, at + size * x_axis, "blue", [i], tip)
+        tip, at, eye, z_axis = f"station {names[i]}", T_w_v[k, :2, 3], T_w_c[k, :2, 3], T_w_c[k, :2, 2]
+        axes.line(boards[k], "green thin", [i], f"board from {tip}")
         axes.arrow(eye, eye + size * z_axis / max(float(np.linalg.norm(z_axis)), 1e-9), "orange", [i], tip)
-        axes.dot(float(at[0]), float(at[1]), "blue", [i], tip)
-    if len(picked) <= _MOST_LABELS:
-        canvas.labels(axes.at(T_w_v[:, :2, 3]), [names[i] for i in picked])
-    entries += [("line green", "board"), ("line blue", "base heading"), ("line orange", "camera direction")]
-    canvas.legend(entries, 8.0, 16.0)
-    return canvas.svg, caption
-
-
-def path_picture(solution: Solution, extraction: Extraction) -> str:
-    """Small top view of the first recording: the path, the mean board, and a scale bar."""
-    log = min(o.log for o in extraction.observations)
-    picked, boards, path, everything = _from_above(solution, extraction, log)
-    canvas = Canvas(HALF, 0.75 * HALF, "path of the base and board")
-    left, low = 10.0, canvas.height - 22.0
-    x, y = (Scale.of(column) for column in everything.T)
-    x, y = replace(x, start=left, end=HALF - left), replace(y, start=low, end=8.0)
-    axes = Axes(canvas, x, y).with_equal_units()
-    axes.line(path, "soft")
-    for i, board in zip(picked, boards, strict=True):
-        axes.line(board, "green thin", [i])
-        x_m, y_m = solution.residuals.T_w_v[i, :2, 3].tolist()
-        axes.dot(x_m, y_m, "blue", [i], r=3)
+        axes.dot(float(at[0]), float(at[1]), "blue", [i], tip, r=3)
     meter = axes.x(1.0) - axes.x(0.0)
-    canvas.path(np.array([[left, canvas.height - 8], [left + meter, canvas.height - 8]]), "line ink")
-    canvas.text(left + meter + 6, canvas.height - 4, "1 m")
-    canvas.legend([("line green", "board")], HALF - 70.0, canvas.height - 4)
-    return canvas.svg
-
-
-def _from_above(
-    solution: Solution, extraction: Extraction, log: int
-) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
-    """Observations of one recording (n), the board's ends as seen from each, (n, 2, 2), path, and all points, m."""
-    picked = [i for i, o in enumerate(extraction.observations) if o.log == log]
-    observations, board = [extraction.observations[i] for i in picked], extraction.board
-    ends_k = np.array([[-1, board.rows / 2, 0], [board.columns, board.rows / 2, 0]])
-    ends_k *= float(np.median([o.square_m for o in observations]))
-    ends = se3.act(solution.residuals.T_w_k[picked], np.broadcast_to(ends_k, (len(observations), 2, 3)))
-    boards, path = ends[..., :2], trail(extraction, log, solution.parameters.wheels)
-    stations = solution.residuals.T_w_v[picked, :2, 3]
-    return picked, boards, path, np.concatenate([boards.reshape(-1, 2), path, stations])
+    canvas.path(np.array([[left, low + 14], [left + meter, low + 14]]), "line ink")
+    canvas.text(left + meter + 6, low + 18, "1 m")
+    canvas.legend(entries, 8.0, 12.0)
+    return Drawn(canvas.svg, caption)
 
 
 def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray:
@@ -240,12 +181,12 @@ def trail(extraction: Extraction, log: int, wheels: WheelGeometry) -> FloatArray
 
 
 @plot("stations", half=True)
-def head_angles(_: Solution, extraction: Extraction) -> Drawn:
+def head_angles(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """Pan and tilt angle at each station; nothing if the chain names neither joint."""
     chain, observations = extraction.rig.chain, extraction.observations
     columns = [chain.joints.index(name) for name in (chain.pan, chain.tilt) if name in chain.joints]
     if not columns:
-        return "", ""
+        return
     joints_deg = np.degrees(np.stack([o.joints for o in observations]))
     pan = joints_deg[:, columns[0]]
     other = joints_deg[:, columns[1]] if len(columns) == 2 else np.zeros(len(observations))
@@ -263,7 +204,7 @@ def head_angles(_: Solution, extraction: Extraction) -> Drawn:
         canvas.labels(axes.at(np.column_stack([pan, other])), names)
     spans = zip(labels, (pan, other), strict=False)
     ranges = (f"{label.partition(' [')[0]} {np.ptp(angles):.0f}°" for label, angles in spans)
-    return canvas.svg, f"Range: {', '.join(ranges)}."
+    yield Drawn(canvas.svg, f"Range: {', '.join(ranges)}.")
 
 
 def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes]:
@@ -283,96 +224,100 @@ def image_axes(extraction: Extraction, k: int, title: str) -> tuple[Canvas, Axes
     return canvas, axes
 
 
+def _panel(
+    canvas: Canvas,
+    row: int,
+    title: str,
+    values: Sequence[float],
+    names: Sequence[str],
+    stations: Sequence[Sequence[int]],
+    levels: Sequence[tuple[str, str, float]],
+    x_label: str,
+) -> None:
+    """One value for each name as a bar from zero, with levels (style, label, value), in a row of the canvas."""
+    top, unit = 216.0 * row, title.partition("[")[2].strip("]")
+    y = Scale.of([*values, *(value for _, _, value in levels)], zero=True)
+    axes = Axes.of(canvas, Scale(-0.6, len(names) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
+    axes.grid(x=False)
+    for k, (name, value, linked) in enumerate(zip(names, values, stations, strict=True)):
+        axes.bar(k, value, "blue", linked, f"{name}: {value:.3g} {unit}")
+    for style, _, value in levels:
+        axes.level(value, style)
+    canvas.legend([(f"line {style}", label) for style, label, _ in levels], 300.0, top + 16.0)
+    axes.names(names, x_label)
+
+
 @plot("stations")
-def leg_residuals(solution: Solution, extraction: Extraction) -> Drawn:
+def leg_residuals(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """Point error and reprojection error of each leg."""
     residuals, names = solution.residuals, station_names(extraction)
     if not len(residuals.legs):
-        return "", ""
-    point_mm, depth_mm = residuals.leg_point_rms_m * 1e3, residuals.corner_noise_m * 1e3
-    legs = [(f"{names[i]}–{names[j]}", (i, j)) for i, j in residuals.legs.tolist()]
-    canvas = Canvas(WIDE, 440.0, "point error and reprojection error of each leg")
-    for top, title, values, unit, whole in (
-        (14.0, "point error [mm]", point_mm, "mm", solution.point_rms_m * 1e3),
-        (230.0, "reprojection error [px]", residuals.leg_reprojection_px, "px", solution.reprojection_rms_px),
-    ):
-        y = Scale.of([*values, whole, depth_mm if unit == "mm" else 0.0], zero=True)
-        axes = Axes.of(canvas, Scale(-0.6, len(legs) - 0.4), y, title, (0.0, top, WIDE, top + 210.0))
-        axes.grid(x=False)
-        for k, ((name, ends), value) in enumerate(zip(legs, values.tolist(), strict=True)):
-            axes.bar(k, value, "blue", ends, f"{name}: {value:.2f} {unit}")
-        axes.level(whole, "ink thin")
-        if unit == "mm":
-            axes.level(depth_mm, "orange dash")
-        axes.names([name for name, _ in legs], "leg (from station–to station)" if unit == "px" else "")
-    canvas.legend([("line ink thin", "all legs"), ("line orange dash", "depth noise alone")], 300.0, 16.0)
-    errors_px = residuals.leg_reprojection_px
+        return
+    ends = residuals.legs.tolist()
+    legs, errors_px = [f"{names[i]}–{names[j]}" for i, j in ends], residuals.leg_reprojection_px
+    canvas = Canvas(WIDE, 430.0, "point error and reprojection error of each leg")
+    levels = [
+        ("ink thin", "all legs", solution.point_rms_m * 1e3),
+        ("orange dash", "depth noise alone", residuals.corner_noise_m * 1e3),
+    ]
+    _panel(canvas, 0, "point error [mm]", (residuals.leg_point_rms_m * 1e3).tolist(), legs, ends, levels, "")
+    levels, label = [("ink thin", "all legs", solution.reprojection_rms_px)], "leg (from station–to station)"
+    _panel(canvas, 1, "reprojection error [px]", errors_px.tolist(), legs, ends, levels, label)
     worst, median = int(np.argmax(errors_px)), float(np.median(errors_px))
     times = float(errors_px[worst]) / median if median else 1.0
-    return canvas.svg, f"Largest: leg {legs[worst][0]}, {times:.1f} times the median reprojection error."
+    yield Drawn(canvas.svg, f"Largest: leg {legs[worst]}, {times:.1f} times the median reprojection error.")
 
 
-@plot("description", corners=True)
-def station_residuals(_: Solution, extraction: Extraction) -> Drawn:
-    """Residual of the flat board in the images, and the square size that a stereo pair measures, at each station."""
-    observations, names = extraction.observations, station_names(extraction)
-    square_mm = {i: o.square_m * 1e3 for i, o in enumerate(observations) if o.several}
-    stated = [] if extraction.board.square_m is None else [extraction.board.square_m * 1e3]
-    x = Scale(-0.6, len(observations) - 0.4)
-    pair = extraction.rig.cameras.calibrated and bool(square_mm)
-    what = "residual and square size" if pair else "residual"
-    canvas = Canvas(WIDE, 420.0 if pair else 210.0, f"{what} at each station")
-    residual = Scale.of([o.reprojection_px for o in observations], zero=True)
-    axes = Axes.of(canvas, x, residual, "residual of the flat board [px]", (0.0, 0.0, WIDE, 200.0))
-    axes.grid(x=False)
-    for i, o in enumerate(observations):
-        axes.bar(i, o.reprojection_px, "green", [i], f"station {names[i]}: {o.reprojection_px:.3f} px")
-    axes.names(names, "" if pair else "station")
-    if not pair:
-        return canvas.svg, ""
-    sizes_mm = list(square_mm.values())
-    size = Scale.of([*sizes_mm, *stated], margin=0.3, least=_LEAST_SPAN_SHARE * sizes_mm[0])
-    axes = Axes.of(canvas, x, size, "measured square size [mm]", (0.0, 210.0, WIDE, 420.0))
-    axes.grid(x=False)
-    for value in stated:
-        axes.level(value, "ink thin")
-        canvas.legend([("line ink thin", "stated")], 300.0, 226.0)
-    for i, value in square_mm.items():
-        axes.dot(i, value, "green", [i], f"station {names[i]}: {value:.2f} mm", r=4)
-    axes.names(names, "station")
-    median = float(np.median([o.reprojection_px for o in observations]))
-    sizes = f"the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
-    return canvas.svg, f"Median residual {std_text(median)} px; {sizes}."
+@plot("description")
+def station_residuals(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
+    """Residual of the flat board in the images at each station; in words, the square size that a pair measures."""
+    if extraction.measured:
+        return
+    errors_px = [o.reprojection_px for o in extraction.observations]
+    names, every = station_names(extraction), [[i] for i in range(len(errors_px))]
+    canvas, title = Canvas(WIDE, 210.0, "residual at each station"), "residual of the flat board [px]"
+    _panel(canvas, 0, title, errors_px, names, every, [], "station")
+    sizes_mm, stated = (
+        [o.square_m * 1e3 for o in extraction.observations if o.several],
+        extraction.board.square_m,
+    )
+    sizes = ""
+    if extraction.rig.cameras.calibrated and sizes_mm:
+        sizes = f"; the squares measure {min(sizes_mm):.2f} to {max(sizes_mm):.2f} mm"
+        sizes += "" if stated is None else f" (stated: {stated * 1e3:.2f} mm)"
+    yield Drawn(canvas.svg, f"Median residual {std_text(float(np.median(errors_px)))} px{sizes}.")
 
 
-@plot("description", half=True, each="camera", corners=True)
-def corner_residuals(_: Solution, extraction: Extraction, k: int) -> Drawn:
-    """Board in the images of one camera: outlines, and the residuals of the corners, one line each, magnified.
+@plot("description", half=True)
+def corner_residuals(_: Solution, extraction: Extraction) -> Iterator[Drawn]:
+    """Board in the images of each camera: outlines, and the residuals of the corners, one line each, magnified.
 
     Residuals are from the fitted flat board, whose pose at each station comes from the cameras, so the robot's motion
     has no influence.
     """
     import cv2  # slow to import, and other plots do not need it
 
-    of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
-    detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
-    if not len(detected):
-        return "", ""
-    of_camera = camera_words(extraction.rig.cameras.names[k])
-    canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
-    longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
-    scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
-    every = max(1, len(detected) // _MOST_DOTS)
-    outlined = max(1, len(of_station) // _MOST_OUTLINES)
-    for i, (name, (pixels, residual)) in enumerate(zip(station_names(extraction), of_station, strict=True)):
-        if len(pixels) and i % outlined == 0:
-            hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
-            axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
-        lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)[::every]
-        axes.line(lines.reshape(-1, 2), "blue thin", [i], f"station {name}")
-    canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
-    share = 100 * image_coverage(extraction, k)
-    return canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}."
+    for k in () if extraction.measured else range(len(extraction.rig.cameras.names)):
+        of_station = [_board_residuals(extraction, k, i) for i in range(len(extraction.observations))]
+        detected, residuals = (np.concatenate(each) for each in zip(*of_station, strict=True))
+        if not len(detected):
+            continue
+        of_camera = camera_words(extraction.rig.cameras.names[k])
+        canvas, axes = image_axes(extraction, k, f"corner residuals across the image of the {of_camera}")
+        longest = float(np.percentile(np.linalg.norm(residuals, axis=1), 95))
+        scale = 0.04 * abs(axes.x.high - axes.x.low) / longest if longest else 1.0
+        every = max(1, len(detected) // _MOST_DOTS)
+        outlined = max(1, len(of_station) // _MOST_OUTLINES)
+        each_station = zip(station_names(extraction), of_station, strict=True)
+        for i, (name, (pixels, residual)) in enumerate(each_station):
+            if len(pixels) and i % outlined == 0:
+                hull = cv2.convexHull(pixels.astype(np.float32), returnPoints=False)
+                axes.line(pixels[hull.ravel()], "faint thin", [i], f"station {name}", closed=True)
+            lines = np.stack([pixels, pixels + scale * residual, np.full_like(pixels, np.nan)], axis=1)
+            axes.line(lines[::every].reshape(-1, 2), "blue thin", [i], f"station {name}")
+        canvas.text(canvas.width - 10, 16, f"magnified {scale:.0f} times", anchor="end")
+        share = 100 * image_coverage(extraction, k)
+        yield Drawn(canvas.svg, f"The board covers {share:.0f} % of the images of the {of_camera}.")
 
 
 def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray, FloatArray]:
@@ -384,11 +329,11 @@ def _board_residuals(extraction: Extraction, k: int, i: int) -> tuple[FloatArray
     return measured, measured - project(cameras.each[k], points)
 
 
-@plot("limits", half=True, corners=True)
-def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
+@plot("limits", half=True)
+def projection_map(solution: Solution, extraction: Extraction) -> Iterator[Drawn]:
     """1 sigma of the pixel of a point that is known in the base, over the image of the first camera."""
-    if solution.uncertainty is None:
-        return "", ""
+    if solution.uncertainty is None or extraction.measured:
+        return
     camera, name = solution.cameras.each[0], camera_words(extraction.rig.cameras.names[0])
     (across, down) = CELLS
     u = (np.arange(across) + 0.5) * camera.width / across - 0.5
@@ -405,14 +350,14 @@ def projection_map(solution: Solution, extraction: Extraction) -> Drawn:
         canvas.shape("rect", "fill blue", x=left, y=top, width=wide, height=high, fill_opacity=shade)
         canvas.text(x, y + 4, std_text(sigma), anchor="middle")
     extent = f"{std_text(min(std))} to {std_text(max(std))}"
-    return canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}."
+    yield Drawn(canvas.svg, f"Pixel of a point {AHEAD_M:g} m ahead, 1 sigma in px: {extent}.")
 
 
 @plot("limits", half=True)
-def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
+def error_over_distance(solution: Solution, _: Extraction) -> Iterator[Drawn]:
     """1 sigma of the position in the base of points ahead of the first camera, over their distance."""
     if solution.uncertainty is None:
-        return "", ""
+        return
     distances = np.linspace(0.0, _FARTHEST_M, 41)
     std_mm = ahead_std_m(solution, distances) * 1e3
     canvas = Canvas(HALF, 0.85 * HALF, "1 sigma of the position of a point in the base over its distance")
@@ -422,110 +367,80 @@ def error_over_distance(solution: Solution, _: Extraction) -> Drawn:
     at_mm = float(ahead_std_m(solution, np.array([AHEAD_M]))[0]) * 1e3
     axes.dot(AHEAD_M, at_mm, "blue", tip=f"{AHEAD_M:g} m: {at_mm:.2g} mm")
     ends = f"{std_text(at_mm)} mm at {AHEAD_M:g} m, {std_text(std_mm[-1])} mm at {_FARTHEST_M:g} m"
-    return canvas.svg, f"Position of a point ahead, 1 sigma: {ends}."
+    yield Drawn(canvas.svg, f"Position of a point ahead, 1 sigma: {ends}.")
+
+
+def _stack(
+    canvas: Canvas,
+    box: tuple[float, float, float, float],
+    shares: Sequence[tuple[float, str]],
+    labels: bool = True,
+) -> None:
+    """Shares of groups of sources, (share, group), side by side in a box: left, top, width and height."""
+    x, y, wide, high = box
+    for share, family in shares:
+        tip = f"{family} {100 * share:.0f} %"
+        kind, width = f"fill {FAMILIES[family].style}", wide * share
+        canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=high)
+        if labels and share > _LABELED_SHARE:
+            canvas.text(x + width / 2, y + high / 2 + 4, f"{100 * share:.0f} %", anchor="middle")
+        x += width
 
 
 @plot("limits")
-def correlation_matrix(solution: Solution, _: Extraction) -> Drawn:
-    """Correlation matrix of the nine parameters; nothing without a covariance."""
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return "", ""
-    std = np.sqrt(np.diag(uncertainty.reference_covariance))
-    std = np.where(std > 0, std, np.nan)
-    correlation = uncertainty.reference_covariance / np.outer(std, std)
-    canvas = Canvas(WIDE, 370.0, "correlation matrix of the nine parameters")
-    left, top, wide, high = 100.0, 6.0, 58.0, 32.0
-    for k, name in enumerate(NINE):
-        canvas.text(left - 8, top + (k + 0.6) * high, name, anchor="end")
-        x, y = left + (k + 0.5) * wide, top + 9 * high + 14
-        canvas.text(x, y, name, anchor="end", turn=-30)
-    for (i, j), value in np.ndenumerate(correlation):
-        if np.isfinite(value):
-            x, y, kind = left + j * wide, top + i * high, f"fill {'blue' if value > 0 else 'orange'}"
-            shade = 0.6 * min(1.0, abs(value))
-            canvas.shape("rect", kind, x=x, y=y, width=wide - 1, height=high - 1, fill_opacity=shade)
-            canvas.text(x + wide / 2, y + high / 2 + 4, f"{value:+.2f}" if i != j else "1", anchor="middle")
-    apart = np.triu(np.nan_to_num(np.abs(correlation)), 1)
-    i, j = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    return canvas.svg, f"Largest correlation: {NINE[i]} and {NINE[j]}, {correlation[i, j]:+.2f}."
-
-
-@plot("limits")
-def error_budget(solution: Solution, _: Extraction) -> Drawn:
+def error_budget(solution: Solution, _: Extraction) -> Iterator[Drawn]:
     """What each variance consists of, one bar per parameter and expected error; nothing without a budget."""
     if solution.uncertainty is None:
-        return "", ""
+        return
     labels = {name: name for name in NINE}
     labels |= {figure.field: figure.short for figure in FIGURES if figure.limit is not None}
-    shares = {
-        (name, family): share for name in labels for share, family in family_shares(shares_of(solution, name))
-    }
-    used = [f for f in FAMILIES if max(shares.get((name, f), 0.0) for name in labels) > _LEAST_SHARE]
+    shares = {name: {f: s for s, f in family_shares(shares_of(solution, name))} for name in labels}
+    used = [f for f in FAMILIES if max(of.get(f, 0.0) for of in shares.values()) > _LEAST_SHARE]
     canvas = Canvas(WIDE, 60.0 + 24.0 * len(labels), "error budget: what each variance consists of")
-    left, wide = 122.0, WIDE - 132.0
     canvas.legend([(f"fill {FAMILIES[family].style}", family) for family in used], 8.0, 14.0)
     for row, (name, label) in enumerate(labels.items()):
-        y, x = 46.0 + 24.0 * row, left
-        canvas.text(left - 8, y + 13, label, anchor="end")
-        for family in (family for family in used if (name, family) in shares):
-            share, kind = shares[name, family], f"fill {FAMILIES[family].style}"
-            width = wide * share
-            tip = f"{label}: {family} {100 * share:.0f} %"
-            canvas.shape("rect", kind, (), tip, x=x, y=y, width=width, height=18)
-            if share > _LABELED_SHARE:
-                canvas.text(x + width / 2, y + 13, f"{100 * share:.0f} %", anchor="middle")
-            x += width
-    return canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
+        y, of = 46.0 + 24.0 * row, shares[name]
+        canvas.text(114.0, y + 13, label, anchor="end")
+        _stack(canvas, (122.0, y, WIDE - 132.0, 18.0), [(of[f], f) for f in used if f in of])
+    yield Drawn(
+        canvas.svg, "Strong colors: noise of the measurements. Weak colors: uncertainty of stated values."
+    )
 
 
-def budget_bar(error: Error) -> Bar:
+def budget_bar(error: Error) -> Drawn:
     """What the variance of one expected error consists of."""
-    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
     used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
-    canvas = Canvas(WIDE, 24.0, f"error budget of the {error.figure.meaning}")
-    x = 0.0
-    for share, name in used:
-        kind = f"fill {FAMILIES[name].style}"
-        canvas.shape("rect", kind, (), name, x=x, y=0.0, width=WIDE * share, height=24.0)
-        x += WIDE * share
-    legend = tuple((FAMILIES[name].style, f"{name} {100 * share:.0f} %") for share, name in used)
-    return Bar(f"What limits the {error.figure.short} ({value})", canvas.svg, legend)
+    canvas = Canvas(WIDE, 46.0, f"error budget of the {error.figure.meaning}")
+    _stack(canvas, (0.0, 0.0, WIDE, 24.0), used, labels=False)
+    canvas.legend(
+        [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
+    )
+    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
+    return Drawn(canvas.svg, title=f"What limits the {error.figure.short} ({value})")
 
 
 def leg_views(solution: Solution, extraction: Extraction, snapshots: Sequence[Snapshot]) -> list[LegView]:
-    """The worst, the median and the best leg among those whose first station has images, and others as they fit."""
+    """The legs whose first station has images, the largest error first, as many as fit."""
     residuals, observations = solution.residuals, extraction.observations
-    cameras = extraction.rig.cameras
     pictures = {(s.log, s.station): s for s in snapshots if s.jpegs}
     first = [(observations[i].log, observations[i].station) for i in residuals.legs[:, 0]]
-    shown = [leg for leg, station in enumerate(first) if station in pictures]
-    order = sorted(shown, key=lambda leg: (-residuals.leg_reprojection_px[leg], leg))
-    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]] if order else [])
-    words = {0: (), 1: ("only",), 2: ("worst", "best")}.get(len(chosen), ("worst", "median", "best"))
-    ranks = dict(zip(chosen, words, strict=True))
-    names = station_names(extraction)
+    names, size = station_names(extraction), 0
     views: list[LegView] = []
-    for leg in (*ranks, *(leg for leg in order if leg not in ranks)):
-        size = sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for view in views for each in view.pictures)
-        if len(views) >= len(ranks) and size > _MOST_VIEW_BYTES:
+    for leg in np.argsort(-residuals.leg_reprojection_px, kind="stable").tolist():
+        if first[leg] not in pictures:
+            continue
+        if len(views) >= SHOWN_LEGS and size > _MOST_VIEW_BYTES:
             break
-        (i, j), predicted_px = residuals.legs[leg], residuals.predicted_px[:, leg]
-        snapshot = pictures[first[leg]]
-        views.append(
-            LegView(
-                observation=int(i),
-                rank=ranks.get(leg, ""),
-                from_station=names[i],
-                to_station=names[j],
-                error_px=float(residuals.leg_reprojection_px[leg]),
-                pictures=tuple(
-                    _overlay(camera_words(name), snapshot.jpegs.get(name, b""), view, predicted_px[k])
-                    for k, (name, view) in enumerate(zip(cameras.names, observations[i].views, strict=True))
-                    if view.pictures
-                ),
-            )
+        i, j = residuals.legs[leg].tolist()
+        jpegs, cameras = pictures[first[leg]].jpegs, extraction.rig.cameras.names
+        overlays = tuple(
+            _overlay(camera_words(name), jpegs.get(name, b""), view, residuals.predicted_px[k, leg])
+            for k, (name, view) in enumerate(zip(cameras, observations[i].views, strict=True))
+            if view.pictures
         )
+        title = f"Leg {names[i]}–{names[j]}: {residuals.leg_reprojection_px[leg]:.2f} px"
+        views.append(LegView(i, title, overlays))
+        size += sum(len(each.jpeg) + _MARK_BYTES * len(each.marks) for each in overlays)
     return views
 
 

@@ -2,53 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
+from typing import TypeAlias
 
 import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
-from mobilecal_cli.report.evaluation import drift_rows, evaluation_data, evaluation_rows
-from mobilecal_cli.report.formats import Table
+from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
+from mobilecal_cli.report.formats import Table, like
 from mobilecal_cli.report.numbers import (
     DEG,
     parameters_of,
+    percent_text,
     reference_std,
     std_text,
     value_text,
 )
 from mobilecal_cli.report.verdict import Case
 
-Rows = Sequence[tuple[str, ...]]
-_TABLES: list[Callable[[Case], Table]] = []
+_Make: TypeAlias = Callable[[Case], Table | None]
+_TABLES: list[_Make] = []
 _MOST_REJECTIONS = 100  # further ones are in report.json only
 _MOST_CONSTANTS = 6  # that the page lists, if none is contradicted
+_LEAST_PROBABILITY = 1e-6  # worth a digit
 
 
-def table(
-    section: str, title: str, *heads: str, note: str = ""
-) -> Callable[[Callable[[Case], Rows]], Callable[[Case], Rows]]:
-    """Make the rows that a function returns a table of the page; see `Table.of` for the arguments."""
-
-    def registered(rows: Callable[[Case], Rows]) -> Callable[[Case], Rows]:
-        _TABLES.append(lambda case: Table.of(heads, rows(case), section, title, note).without_empty_columns())
-        return rows
-
-    return registered
+def table(make: _Make) -> _Make:
+    """Add a function to the tables of the page; it returns None where there is nothing to show."""
+    _TABLES.append(make)
+    return make
 
 
 def tables(case: Case) -> tuple[Table, ...]:
     """All tables that have rows; columns without any text are left out."""
-    return tuple(made for made in (make(case) for make in _TABLES) if made.rows)
+    tested = () if case.trial is None else evaluation_tables(like(EvaluationData, case.trial))
+    made = (made for made in (make(case) for make in _TABLES) if made is not None and made.rows)
+    return (*(each.without_empty_columns() for each in made), *tested)
 
 
-@table("limits", "Change", "name:", "number:change", "unit", "number:in sigma", "number:in %")
-def change(case: Case) -> Rows:
+@table
+def change(case: Case) -> Table | None:
     """Change of each parameter from the last calibration or the nominal values."""
     difference = case.change
     if difference is None:
-        return ()
+        return None
 
     def shown(value: float, digits: int) -> str:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
@@ -56,7 +55,7 @@ def change(case: Case) -> Rows:
     parameters = parameters_of(case.extraction.rig.sources.assumed_wheels)
     stds = reference_std(case.solution) or (None,) * len(NINE)
     columns = (each.tolist() for each in (difference.value, difference.sigmas, difference.percent))
-    return [
+    rows = [
         (
             p.name,
             value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
@@ -67,6 +66,12 @@ def change(case: Case) -> Rows:
         for p, std, value, sigmas, percent in zip(parameters, stds, *columns, strict=True)
         if np.isfinite(value)
     ]
+    note = f"Difference from {difference.against}; in sigma: over its standard deviation."
+    if difference.p_value is not None:
+        chance = percent_text(difference.p_value, _LEAST_PROBABILITY)
+        note += f" If the robot did not change, the probability of a difference this large is {chance}."
+    heads = ("name:", "number:change", "unit", "number:in sigma", "number:in %")
+    return Table.of(heads, rows, "limits", "Change", note)
 
 
 #: Noise level → label, unit, factor.
@@ -85,11 +90,11 @@ _LEVELS = {
 }
 
 
-@table("limits", "Measurement noise", "measurement", "number:1 sigma", "unit", "source")
-def noise(case: Case) -> Rows:
+@table
+def noise(case: Case) -> Table | None:
     """Noise levels, and how each was obtained."""
     if case.solution.uncertainty is None:
-        return ()
+        return None
     levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
     moving = not all(o.at_rest for o in case.extraction.observations)
     rows = []
@@ -108,7 +113,8 @@ def noise(case: Case) -> Rows:
             source = "from the encoder step"
         kinds = [("", factor, unit)] if level != "joint_rad" else _joint_kinds(case.extraction.rig.chain)
         rows += [(f"{meaning}{kind}", std_text(std * f), shown, source) for kind, f, shown in kinds]
-    return rows
+    heads = ("measurement", "number:1 sigma", "unit", "source")
+    return Table.of(heads, rows, "limits", "Measurement noise")
 
 
 def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
@@ -120,15 +126,12 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
     return kinds + [(prismatic, 1e3 * units[name], "mm") for name in sorted(chain.prismatic)[:1]]
 
 
-@table(
-    "limits", "Each recording separately", "", *(f"number:{name}" for name in NINE),
-    note="Difference from the common estimate ± 1 sigma, in rad and m; the last row: the spread between recordings.",
-)  # fmt: skip
-def separately(case: Case) -> Rows:
+@table
+def separately(case: Case) -> Table | None:
     """Each recording's own estimate minus the common one, and the spread between recordings."""
     between, uncertainty = case.solution.between, case.solution.uncertainty
     if between is None or uncertainty is None:
-        return ()
+        return None
     present = sorted({o.log for o in case.extraction.observations})
     per_unit = [each.per_unit for each in parameters_of(case.extraction.rig.sources.assumed_wheels)]
     without = ["fixed" if by_user else "unobservable" for by_user in uncertainty.fixed]
@@ -148,62 +151,52 @@ def separately(case: Case) -> Rows:
         std_text(s * u) if ok else otherwise
         for u, s, ok, otherwise in zip(per_unit, between.between_std, compared, without, strict=True)
     )
-    return [*rows, ("spread between recordings", *spread)]
+    rows.append(("spread between recordings", *spread))
+    note = "Difference from the common estimate ± 1 sigma, in rad and m; the last row: the spread between recordings."
+    heads = ("", *(f"number:{name}" for name in NINE))
+    return Table.of(heads, rows, "limits", "Each recording separately", note)
 
 
-@table(
-    "description", "Estimated constants", "name:", "constant", "number:difference", "number:1 sigma", "number:prior",
-    "unit", "tag:", note="Difference from the stated value. params.yaml lists all constants.",
-)  # fmt: skip
-def constants(case: Case) -> Rows:
-    """The constants that are furthest from their stated values, the contradicted ones first."""
+@table
+def constants(case: Case) -> Table | None:
+    """The constants that are contradicted, the clocks, and those that are furthest from their stated values."""
     solution = case.solution
     wrong = {(evidence.kind, evidence.part) for evidence in solution.contradictions}
+    bad = {name for name, c in solution.constants.items() if (c.kind, c.part) in wrong}
+    always = bad | {name for name, c in solution.constants.items() if c.kind == "clock"}
+    off = {name: abs(c.value) / c.prior if c.prior > 0 else 0.0 for name, c in solution.constants.items()}
     rows = []
-    for constant in solution.constants.values():
-        kind, bad = nuisance.kind(constant.kind), (constant.kind, constant.part) in wrong
-        off = abs(constant.value) / constant.prior if constant.prior > 0 else 0.0
-        std = constant.std * kind.shown
+    for name in sorted(off, key=lambda name: (name not in bad, name not in always, -off[name])):
+        constant = solution.constants[name]
+        kind, std = nuisance.kind(constant.kind), constant.std * nuisance.kind(constant.kind).shown
         row = (
-            constant.name,
+            name,
             constant.meaning,
             value_text(constant.value * kind.shown, std, 3, "+"),
             std_text(std),
             "fixed" if constant.prior == 0 else std_text(constant.prior * kind.shown),
             kind.shown_unit,
-            "contradicts" if bad else "",
+            "contradicts" if name in bad else "",
         )
-        rows.append(((not bad, -off), bad, row))
-    rows.sort(key=lambda each: each[0])
-    contradicted = sum(bad for _, bad, _ in rows)
-    return [row for _, _, row in rows[: max(contradicted, _MOST_CONSTANTS)]]
+        rows.append(row)
+    note = "Difference from the stated value. params.yaml lists all constants."
+    heads = ("name:", "constant", "number:difference", "number:1 sigma", "number:prior", "unit", "tag:")
+    shown = rows[: max(len(always), _MOST_CONSTANTS)]
+    return Table.of(heads, shown, "description", "Estimated constants", note)
 
 
-@table(
-    "limits", "Held-out stations", "prediction error on a leg", "number:rms", "number:median", "number:worst", "unit"
-)  # fmt: skip
-def prediction(case: Case) -> Rows:
-    """Errors on the held-out stations."""
-    return () if case.trial is None else evaluation_rows(evaluation_data(case.trial))
-
-
-@table("limits", "Drift", "drift", "number:nominal wheels", "number:calibrated wheels", "unit")
-def drift(case: Case) -> Rows:
-    """Drift of dead reckoning between the held-out stations."""
-    return () if case.trial is None else drift_rows(evaluation_data(case.trial))
-
-
-@table("checks", "", "tag:", "criterion", "measured", "limit")
-def checks(case: Case) -> Rows:
+@table
+def checks(case: Case) -> Table | None:
     """All criteria."""
-    return [
+    rows = [
         ("" if c.outcome == "pass" else c.label, c.name, c.measured_text, c.limit_text)
         for c in case.verdict.checks
     ]
+    return Table.of(("tag:", "criterion", "measured", "limit"), rows, "checks")
 
 
-@table("stations", "Not used", "time (UTC)", "station", "reason", "details")
-def each_rejected(case: Case) -> Rows:
+@table
+def each_rejected(case: Case) -> Table | None:
     """Each rejected station and image."""
     extraction, items = case.extraction, case.extraction.rejections
     rows = [
@@ -216,7 +209,8 @@ def each_rejected(case: Case) -> Rows:
         for item in items[:_MOST_REJECTIONS]
     ]
     more = len(items) - _MOST_REJECTIONS
-    return [*rows, *([("", "", f"report.json lists {more} more.", "")] if more > 0 else [])]
+    rows += [("", "", f"report.json lists {more} more.", "")] if more > 0 else []
+    return Table.of(("time (UTC)", "station", "reason", "details"), rows, "stations", "Not used")
 
 
 def _moment(time_ns: int) -> str:
@@ -227,8 +221,8 @@ def _moment(time_ns: int) -> str:
     return f"{time_ns / 1e9:.3f} s"
 
 
-@table("record", "", "", "code:")
-def inputs(case: Case) -> Rows:
+@table
+def inputs(case: Case) -> Table | None:
     """Topics, board, recordings and version."""
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
@@ -252,4 +246,5 @@ def inputs(case: Case) -> Rows:
     rows.append(("board", f"{board.columns} x {board.rows} inner corners, {size}"))
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"
-    return [row for row in [*rows, ("calibrated", f"{made}; params.yaml lists all settings")] if row[1]]
+    rows.append(("calibrated", f"{made}; params.yaml lists all settings"))
+    return Table.of(("", "code:"), [row for row in rows if row[1]], "record")

@@ -5,19 +5,15 @@ from __future__ import annotations
 import base64
 import functools
 
-import numpy as np
-
 from mobilecal_cli.model.text import visible, wrapped
-from mobilecal_cli.report.comparison import Change
-from mobilecal_cli.report.evaluation import evaluation_text
-from mobilecal_cli.report.numbers import NumberData, decimals_of, numbers_table, std_text, value_text
+from mobilecal_cli.report.formats import markdown
+from mobilecal_cli.report.numbers import numbers_table
 from mobilecal_cli.report.page import template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
 from mobilecal_cli.report.verdict import LEVELS
 
 _wrapped = functools.partial(wrapped, indent="  ", width=80)
-_LABEL = 22  # characters of the longest label, and two
 _MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
 
@@ -31,9 +27,7 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
     frames = f"{visible(parameters.child_frame)} in {visible(parameters.parent_frame)}"
     sigma = " (± 1 sigma)" if report.uncertainty is not None else ""
     lines = _wrapped(f"{frames}, and wheels{sigma}", "")
-    rows = numbers_table(report.numbers)
-    wide = max(_LABEL, *(len(label) + 2 for label, _ in rows))
-    lines += [f"  {label:<{wide}}{value}" for label, value in rows]
+    lines += numbers_table(report.numbers).lines()[1:]
     lines += _wrapped(f"Stations used: {report.quality.stations_text}", "")
     most = len(report.notes) if verbose else _MOST_NOTES
     for note in report.notes[:most]:
@@ -48,29 +42,20 @@ def summary_text(report: ReportData, verbose: bool = False) -> str:
 
 
 def _details(report: ReportData) -> list[str]:
+    """All tables of the report, and the sentences on its findings."""
     quality = report.quality
     lines = ["", *_wrapped(report.parameters.orientation, "")]
-    for key, clock in report.constants.items():
-        if clock.kind == "clock":
-            of, _, recording = key.removeprefix("time_").partition("_")
-            value, std = 1e3 * clock.value, 1e3 * (clock.std or 0.0)
-            sigma = f"± {std_text(std)} ms" if std else "ms, fixed"
-            where = f"in recording {recording}, too" if recording else "to the image stamps"
-            shown = f"{value_text(value, std or None, 3)} {sigma}, added {where}"
-            lines.append(f"  {f'clock of the {of}':<{_LABEL}}{shown}")
-    lines.append(f"  {'point error':<{_LABEL}}{quality.point_rms_mm:.2f} mm")
+    errors = [f"Point error: {quality.point_rms_mm:.2f} mm"]
     if quality.reprojection_rms_px:
-        lines.append(f"  {'reprojection error':<{_LABEL}}{quality.reprojection_rms_px:.2f} px")
-    lines += _wrapped(quality.reprojection_text, "")
-    lines += ["", *(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})"
-              for check in report.verdict.checks)]  # fmt: skip
-    if report.hold_out is not None:
-        lines += ["", "Test on the held-out stations", evaluation_text(report.hold_out).rstrip("\n")]
-    for each in report.contradictions:
-        lines += _wrapped(f"{each.text} {each.cure}", "Robot description: ")
+        errors.append(f"reprojection error: {quality.reprojection_rms_px:.2f} px")
+    lines.append("; ".join(errors))
+    lines += [*_wrapped(quality.reprojection_text, ""), "", *report.verdict.checks.lines]
+    for table in report.tables:
+        if table.section != "checks":
+            lines += ["", table.title, *table.lines()] if table.title else ["", *table.lines()]
     for sentence in report.outliers_text:
         lines += _wrapped(sentence, "Outlier: ")
-    return [visible(line) if line else line for line in lines]
+    return [visible(line) for line in lines]
 
 
 def notebook_html(report: ReportData, path: str) -> str:
@@ -78,47 +63,29 @@ def notebook_html(report: ReportData, path: str) -> str:
     picture = base64.b64encode(standalone(path).encode()).decode("ascii")
     return template("card.html.jinja").render(
         report=report,
-        rows=numbers_table(report.numbers),
+        rows=numbers_table(report.numbers).rows,
         color=_COLORS.get(report.verdict.level, "#c4312b"),
         picture=picture,
     )
 
 
 def job_summary(report: ReportData) -> str:
-    """Verdict, numbers with their change, and the checks that do not pass, as Markdown."""
-    verdict, change = report.verdict, report.change
+    """Verdict, numbers, their change, and the checks that do not pass, as Markdown."""
+    verdict = report.verdict
     lines = [
-        f"### {verdict.level}: {_cell(', '.join(log.path for log in report.provenance.logs))}",
+        f"### {verdict.level}: {markdown(', '.join(log.path for log in report.provenance.logs))}",
         "",
-        f"{_cell(verdict.reason)} **Next:** {_cell(verdict.next_step)}",
+        f"{markdown(verdict.reason)} **Next:** {markdown(verdict.next_step)}",
         "",
+        *numbers_table(report.numbers).markdown(),
+        "",
+        f"Stations used: {markdown(report.quality.stations_text)}.",
     ]
-    rows: list[tuple[str, ...]] = [("parameter", "value (± 1 sigma)"), *numbers_table(report.numbers)]
-    if change is not None:
-        changes = (_change(change, k, number) for k, number in enumerate(report.numbers))
-        column = (f"change from {change.against}", *changes)
-        rows = [(*row, cell) for row, cell in zip(rows, column, strict=True)]
-    first, *others = (f"| {' | '.join(map(_cell, row))} |" for row in rows)
-    lines += [first, f"|{' --- |' * len(rows[0])}", *others]
-    lines += ["", f"Stations used: {_cell(report.quality.stations_text)}."]
+    for table in report.tables:
+        if table.title == "Change":
+            lines += ["", markdown(table.note), "", *table.markdown()]
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
     lines += [""] if open_checks else []
     for check in open_checks:
-        lines.append(f"- {'failed' if check.outcome in LEVELS else 'warning'}: {_cell(check.why)}")
+        lines.append(f"- {'failed' if check.outcome in LEVELS else 'warning'}: {markdown(check.why)}")
     return "\n".join(lines) + "\n"
-
-
-def _change(change: Change, k: int, number: NumberData) -> str:
-    """Change of a number in its unit, and in standard deviations where these are known."""
-    if k >= len(change.value) or not np.isfinite(change.value[k]):
-        return ""
-    if not number.unit:  # the change is that of the assumed wheels
-        return f"{change.sigmas[k]:+.1f} sigma" if np.isfinite(change.sigmas[k]) else ""
-    decimals = 5 if number.std is None else decimals_of(number.std, 5)
-    sigmas = f" ({change.sigmas[k]:+.1f} sigma)" if np.isfinite(change.sigmas[k]) else ""
-    return f"{change.value[k]:+.{decimals}f} {number.unit}{sigmas}"
-
-
-def _cell(text: str) -> str:
-    """Text of a recording for Markdown: no markup, no new column."""
-    return visible(text).translate({ord(character): f"\\{character}" for character in "\\|*_`<>[]"})

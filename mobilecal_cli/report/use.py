@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
-
-import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
@@ -15,13 +13,13 @@ from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.numbers import DEG, std_text
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
+class Extent(NamedTuple):
     """An extent of the motion. With a small one, a parameter depends on a difference about as small as the noise.
 
     Attributes:
         least: limit.
         unit: "degrees" or "m".
+        digits: decimals to show.
         of_head: whether it is of the head, and not of the base.
         name: label.
         too_small: what is wrong with a small one, "{}" for its value.
@@ -30,22 +28,27 @@ class Extent:
 
     least: float
     unit: str
+    digits: int
     of_head: bool
     name: str
     too_small: str
     cure: str
 
+    def text(self, value: float) -> str:
+        """A value with its unit."""
+        return f"{value:.{self.digits}f} {self.unit}"
+
 
 #: Keys of `Solution.motion`.
 MOTION = {
-    "pan_range_deg": Extent(10.0, "degrees", True, "pan range of the head", "the head panned by {} only",
-                            "pan the head further left and right"),
-    "tilt_range_deg": Extent(5.0, "degrees", True, "tilt range of the head", "the head tilted by {} only",
-                             "tilt the head further up and down"),
-    "turned_deg": Extent(20.0, "degrees", False, "rotation of the base", "the base turned by {} only",
-                         "turn the base between stops"),
-    "driven_m": Extent(0.2, "m", False, "path length of the base", "the base drove {} only",
-                       "drive the base further between stops"),
+    "pan_range_deg": Extent(10.0, "degrees", 1, True, "pan range of the head", "the head panned by {} only",
+                            "pan the head by 20 degrees or more between stops"),
+    "tilt_range_deg": Extent(5.0, "degrees", 1, True, "tilt range of the head", "the head tilted by {} only",
+                             "tilt the head up and down by 15 degrees or more between stops"),
+    "turned_deg": Extent(20.0, "degrees", 1, False, "rotation of the base", "the base turned by {} only",
+                         "turn the base by 20 degrees or more between stops"),
+    "driven_m": Extent(0.2, "m", 2, False, "path length of the base", "the base drove {} only",
+                       "drive forward and back by 20 cm or more between stops"),
 }  # fmt: skip
 
 
@@ -142,43 +145,30 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     )
 
 
-def small_motion(solution: Solution, figure: Figure) -> Iterator[str]:
-    """Motion of which the recording has little, and which this figure depends on: what to do, as sentences."""
-    fixed = np.zeros(9, bool) if solution.uncertainty is None else solution.uncertainty.fixed
-    of_camera_alone = figure.of_camera and figure.field != "point_m"
-    head = figure.of_camera and not fixed[:6].all()
-    base = not of_camera_alone and not fixed[6:].all()
-    yield from small_extents(solution.motion, head, base)
-
-
-def small_extents(motion: Mapping[str, float], head: bool, base: bool) -> Iterator[str]:
-    """What to do about small motion of the head, or of the base, as sentences."""
-    for key in below_limits(motion, head, base):
-        extent, digits = MOTION[key], 1 if MOTION[key].unit == "m" else 0
-        yield f"{extent.cure.capitalize()} (now {motion[key]:.{digits}f} {extent.unit})."
-
-
-def below_limits(motion: Mapping[str, float], head: bool, base: bool) -> list[str]:
-    """Keys of the extents of the head, or of the base, that are below their limits."""
-    return [
-        key
+def small_motion(motion: Mapping[str, float], head: bool, base: bool) -> dict[str, Extent]:
+    """Extents of the head, or of the base, that are below their limits, by their keys."""
+    return {
+        key: extent
         for key, extent in MOTION.items()
         if (head if extent.of_head else base) and motion.get(key, extent.least) < extent.least
-    ]
-
-
-def missing_motion(solution: Solution, names: Sequence[str]) -> dict[str, str]:
-    """Motion that the recording lacks to determine these parameters: key of `MOTION` → why, in words."""
-    of_base, motion = set(names) & set(NINE[6:]), solution.motion
-    keys = below_limits(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
-    if of_base and not {"turned_deg", "driven_m"} & set(keys):
-        # Turning shows the radii over the separation, driving the radii: it is little beside the other.
-        keys.append("turned_deg" if of_base == {NINE[8]} else "driven_m")
-    digits = {"m": 2, "degrees": 1}
-    return {
-        key: extent.too_small.format(f"{motion[key]:.{digits[extent.unit]}f} {extent.unit}")
-        for key, extent in ((key, MOTION[key]) for key in keys)
     }
+
+
+def motion_cure(motion: Mapping[str, float], head: bool, base: bool) -> str:
+    """What to do about small motion of the head, or of the base, as sentences; "" where it is enough."""
+    small = small_motion(motion, head, base).items()
+    return " ".join(f"{extent.cure.capitalize()} (now {extent.text(motion[key])})." for key, extent in small)
+
+
+def missing_motion(motion: Mapping[str, float], names: Sequence[str]) -> dict[str, Extent]:
+    """Motion that a recording lacks to determine these parameters, by its keys."""
+    of_base = set(names) & set(NINE[6:])
+    small = small_motion(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
+    if of_base and not {"turned_deg", "driven_m"} & set(small):
+        # Turning shows the radii over the separation, driving the radii: it is little beside the other.
+        key = "turned_deg" if of_base == {NINE[8]} else "driven_m"
+        small[key] = MOTION[key]
+    return small
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.
@@ -235,13 +225,13 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
 
 
 def next_step_of(error: Error, solution: Solution, extraction: Extraction) -> str:
-    """The cheapest cure that brings an error within its limit; if none does alone, all; without any, `advice`."""
+    """The cheapest cure that brings an error within its limit; if none does alone, all."""
     cures = cures_of(error, solution, extraction)
     for cure in cures:
         if cure.left * error.value <= error.limit:
             return cure.text(error)
     if not cures:
-        return advice(error.shares)
+        return "Record again with more stops, head motion and turns."
     first, *others = (cure.command for cure in cures)
     command = "; ".join((first, *(f"{other[0].lower()}{other[1:]}" for other in others)))
     return Cure(command, sum(cure.removed for cure in cures)).text(error)
@@ -420,23 +410,3 @@ def family_shares(shares: Sequence[tuple[float, str]]) -> list[tuple[float, str]
     for share, name in shares:
         sums[source(name).family] += share
     return sorted(((share, name) for name, share in sums.items() if share), key=lambda pair: -pair[0])
-
-
-def advice(shares: Sequence[tuple[float, str]]) -> str:
-    """What to do about an expected error with these shares, (share, source), largest first; in whole sentences."""
-    if not shares:
-        return "Record again with more stops, head motion and turns."
-    kinds = {kind.name for kind in nuisance.KINDS}
-    stated = [(share, name) for share, name in shares if name in kinds]
-    total = sum(share for share, _ in stated)
-    dominant = total > 0.5  # stated values are most of the variance
-    first = (stated if dominant else shares)[0][1]
-    command = source(first).advice
-    sentence = f"{command[0].upper()}{command[1:]}."
-    if not dominant:
-        return sentence
-    largest = [f"{source(name).label} {100 * share:.0f} %" for share, name in stated[:3] if share > 0.05]
-    return (
-        f"More stations will not help much: {100 * total:.0f} % comes from stated values ({', '.join(largest)}). "
-        f"{sentence} Then state a smaller `priors: {first}` in rig.yaml."
-    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -30,14 +31,12 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.report.comparison import Change
-from mobilecal_cli.report.evaluation import EvaluationData, evaluation_data
+from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.findings import (
     SCALES,
     contradiction_sentences,
-    jackknife_sentence,
     outlier_sentences,
     reprojection_sentence,
-    scale_sentence,
     suggestion_sentences,
 )
 from mobilecal_cli.report.formats import (
@@ -52,6 +51,7 @@ from mobilecal_cli.report.formats import (
     Table,
     Three,
     Two,
+    by,
     like,
 )
 from mobilecal_cli.report.numbers import (
@@ -69,7 +69,7 @@ from mobilecal_cli.report.numbers import (
 )
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
-from mobilecal_cli.report.use import LEAST_GAIN, cures_of, next_step_of, worst_error
+from mobilecal_cli.report.use import LEAST_GAIN, cures_of, worst_error
 from mobilecal_cli.report.verdict import Case, Verdict, figures_of
 
 
@@ -140,11 +140,11 @@ class LinearData(ParametersData):
     """The linear solution; `history` has the parameters after each iteration."""
 
     point_rms_mm: float
-    second_best_point_rms_mm: Number
-    iterations: int
-    iterations_to_tolerance: int
-    initial_ratios: Two
-    initial_from: str
+    second_best_point_rms_mm: Number = by(lambda linear: linear.rival_point_rms_m * 1e3)
+    iterations: int = by(lambda linear: linear.rounds)
+    iterations_to_tolerance: int = by(lambda linear: linear.rounds_to_tolerance)
+    initial_ratios: Two = by(lambda linear: linear.start_ratios)
+    initial_from: str = by(lambda linear: linear.start_from)
     history: tuple[ParametersData, ...]
 
 
@@ -160,14 +160,18 @@ class RefinementData(ParametersData):
 class QualityData(JsonValue):
     """Errors of the result on the recordings; the parts are what each kind of noise contributes, to first order."""
 
-    stations: int
-    stations_found: int
-    stations_text: str
+    stations: int = by(lambda case: len(case.extraction.observations))
+    stations_found: int = by(lambda case: stations_looked_at(case.extraction))
+    stations_text: str = by(lambda case: stations_text(case.extraction))
     point_rms_mm: float
-    point_rms_predicted_by_depth_noise_mm: float
+    point_rms_predicted_by_depth_noise_mm: float = by(
+        lambda case: case.solution.residuals.corner_noise_m * 1e3
+    )
     reprojection_rms_px: float
-    reprojection_parts_px: ByName
-    reprojection_text: str
+    reprojection_parts_px: ByName = by(
+        lambda case: {name: part.px for name, part in case.solution.error_parts.items()}
+    )
+    reprojection_text: str = by(lambda case: reprojection_sentence(case.solution))
     board_distance_m: float
     method: str
 
@@ -181,24 +185,27 @@ class LegData(JsonValue):
     reprojection_px: float
 
 
+def _by_parameter(name: str) -> Any:  # noqa: ANN401
+    return by(lambda uncertainty: dict(zip(NINE, getattr(uncertainty, name).tolist(), strict=True)))
+
+
 class UncertaintyData(JsonValue):
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
     order: tuple[str, ...]
     std: ByName
-    covariance: Matrix
+    covariance: Matrix = by(lambda uncertainty: uncertainty.reference_covariance)
     correlation: Matrix
-    observable: Mapping[str, bool]
-    described: Mapping[str, bool]
-    unobservable_directions: Matrix
+    observable: Mapping[str, bool] = _by_parameter("observable")
+    described: Mapping[str, bool] = _by_parameter("described")
+    unobservable_directions: Matrix = by(lambda uncertainty: uncertainty.unobservable)
     scales: Row
     singular_values: Row
     noise: NoiseLevels
-    fixed: Mapping[str, bool]
-    jackknife_std: ByName
-    jackknife_text: str
-    widened: ByName
-    predicted: AtWork
+    fixed: Mapping[str, bool] = _by_parameter("fixed")
+    jackknife_std: ByName = _by_parameter("jackknife_std")
+    widened: ByName = _by_parameter("widened")
+    predicted: AtWork = by(lambda uncertainty: uncertainty.at_work)
 
 
 class ConstantData(JsonValue):
@@ -207,11 +214,11 @@ class ConstantData(JsonValue):
     kind: str
     part: str
     meaning: str
-    unit: str
+    unit: str = by(lambda constant: nuisance.kind(constant.kind).unit)
     value: float
     std: Number
     prior: Number
-    used_prior: Number
+    used_prior: Number = by(lambda constant: constant.prior)
 
 
 class BudgetData(JsonValue):
@@ -221,7 +228,6 @@ class BudgetData(JsonValue):
     nine: Mapping[str, ByName]
     at_work: Mapping[str, ByName]
     limiting: str
-    advice: str
 
 
 class ContradictionData(Evidence, JsonValue):
@@ -239,14 +245,13 @@ class ScaleData(JsonValue):
     square_m: float
     baseline_m: float
     consistent: bool
-    text: str
 
 
 class LogsData(JsonValue):
     """Estimate from each recording alone minus the common one, and the spread between recordings."""
 
-    shift: NumberMatrix
-    std: NumberMatrix
+    shift: NumberMatrix = by(lambda between: np.where(between.shown, between.shift, np.nan))
+    std: NumberMatrix = by(lambda between: np.where(between.shown, between.std, np.nan))
     shown: BoolMatrix
     between_std: Row
 
@@ -258,7 +263,7 @@ class SuggestionData(JsonValue):
     drive_m: float
     face_deg: float
     joints: ByName
-    parameter: str
+    parameter: str = by(lambda suggestion: suggestion.worst)
     std_now: float
     std_then: float
     gain: float
@@ -275,9 +280,9 @@ class StationData(JsonValue):
     joints: ByName
     images: ByName
     corner_sigma_px: ByName
-    stereo_reprojection_px: float
+    stereo_reprojection_px: float = by(lambda observation: observation.reprojection_px)
     square_mm: float
-    board_distance_m: float
+    board_distance_m: float = by(lambda o: float(np.linalg.norm(o.points_c, axis=-1).mean()))
     base_x_m: float
     base_y_m: float
     base_heading_deg: float
@@ -317,7 +322,9 @@ class BoardData(JsonValue):
     columns: int
     rows: int
     square_mm: Number
-    square_from: Literal["stated", "measured"]
+    square_from: Literal["stated", "measured"] = by(
+        lambda extraction: "measured" if extraction.board.square_m is None else "stated"
+    )
 
 
 class RejectionCount(JsonValue):
@@ -345,7 +352,7 @@ class ProvenanceData(Provenance, JsonValue):
 class ReportData(JsonValue):
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[6]
+    schema_version: Literal[7]
     verdict: Verdict
     numbers: tuple[NumberData, ...]
     metrics: Mapping[str, Number]
@@ -412,20 +419,23 @@ def build_report(case: Case) -> ReportData:
     solution, extraction, cameras = case.solution, case.extraction, case.solution.cameras
     linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
     scale, between, counts = solution.scale, solution.between, extraction.counts
+    contradicted = {evidence.kind for evidence in solution.contradictions}
     vector_std_deg, euler_std_deg = rotation_std_deg(solution)
+    errors = residuals.leg_point_rms_m * 1e3, residuals.leg_reprojection_px
+    legs = zip(*(each.tolist() for each in (residuals.legs, *errors)), strict=True)
     alone = extraction.rig.sources.assumed_wheels is not None
-    legs = zip(residuals.legs.tolist(), residuals.leg_point_rms_m, residuals.leg_reprojection_px, strict=True)
+    nine = partial(_nine, cameras=cameras, odometry=alone)
     return like(
         ReportData,
         case,
         solution,
         extraction,
-        schema_version=6,
+        schema_version=7,
         numbers=numbers_of(solution, extraction.rig),
         metrics=figures_of(case),
         parameters=like(
             ResultData,
-            _nine(solution.parameters, cameras, alone),
+            nine(solution.parameters),
             cameras,
             rotation_vector_std_deg=vector_std_deg,
             euler_zyx_std_deg=euler_std_deg,
@@ -434,35 +444,12 @@ def build_report(case: Case) -> ReportData:
             camera=cameras.reference,
             odometry=_odometry(solution, extraction),
         ),
-        quality=_quality(solution, extraction),
-        linear=like(
-            LinearData,
-            _nine(linear.parameters, cameras, alone),
-            point_rms_mm=linear.point_rms_m * 1e3,
-            second_best_point_rms_mm=linear.rival_point_rms_m * 1e3,
-            iterations=linear.rounds,
-            iterations_to_tolerance=linear.rounds_to_tolerance,
-            initial_ratios=linear.start_ratios,
-            initial_from=linear.start_from,
-            history=tuple(_nine(each, cameras, alone) for each in linear.history),
-        ),
-        refinement=None
-        if refinement is None
-        else like(
-            RefinementData,
-            _nine(refinement.parameters, cameras, alone),
-            refinement,
-            point_rms_mm=refinement.point_rms_m * 1e3,
-            point_rms_history_mm=refinement.point_rms_history_m * 1e3,
-        ),
+        quality=like(QualityData, case, solution, extraction),
+        linear=like(LinearData, linear, nine(linear.parameters), history=tuple(map(nine, linear.history))),
+        refinement=refinement and like(RefinementData, refinement, nine(refinement.parameters)),
         legs=tuple(
-            LegData(
-                from_observation=first,
-                to_observation=second,
-                point_rms_mm=float(m) * 1e3,
-                reprojection_px=float(px),
-            )
-            for (first, second), m, px in legs
+            LegData(from_observation=i, to_observation=j, point_rms_mm=mm, reprojection_px=px)
+            for (i, j), mm, px in legs
         ),
         uncertainty=_uncertainty(solution),
         outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
@@ -473,25 +460,10 @@ def build_report(case: Case) -> ReportData:
             for evidence in solution.contradictions
             for text, cure in [contradiction_sentences(evidence, solution, extraction)]
         ),
-        scale=None
-        if scale is None
-        else like(
-            ScaleData,
-            scale,
-            consistent=not scale.apart
-            and not any(evidence.kind in SCALES for evidence in solution.contradictions),
-            text=scale_sentence(scale),
-        ),
-        logs=None
-        if between is None
-        else like(
-            LogsData,
-            between,
-            shift=np.where(between.shown, between.shift, np.nan),
-            std=np.where(between.shown, between.std, np.nan),
-        ),
+        scale=scale and like(ScaleData, scale, consistent=not (scale.apart or SCALES & contradicted)),
+        logs=between and like(LogsData, between),
         suggestions=_suggestions(solution, extraction),
-        hold_out=None if case.trial is None else evaluation_data(case.trial),
+        hold_out=case.trial and like(EvaluationData, case.trial),
         stations=_stations(solution, extraction),
         robot=_robot(solution, extraction.rig),
         paths=tuple(
@@ -501,12 +473,7 @@ def build_report(case: Case) -> ReportData:
         image_coverage={
             name: image_coverage(extraction, k) for k, name in enumerate(extraction.rig.cameras.names)
         },
-        board=like(
-            BoardData,
-            extraction.board,
-            square_mm=extraction.square_m * 1e3,
-            square_from="measured" if extraction.board.square_m is None else "stated",
-        ),
+        board=like(BoardData, extraction, extraction.board),
         rejections=RejectionsData(
             counts=tuple(
                 RejectionCount(stage=stage, reason=reason, count=count)
@@ -553,42 +520,18 @@ def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None
     )
 
 
-def _quality(solution: Solution, extraction: Extraction) -> QualityData:
-    parts = {name: part.px for name, part in solution.error_parts.items()}
-    noise_px = 0.0 if solution.uncertainty is None else solution.uncertainty.noise.pixel_px
-    return like(
-        QualityData,
-        solution,
-        stations=len(extraction.observations),
-        stations_found=stations_looked_at(extraction),
-        stations_text=stations_text(extraction),
-        point_rms_mm=solution.point_rms_m * 1e3,
-        point_rms_predicted_by_depth_noise_mm=solution.residuals.corner_noise_m * 1e3,
-        reprojection_parts_px=parts,
-        reprojection_text=reprojection_sentence(parts, noise_px),
-        board_distance_m=extraction.board_distance_m,
-    )
-
-
 def _uncertainty(solution: Solution) -> UncertaintyData | None:
     uncertainty = solution.uncertainty
     if uncertainty is None:
         return None
-    covariance = uncertainty.reference_covariance
-    std = np.sqrt(np.diag(covariance))
+    std = np.sqrt(np.diag(uncertainty.reference_covariance))
     known = np.where(std > 0, std, 1.0)
-    names = ("observable", "fixed", "described", "jackknife_std", "widened")
-    by_name = {"std": std} | {name: getattr(uncertainty, name) for name in names}
     return like(
         UncertaintyData,
         uncertainty,
         order=NINE,
-        covariance=covariance,
-        correlation=covariance / np.outer(known, known),
-        unobservable_directions=uncertainty.unobservable,
-        jackknife_text=jackknife_sentence(solution),
-        predicted=uncertainty.at_work,
-        **{key: dict(zip(NINE, values.tolist(), strict=True)) for key, values in by_name.items()},
+        std=dict(zip(NINE, std.tolist(), strict=True)),
+        correlation=uncertainty.reference_covariance / np.outer(known, known),
     )
 
 
@@ -599,14 +542,8 @@ def _constants(solution: Solution) -> dict[str, ConstantData]:
         for name, each in evidence.values.items()
     }
     return {
-        name: like(
-            ConstantData,
-            c,
-            unit=nuisance.kind(c.kind).unit,
-            prior=stated.get(name, c.prior),
-            used_prior=c.prior,
-        )
-        for name, c in solution.constants.items()
+        name: like(ConstantData, constant, prior=stated.get(name, constant.prior))
+        for name, constant in solution.constants.items()
     }
 
 
@@ -624,22 +561,13 @@ def _budget(case: Case) -> BudgetData | None:
         nine=nine,
         at_work=at_work,
         limiting="" if error is None else error.limiting,
-        advice="" if error is None else next_step_of(error, solution, case.extraction),
     )
 
 
 def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
     joints, sentences = extraction.rig.chain.joints, suggestion_sentences(solution, extraction)
     return tuple(
-        like(
-            SuggestionData,
-            s,
-            turn_deg=math.degrees(s.turn_rad),
-            face_deg=math.degrees(s.face_rad),
-            joints=dict(zip(joints, s.joints.tolist(), strict=True)),
-            parameter=s.worst,
-            text=text,
-        )
+        like(SuggestionData, s, joints=dict(zip(joints, s.joints.tolist(), strict=True)), text=text)
         for s, text in zip(solution.suggestions, sentences, strict=True)
     )
 
@@ -656,9 +584,6 @@ def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, 
             corner_sigma_px={
                 name: view.sigma_px for name, view in zip(cameras, o.views, strict=True) if view.pictures
             },
-            stereo_reprojection_px=o.reprojection_px,
-            square_mm=o.square_m * 1e3,
-            board_distance_m=float(np.linalg.norm(o.points_c, axis=-1).mean()),
             base_x_m=float(T_w_v[0, 3]),
             base_y_m=float(T_w_v[1, 3]),
             base_heading_deg=math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),

@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Literal
 
 from mobilecal_cli.errors import ConfigError
@@ -38,12 +39,16 @@ class Verdict:
     checks: Annotated[Checks, json_as(tuple[Check, ...])]
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Case(Calibration):
     """A calibration with its verdict and provenance: what a report is made from."""
 
     provenance: Provenance
-    verdict: Verdict
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """See `verdict_of`."""
+        return verdict_of(self)
 
 
 def judge(
@@ -53,19 +58,22 @@ def judge(
     trial: Evaluation | None = None,
     change: Change | None = None,
 ) -> Verdict:
-    """The verdict on a solution, see `Calibration`. The first criterion that is not met decides."""
-    made = Calibration(solution, extraction, gates or {}, trial, change)
-    judged = [check for criterion in CRITERIA for check in criterion.checks(made) if check.name]
+    """The verdict on a solution; see `Calibration`."""
+    return verdict_of(Calibration(solution, extraction, gates or {}, trial, change))
+
+
+def verdict_of(made: Calibration) -> Verdict:
+    """The verdict: the first criterion that is not met decides."""
+    solution = made.solution
     gated = gate_checks(made.gates, figures_of(made), lambda *gate: _gate_cure(made, *gate))
-    checks = Checks((*judged, *gated))
+    checks = Checks((*(check for check in made.checks if check.name), *gated))
     decisive = next((check for check in checks if check.outcome in LEVELS), None)
     if decisive is not None:
         return decided_by(decisive, checks)
     if solution.uncertainty is None:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
-        reason = (
-            f"The point error is {solution.point_rms_m * 1e3:.1f} mm. The method {solution.method} {unknown}."
-        )
+        error = f"The point error is {solution.point_rms_m * 1e3:.1f} mm."
+        reason = f"{error} The method {solution.method} {unknown}."
         next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
     else:
         reason = use_sentence(solution.uncertainty.at_work, made.gates)
@@ -155,8 +163,8 @@ def figures_of(made: Calibration) -> dict[str, float | None]:
     The factors of odometry are left out for a robot with wheels.
     """
     alone = made.extraction.rig.sources.assumed_odometry is not None
-    names = [name for name in gate_metrics() if alone or not name.startswith("std.odometry.")]
-    values = {check.id: check.value for criterion in CRITERIA for check in criterion.checks(made)}
+    values = {check.id: check.value for check in made.checks}
+    names = (name for name in gate_metrics() if alone or not name.startswith("std.odometry."))
     return {name: values.get(name) for name in names}
 
 
@@ -191,20 +199,15 @@ def gate_checks(
     """
     metrics = gate_metrics() | gate_metrics(evaluating=True)
     for name, limit in gates.items():
-        value, metric = figures.get(name), metrics[name]
+        value = figures.get(name)
         if name in _USE_GATES and value is not None:
             continue
-        passes = value is not None and (value >= limit if metric.at_least else abs(value) <= limit)
-        measured = "unknown" if value is None else _rounded(value, limit)
-        yield Check(
-            f"{_GATE}{name}", value, limit, "pass" if passes else "fail",
-            f"gate {name}",
-            measured,
-            f"at {'least' if metric.at_least else 'most'} {limit:g}",
-            f"{name} = {measured} (limit {limit:g}).",
-            cure(name, limit) or "Record again, or change the limit.",
-            unit=metric.unit,
-            at_least=metric.at_least,
+        metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
+        yield replace(metric, name=f"{_GATE}{name}", section="checks").check(
+            value, limit, f"gate {name}", cure(name, limit) or "Record again, or change the limit.",
+            measured=f"{measured} {metric.unit}".rstrip(),
+            why=f"{name} = {measured} (limit {limit:g}).",
+            beyond="fail",
         )  # fmt: skip
 
 

@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
-from mobilecal_cli.report.verdict import Case, judge
+from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
@@ -114,7 +114,7 @@ def case_of(
     """A solution with its verdict; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
     given = (solution, extraction, gates or {}, trial, change)
-    return Case(*given, provenance=origin, verdict=judge(*given))
+    return Case(*given, provenance=origin)
 
 
 def made(*args, **more) -> ReportData:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mobilecal_cli.report import criteria, plots, tables, verdict
-from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.svg import Canvas
 from tests.report.example import made, make_extraction, make_solution, page_of
@@ -22,24 +22,25 @@ def case():
 def test_a_plot_is_one_function(case, monkeypatch):
     monkeypatch.setattr(plots, "_PLOTS", [*plots._PLOTS])
 
-    @plots.plot("stations", each="camera")
-    def emptiness(solution, extraction, k):
-        side = extraction.rig.cameras.names[k]
-        return Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg, "Nothing at all."
+    @plots.plot("stations")
+    def emptiness(solution, extraction):
+        for side in extraction.rig.cameras.names:
+            yield plots.Drawn(Canvas(100.0, 50.0, f"emptiness of the {side} camera").svg, "Nothing at all.")
 
     page = page_of(*case)
     section = page[page.index('id="stations"') :].partition("</details>")[0]
     for side in ("left", "right"):
         assert f'aria-label="emptiness of the {side} camera"' in section
-    assert section.count("Nothing at all.") == 1  # equal captions stand once
+    assert "<figcaption>Nothing at all.</figcaption>" in section
 
 
 def test_a_table_is_one_function(case, monkeypatch):
     monkeypatch.setattr(tables, "_TABLES", [*tables._TABLES])
 
-    @tables.table("record", "Wheels", "name:wheel", "number:turns", "unit")
+    @tables.table
     def turns(case):
-        return [("right", f"{len(case.extraction.observations)}.5", "")]
+        rows = [("right", f"{len(case.extraction.observations)}.5", "")]
+        return Table.of(("name:wheel", "number:turns", "unit"), rows, "record", "Wheels")
 
     report, page = made(*case), page_of(*case)
     (table,) = (each for each in report.tables if each.title == "Wheels")
@@ -52,13 +53,11 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     monkeypatch.setattr(criteria, "CRITERIA", [*criteria.CRITERIA])
     monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
 
-    @criteria.criterion(criteria.Metric("color", "shades"), section="limits")
-    def color(made):
+    @criteria.criterion(criteria.Metric("color", "shades", section="limits"))
+    def color(made, metric):
         shades = len(made.extraction.observations) / 4
-        yield criteria.Check(
-            "color", shades, 2.0, "fail",
-            "color of the robot", f"{shades:g} shades", "under 2 shades", "The robot is too gray.", "Paint it.",
-        )  # fmt: skip
+        why = "The robot is too gray."
+        yield metric.check(shades, 2.0, "color of the robot", "Paint it.", why=why)
 
     report = made(*case)
     (check,) = (check for check in report.verdict.checks if check.id == "color")

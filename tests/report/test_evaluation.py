@@ -91,7 +91,7 @@ def test_a_short_recording_is_not_enough(calibrated, tmp_path):
     short = replace(made, observations=made.observations[:3])
     found = verdict(tmp_path, *calibrated[0], short)
     assert found.level == "NOT ENOUGH"
-    assert "3 stations" in found.reason
+    assert "both images: 3. Limit: at least 8." in found.reason
     assert found.next_step == "Record at least ten stations."
 
 

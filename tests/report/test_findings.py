@@ -1,4 +1,4 @@
-"""Contradictions, outliers and the jackknife in sentences."""
+"""Contradictions, outliers and the jackknife."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import NINE, Outlier
-from mobilecal_cli.report.checks import outliers_as_noise
-from mobilecal_cli.report.criteria import Calibration
-from mobilecal_cli.report.findings import contradiction_sentences, jackknife_sentence, outlier_sentences
+from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
@@ -76,7 +74,6 @@ def test_constants_that_the_recording_shows_only_together_are_named():
 def test_the_jackknife_widens_sigmas_that_are_too_small():
     right, extraction = drawn()
     assert (right.uncertainty.widened == 1).all()
-    assert "therefore" not in jackknife_sentence(right)
     given = replace(
         extraction.rig.noise,
         pixel_px=0.02,
@@ -93,7 +90,6 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
     wide = uncertainty.widened > 1
     assert wide.any()
     np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])
-    assert "are therefore those of the jackknife" in jackknife_sentence(found)
 
 
 EXTRACTION = ideal_extraction(paper_robot(), plan_route(paper_robot(), stations=8))
@@ -129,8 +125,7 @@ def test_noise_is_named_by_its_kind():
     solution = make_solution(make_extraction(), "ml")
 
     def said(*kinds):
-        made = Calibration(replace(solution, noisy=kinds), make_extraction())
-        (check,) = outliers_as_noise(made)
+        check = judge(replace(solution, noisy=kinds), make_extraction()).checks["outliers_as_noise"]
         assert (check.value, check.limit, check.outcome) == (len(kinds), 0, "warning")
         return check.why
 

@@ -12,9 +12,9 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import Drift, Evaluation
-from mobilecal_cli.report.criteria import Calibration, Check, Checks, Criterion, Metric
-from mobilecal_cli.report.evaluation import evaluation_data, evaluation_text
-from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.criteria import Calibration, Checks, Metric
+from mobilecal_cli.report.evaluation import EvaluationData
+from mobilecal_cli.report.formats import json_text, like
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
 from mobilecal_cli.report.numbers import PARAMETERS
 from mobilecal_cli.report.use import FIGURES
@@ -90,10 +90,9 @@ def test_figures_of_an_evaluation():
     assert figures["drift_deg_per_turn"] is None
     turned = evaluated_figures(replace(EVALUATION, after=Drift(None, 0.01)))
     assert turned["drift_deg_per_turn"] == pytest.approx(3.6)
-    data = json.loads(json_text(evaluation_data(EVALUATION)))
+    data = json.loads(json_text(like(EvaluationData, EVALUATION)))
     assert data["drift_before"] == {"mm_per_m": pytest.approx(50), "deg_per_turn": None}
     assert data["per_leg"][1]["translation_mm"] == pytest.approx(8)
-    assert "worst" in evaluation_text(evaluation_data(EVALUATION))
 
 
 def test_each_side_of_a_limit():
@@ -145,13 +144,14 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
 
 
 def test_junit():
+    def check(name, value, limit, text, next_step, **more):
+        return Metric(text, at_least=name == "stations").check(value, limit, text, next_step, **more)
+
     checks = [
-        Check("stations", 9, 8, "pass", "stations", "9", "at least 8", "not said"),
-        Check("camera_info", 1, 0, "warning", "camera_info", "1 changes", "none", "why\x1b", "look"),
-        Check(
-            "rejected", 60, 50, "fail", "rejected <&>\x00", "6 of 10", "under 50 %", "often <&>\x00", "again"
-        ),
-        Check("gate.legs", 3, 4, "not_enough", "gate legs", "3", "at least 4", "too few", "more"),
+        check("stations", 9, 8, "stations", "not said"),
+        check("camera_info", 1, 0, "camera_info", "look", at_limit="none", why="why\x1b", beyond="warning"),
+        check("rejected", 60, 50, "rejected <&>\x00", "again", why="often <&>\x00"),
+        check("gate.legs", 3, 4, "gate legs", "more", why="too few", passes=False, beyond="not_enough"),
     ]
     verdict = Verdict("FAIL", "", "", Checks(checks))
     suite = ET.fromstring(junit_xml("log\x07.mcap", verdict)).find("testsuite")
@@ -167,7 +167,7 @@ def test_junit():
     assert (failed.get("message"), failed.get("type"), failed.text) == ("often <&>\\x00", "fail", "again")
     assert text[:2] == [
         "measured: 9; limit: at least 8",
-        "measured: 1 changes; limit: none; warning: why\\x1b",
+        "measured: 1; limit: none; warning: why\\x1b",
     ]
     assert [case.find("failure") is not None for case in cases] == [False, False, True, True]
     broken = ET.fromstring(junit_error_xml("log", RecordingError("no\x00thing", "look")))
@@ -260,13 +260,26 @@ def test_every_criterion_has_the_unit_of_the_table(report):
     assert check.at_least
 
 
-def test_an_id_has_the_unit_of_its_kind(solution, extraction):
-    made = Calibration(solution, extraction)
-    checks = [Check(name, 1.0, 2.0, "fail", "", "", "") for name in ("kind.joint_zero.pan", "kind.b")]
-    both = Criterion((Metric("kind", "sigma"), Metric("kind.b", "px")), False, lambda _: iter(checks))
-    assert [check.unit for check in both.checks(made)] == ["sigma", "px"]
-    with pytest.raises(KeyError):
-        next(Criterion((Metric("other"),), False, lambda _: iter(checks)).checks(made))
+def test_a_part_of_an_id_has_the_unit_of_its_kind():
+    check = Metric("kind", "sigma", section="limits").check(1.5, 2.0, part="joint_zero.pan")
+    assert (check.id, check.unit, check.section) == ("kind.joint_zero.pan", "sigma", "limits")
+
+
+@pytest.mark.parametrize(
+    ("value", "at_least", "outcome", "why"),
+    [
+        (1.0, False, "pass", ""),
+        (-3.0, False, "fail", "Shift: -3 mm. Limit: at most 2 mm."),
+        (math.nan, False, "fail", "Shift: nan mm. Limit: at most 2 mm."),
+        (None, False, "fail", "Shift: unknown. Limit: at most 2 mm."),
+        (-3.0, True, "not_enough", "Shift: -3 mm. Limit: at least 2 mm."),
+        (2.0, True, "pass", ""),
+    ],
+)
+def test_a_check_says_what_its_numbers_are(value, at_least, outcome, why):
+    check = Metric("shift", "mm", at_least).check(value, 2.0, "shift", "Move it.")
+    assert (check.outcome, check.why) == (outcome, why)
+    assert check.next_step == ("" if outcome == "pass" else "Move it.")
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ def report(request):
 
 def read(label, text):
     """Value, standard deviation ("" for none) and unit that a text shows beside a label."""
-    found = re.search(rf"{label}[^-\d]*?{NUMBER}\s*(?:±\s*{NUMBER})?\s*(rad|m)\b", text)
+    found = re.search(rf"{label}[^-\d]*?{NUMBER}\s*\|?\s*(?:±\s*{NUMBER})?\s*\|?\s*(rad|m)\b", text)
     assert found, (label, text)
     return found.groups()
 

@@ -69,7 +69,7 @@ def test_the_job_summary_takes_hostile_strings():
     report = made(make_solution(extraction, "ml"), extraction, logs=(LogSource(HOSTILE, HOSTILE),))
     text = job_summary(report)
     assert "\\<script\\>" in text
-    assert len(text.split("\n| ")) == 3 + len(report.numbers)
+    assert len(text.split("\n| ")) == 2 + len(report.numbers)
     assert all(character == "\n" or character.isprintable() for character in text)
 
 
@@ -84,8 +84,8 @@ def test_the_summary_has_the_change_and_is_appended(result):
     assert done.code == 0, done.err
     text = path.read_text()
     assert text.startswith("before\n### PASS: ")
-    assert "change from" in text
-    assert len(re.findall(r"\| [+-][\d.]+ (?:m|rad) \([+-]0\.0 sigma\) \|", text)) == 9
+    assert "Difference from" in text
+    assert len(re.findall(r"\| [+-][\d.]+ \| (?:m|rad) \| [+-]0\.0 \|", text)) == 9
     suite = ET.parse(result / "junit.xml").getroot()
     assert 0 < float(suite.get("time")) < 600
 

@@ -44,7 +44,7 @@ def test_json_holds_every_number(extraction, solution):
     assert text == json_text(made(solution, extraction))
     data = json.loads(text)
     assert text == json.dumps(data, indent=1, sort_keys=True) + "\n"
-    assert data["schema_version"] == 6
+    assert data["schema_version"] == 7
     assert data["verdict"]["level"] == "PASS"
     assert data["parameters"]["radius_left_mm"] == pytest.approx(
         solution.parameters.wheels.radius_left_m * 1e3, rel=1e-15

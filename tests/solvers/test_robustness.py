@@ -135,7 +135,7 @@ def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
     assert found.uncertainty.observable.tolist() == [True] * 6 + [False] * 3
     verdict = judge(found, extraction)
     assert verdict.level == "NOT ENOUGH"
-    assert "drive and turn the base" in verdict.next_step
+    assert "turn the base by 20 degrees or more between stops; drive forward" in verdict.next_step
 
 
 # -- prismatic joints -------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     lift = JointLink("lift", np.array([0.0, 0.0, 1.0]), "prismatic")
     chain = replace(extraction.rig.chain, links=(lift,), pan="", tilt="")
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
-    rows = noise(Case(found, lifted, provenance=make_provenance(lifted), verdict=judge(found, lifted)))
+    rows = noise(Case(found, lifted, provenance=make_provenance(lifted))).rows
     assert [unit for meaning, _, unit, _ in rows if meaning == "joint reading"] == ["mm"]
     check = judge(found, lifted).checks["noise.sliding_joint"]
     assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "pass")
@@ -195,7 +195,7 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
         ("head_fixed", "head_eye", None),
         ("pan_only", "translation", None),
         ("standard", "head_eye", None),
-        ("base_fixed", "head_eye", "drive and turn the base"),
+        ("base_fixed", "head_eye", "turn the base by 20 degrees or more between stops; drive forward"),
         ("straight", "head_eye", "turn the base"),
         ("head_fixed", "wheels", "tilt the head"),
         ("head_fixed", "rotation", "tilt the head"),
