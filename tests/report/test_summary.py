@@ -69,7 +69,7 @@ def test_the_job_summary_takes_hostile_strings():
     report = made(make_solution(extraction, "ml"), extraction, logs=(LogSource(HOSTILE, HOSTILE),))
     text = job_summary(report)
     assert "\\<script\\>" in text
-    assert len(text.split("\n| ")) == 2 + len(report.numbers)
+    assert len(text.split("\n| ")) == 3 + len(report.numbers)
     assert all(character == "\n" or character.isprintable() for character in text)
 
 
