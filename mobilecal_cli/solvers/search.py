@@ -411,7 +411,7 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
         away = max(factor, 1 / factor)
         if away > _FOCAL_FACTOR and away - 1 > _FOCAL_SIGMAS * sigma * away:
             return Diagnosis(
-                f"the images of the {name} camera show focal lengths of about {factor:.2g} times those in camera_info, "
+                f"the {name} images show focal lengths of about {factor:.2g} times those in camera_info, "
                 "which belongs to another resolution or zoom",
                 "record the camera_info of these images, or calibrate the camera with them",
                 None,
