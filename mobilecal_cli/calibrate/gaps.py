@@ -144,7 +144,7 @@ def require_stations(extraction: Extraction) -> None:
             )
         if reason == SQUARES_UNKNOWN:
             cure = (
-                "set board.square_m in rig.yaml, or --square-m: stations that one camera alone shows need it"
+                "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
             )
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)

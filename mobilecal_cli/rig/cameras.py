@@ -363,8 +363,8 @@ def camera_rig(
         )
         raise ConfigError(
             f"{what} not show the size of the board's squares, which gives the scale; it is not stated",
-            "measure ten squares with a ruler and add to rig.yaml: board: {square_m: 0.08} (or --square-m 0.08); a "
-            "stereo pair shows it by itself",
+            "measure ten squares with a ruler and add to rig.yaml: board: {square_m: 0.08} "
+            "(or --set board.square_m=0.08); a stereo pair shows it by itself",
         )
     first, poses = infos[names[0]], [np.eye(4)]
     for name in names[1:]:

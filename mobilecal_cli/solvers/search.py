@@ -418,6 +418,8 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
 def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
     """A camera whose images of the board alone show focal lengths that are far from those of its camera_info."""
     cameras = extraction.rig.cameras
+    if extraction.motions:
+        return None
     for number, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True)):
         views = [o.views[number] for o in extraction.observations]
         whole = [view.pixels for view in views if view.seen.all()]
@@ -425,7 +427,7 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
         away = max(factor, 1 / factor)
         if away > _FOCAL_FACTOR and away - 1 > _FOCAL_SIGMAS * sigma * away:
             return Diagnosis(
-                f"the images of the {name} camera show focal lengths of about {factor:.2g} times those in camera_info, "
+                f"the {name} images show focal lengths of about {factor:.2g} times those in camera_info, "
                 "which belongs to another resolution or zoom",
                 "record the camera_info of these images, or calibrate the camera with them",
                 None,
@@ -459,8 +461,8 @@ def _focal_factor(camera: Camera, pixels: FloatArray, grid: FloatArray) -> tuple
             for M in (np.swapaxes(across, 1, 2) @ across, ahead[:, :, None] * ahead[:, None])
         )
         information = float(of_f @ of_f)
-        inverse_square = -float(of_f @ rest) / information
-        if inverse_square <= 0:
+        inverse_square = -float(of_f @ rest) / information if information else 0.0
+        if inverse_square <= 0:  # a board that is never seen obliquely shows none
             return 1.0, math.inf
         errors = of_f * inverse_square + rest
         factor /= math.sqrt(inverse_square)

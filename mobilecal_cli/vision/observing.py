@@ -50,6 +50,8 @@ _DRIFT_SIGMAS = 4.0
 #: Largest acceptable difference of a square's measured side from the stated one, as a share.
 SQUARE_TOLERANCE = 0.1
 _SQUARE_SIGMAS = 5.0
+#: Corners that are not detected are predicted up to so many image sizes away: a distortion model ends before.
+_FARTHEST = 10.0
 #: Reason of a station that one camera alone shows, of a board whose squares are not known.
 SQUARES_UNKNOWN = "size of the squares unknown"
 
@@ -315,7 +317,9 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
             continue
         own_points = se3.act(se3.inverse(m.rig.T_c_each[k]), points_c)
         ahead = own_points[:, 2:] > 0
-        expected = np.where(ahead, project(lens, np.where(ahead, own_points, [0.0, 0.0, 1.0])), 0.0)
+        expected = project(lens, np.where(ahead, own_points, [0.0, 0.0, 1.0]))
+        near = np.abs(expected).max(axis=1, keepdims=True) < _FARTHEST * max(lens.width, lens.height)
+        expected = np.where(ahead & near, expected, 0.0)
         if view is None:
             nothing = np.zeros(len(points_c), dtype=np.bool_)
             whole.append(

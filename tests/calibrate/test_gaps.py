@@ -56,7 +56,7 @@ def test_too_few_stations_count_the_reasons():
     lost += [Rejection("vision", SQUARES_UNKNOWN, "only the left camera sees the board", 0)] * 6
     with pytest.raises(ObservationError) as caught:
         require_stations(replace(few, rejections=tuple(lost)))
-    cure = "set board.square_m in rig.yaml, or --square-m: stations that one camera"
+    cure = "set board.square_m in rig.yaml, or with --set: stations that one camera"
     assert caught.value.hint.startswith(cure)
     note = "/left/image: 23 of 24 stamps occur twice; the first is kept"
     few = replace(whole, observations=whole.observations[:1], counts={"stations": 1}, notes=(note,))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -123,6 +124,20 @@ def test_one_camera_of_a_pair(k: int, stated: float | None, hidden: Miss | None)
     assert delta @ np.linalg.solve(o.T_c_k_cov, delta) < 25  # chi-squared with 6 degrees of freedom
     if stated is None:
         assert rejected(resolve_square(measured, None)).reason == "size of the squares unknown"
+
+
+@pytest.mark.parametrize("turn_deg", [85, 89.9, 95])
+def test_corners_beside_the_other_camera_have_no_absurd_pixels(turn_deg: float) -> None:
+    """The polynomial of its distortion grows without limit; such an extraction was refused as damaged."""
+    turned = se3.transform(se3.from_rpy(np.radians([0.0, turn_deg, 0.0])), np.zeros(3))
+    left, right = RIG.each
+    right = replace(right, distortion="plumb_bob", D=np.array([-0.3, 0.1, 0, 0, -0.02]))
+    rig = replace(RIG, each=(left, right), T_c_each=(np.eye(4), turned), calibrated=False)
+    found, _ = pairs(4, 0.1)
+    o = observed(observe(0, station(4), found, [HIDDEN] * 4, rig, Board(9, 6, SQUARE_M), SQUARE_M))
+    assert not o.views[1].seen.any()
+    assert np.abs(o.views[1].pixels).max() < 1e4
+    np.testing.assert_array_less(np.abs(o.views[0].pixels), 1e4)
 
 
 def test_a_rest_that_is_none() -> None:
