@@ -45,7 +45,7 @@ def as_described(extraction: Extraction) -> Extraction:
     """The same for a robot that is exactly as described: no uncertain constants, a flat floor."""
     flat = dict.fromkeys(("floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share"), EXACT)
     rig = extraction.rig
-    return replace(extraction, rig=replace(rig, noise=replace(rig.noise, **flat), prior_sigmas={"all": 0.0}))
+    return replace(extraction, rig=replace(rig, noise={**rig.noise, **flat}, prior_sigmas={"all": 0.0}))
 
 
 def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:

@@ -87,7 +87,7 @@ def test_one_name_needs_no_list_and_numbers_may_be_numpys(data, report, tmp_path
     assert (fixed.T_h_c[0, 3], fixed.wheels.separation_m) == pytest.approx((0, 0.34), abs=1e-12)
     (tmp_path / "e.npz").write_bytes(extraction_to_npz(data.extraction))
     found = mc.extract(tmp_path / "e.npz", settings={"noise.pixel_px": np.float64(0.2)}, jobs=np.int64(1))
-    assert found.extraction.rig.noise.pixel_px == 0.2
+    assert found.extraction.rig.noise["pixel_px"] == 0.2
 
 
 def test_values_are_shown_in_a_line(data, report):

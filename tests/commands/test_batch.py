@@ -230,7 +230,7 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
         ("robots: [{name: ../a, logs: [x]}]", "is not a valid robot name"),
         ("robots: [{name: a, logs: [x]}, {name: a, logs: [y]}]", "two robots are named 'a'"),
         ("- a", "robots|manifest|dictionary"),
-        ("[", "not a valid manifest"),
+        ("[", "not valid YAML"),
     ],
 )
 def test_bad_manifests(tmp_path, text, says):
@@ -262,7 +262,7 @@ def test_names_of_files_are_names_of_robots(sample_logs, tmp_path, name):
 def test_names_that_are_no_directories_everywhere(tmp_path, name):
     robots = json.dumps({"robots": [{"name": name, "logs": ["x.mcap"]}]})
     (tmp_path / "fleet.yaml").write_text(robots, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"is not a valid robot name|not a valid manifest"):
+    with pytest.raises(ConfigError, match=r"is not a valid robot name|not valid YAML"):
         batch_module.fleet_jobs(tmp_path / "fleet.yaml", tmp_path, None, {}, ())
 
 
@@ -409,7 +409,7 @@ def test_an_error_whose_cause_is_mended(tmp_path, counted):
     source, out = urdf_robot(tmp_path), tmp_path / "out"
     (tmp_path / "head.urdf").rename(tmp_path / "elsewhere")
     (result,) = batch_module.batch(source, out, run=in_this_process)
-    assert (result.verdict, result.exit_code, result.hint) == ("ERROR", 2, "check the path")
+    assert (result.verdict, result.exit_code, result.hint) == ("ERROR", 2, "check the path of head.urdf")
     (tmp_path / "elsewhere").rename(tmp_path / "head.urdf")
     (result,) = batch_module.batch(source, out, run=in_this_process)
     assert (result.verdict, result.skipped) == ("PASS", "")

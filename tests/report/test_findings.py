@@ -74,17 +74,16 @@ def test_constants_that_the_recording_shows_only_together_are_named():
 def test_the_jackknife_widens_sigmas_that_are_too_small():
     right, extraction = drawn()
     assert (right.uncertainty.widened == 1).all()
-    given = replace(
-        extraction.rig.noise,
-        pixel_px=0.02,
-        joint_rad=1e-4,
-        wheel_rad_per_sqrt_rad=5e-4,
-        wheel_share=1e-4,
-        floor_rad=np.radians(0.01),
-        floor_m=1e-4,
-        sway_rad=1e-6,
-        sway_m=1e-6,
-    )
+    given = {
+        "pixel_px": 0.02,
+        "joint_rad": 1e-4,
+        "wheel_rad_per_sqrt_rad": 5e-4,
+        "wheel_share": 1e-4,
+        "floor_rad": np.radians(0.01),
+        "floor_m": 1e-4,
+        "sway_rad": 1e-6,
+        "sway_m": 1e-6,
+    }
     found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
     uncertainty = found.uncertainty
     wide = uncertainty.widened > 1
