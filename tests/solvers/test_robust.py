@@ -27,7 +27,7 @@ def agreeing_of(extraction):
     return inliers
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1, 2])
 def test_a_third_of_bad_stations_and_a_slip(seed):
     route = plan_route(ROBOT, "standard", stations=20, seed=seed)
     ideal = ideal_extraction(ROBOT, route, NOISE, seed)
