@@ -18,7 +18,8 @@ from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.bench.imperfect import USUAL, Case, judged
-from tests.bench.jumps import RECORDINGS, changed
+from tests.bench.jumps import RECORDINGS
+from tests.bench.jumps import changed as changed_recording
 from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction, simulated, slipped
 from tests.pairs import with_views
 
@@ -70,7 +71,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
 def moved_board(request):
     """A board that moves by ten standard deviations, in the middle of a recording, and the robot."""
     case = RECORDINGS["20 stations"]
-    extraction, after, _, _ = changed(
+    extraction, after, _, _ = changed_recording(
         case, "board", 10.0, request.param, solve(case.extraction(request.param))
     )
     return extraction, after.robot
@@ -182,13 +183,13 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_sl
 
 
 @pytest.mark.parametrize(
-    ("seed", "first", "change"),
+    ("seed", "first", "change", "outliers"),
     [
-        *((4, 19, 1.06), (3, 4, 1.1)),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((6, 18, 1.04), (3, 12, 1.1))),
+        *((3, 20, 1.08, 3), (4, 19, 1.06, 0), (3, 4, 1.1, 0)),
+        *(pytest.param(*case, 0, marks=pytest.mark.long) for case in ((6, 18, 1.04), (3, 12, 1.1))),
     ],
 )
-def test_a_wheel_that_changes_is_named(seed, first, change):
+def test_a_wheel_that_changes_is_named(seed, first, change, outliers):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
     whole = simulated("standard", NOISE, ROBOT, 24, seed)
     track = whole.wheels[0]
@@ -196,10 +197,12 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
     rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
     left = track.left_rad[0] + np.cumsum(rolled)
     after = WheelTrack.at_same_times(track.time_ns, track.right_rad, left)
-    solution = solve(replace(whole, wheels=(after,)))
+    changed = replace(whole, wheels=(after,))
+    solution = solve(changed)
     (jump,) = solution.jumps
-    assert jump.part == "left wheel"
+    assert (jump.part, judge(solution, changed).level) == ("left wheel", "FAIL")
     assert abs(jump.station - first) <= 1  # the leg across it may look like a slip
+    assert sum(o.kind in ("slip", "station") for o in solution.outliers) >= outliers
     assert jump.move_m == pytest.approx((change - 1) * ROBOT.wheels.radius_left_m, rel=0.2)
     assert solution.contradictions == ()
     # The jump explains the misfit; or the table of mistakes names the same, where noise took up most of it.

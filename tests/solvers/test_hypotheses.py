@@ -147,7 +147,7 @@ def test_a_frozen_joint_is_no_jump_of_another_part():
 
 
 @pytest.mark.parametrize(
-    ("seed", "images"), [(75, 20), *(pytest.param(seed, 40, marks=pytest.mark.long) for seed in (75, 77))]
+    ("seed", "images"), [(75, 16), *(pytest.param(seed, 40, marks=pytest.mark.long) for seed in (75, 77))]
 )
 def test_a_wheel_whose_readings_stop_under_a_fixed_camera_is_named(seed, images):
     """Most legs fit without the stretch: it was "something changed"."""

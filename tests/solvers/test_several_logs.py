@@ -40,7 +40,7 @@ def recorded(motion, seed, robot=ROBOT, noise=NOISE, stations=12, grown_m=0.0):
     wheels = robot.wheels
     radii = wheels.radius_right_m + grown_m, wheels.radius_left_m + grown_m
     robot = replace(robot, wheels=WheelGeometry(*radii, wheels.separation_m))
-    whole = ideal_extraction(robot, plan_route(robot, motion, seed=seed), noise, seed)
+    whole = simulated(motion, noise, robot, seed=seed)
     return replace(whole, observations=whole.observations[:stations])
 
 
