@@ -160,6 +160,7 @@ def test_a_wheel_whose_readings_stop_under_a_fixed_camera_is_named(seed, images)
     assert "the reading of the right wheel does not change between" in said_of(spoilt)
 
 
+@pytest.mark.long
 def test_an_eccentric_wheel_is_not_blamed_on_a_joint_alone(recorded):
     """Pan explains what a short drive shows of a heading error, but the wheels explain more."""
 
@@ -169,6 +170,7 @@ def test_an_eccentric_wheel_is_not_blamed_on_a_joint_alone(recorded):
     assert "the readings of the wheels do not fit" in said_of(wheels(eccentric, same)(recorded))
 
 
+@pytest.mark.long
 def test_readings_of_pan_that_say_nothing_are_not_blamed_on_the_wheels():
     """The base turns as pan does: wheels that may read anything explain any readings of pan."""
     made = simulated("standard", NOISE, ROBOT, 9, seed=5)
