@@ -237,6 +237,7 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     assert found.cure == "negate wheels.right.sign in rig.yaml, for this recording only"
 
 
+@pytest.mark.long
 def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
     """Most legs fit without those of the short one."""
     long, short = simulated("standard", NOISE, ROBOT, 20, 4), simulated("standard", NOISE, ROBOT, 5, 5)
