@@ -8,11 +8,11 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.model import WheelTrack
+from mobilecal_cli.model import Evidence, EvidenceValue, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers import findings, solve
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
@@ -139,6 +139,24 @@ def test_a_late_camera_is_no_camera_that_moved(late_s, seed):
     assert solution.constants["time_right"].value == pytest.approx(late_s, abs=5e-4)
 
 
+def test_a_late_camera_comes_before_stronger_contradictions_and_fails_with_them(monkeypatch):
+    """They may follow from it."""
+    late = {"time_right": EvidenceValue(0.033, 5e-5, 5e-3)}
+    longer = {"focal_left": EvidenceValue(0.03, 1e-3, 2e-3)}
+    found = [
+        Evidence("focal_length", "left camera", longer, chi2=1400.0, sigmas=37.0, shift_sigmas=9.0),
+        Evidence("stereo_clock", "right camera", late, chi2=300.0, sigmas=17.0, shift_sigmas=0.1),
+    ]
+    monkeypatch.setattr(findings, "evidence", lambda lin, parts=True: found)
+    extraction = Case(motion="moving", images=20, noise=USUAL).extraction(0)
+    solution = solve(extraction)
+    assert solution.contradictions == (found[1], found[0])
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("Right camera: delay against the left camera differs by +33.000 ± ")
+
+
+@pytest.mark.long
 def test_a_camera_that_is_a_frame_late_is_the_cause_of_all_else():
     extraction = Case(motion="moving", fixed={"time_right": 0.033}, noise=USUAL).extraction(1)
     verdict = judge(solve(extraction), extraction)
