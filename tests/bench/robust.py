@@ -26,7 +26,7 @@ def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, st
     """Error, sigma of the good data's bound, NEES / 9, what was found, seconds."""
     robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
     sound = extractions.ideal_extraction(robot, route, DISTURBED, seed)
-    extraction, bad, slip = spoiled(sound, route, np.random.default_rng(seed))
+    extraction, bad, slip = spoiled(sound, np.random.default_rng(seed))
     good = Inliers.all_of(dataset_of(sound))
     views, legs = good.views.copy(), good.legs.copy()
     views[bad], legs[slip] = False, False

@@ -24,7 +24,7 @@ from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.pairs import measured_anew
-from tests.robots import corners_of, in_cameras
+from tests.robots import in_cameras
 from tests.truth import errors as errors
 from tests.truth import parameters_of
 
@@ -64,7 +64,7 @@ def bound_of(stations: int, number: int) -> FloatArray:
 
 
 def spoiled(
-    extraction: Extraction, route: Route, random: np.random.Generator, share: float = 0.2, slip: bool = True
+    extraction: Extraction, random: np.random.Generator, share: float = 0.2, slip: bool = True
 ) -> tuple[Extraction, FloatArray, int | None]:
     """The same with some boards moved by 20 to 150 mm and about 7 degrees, and one wheel that slips 0.08 to 0.4 rad.
 
@@ -73,7 +73,7 @@ def spoiled(
     """
     count, seen = len(extraction.observations), list(extraction.observations)
     bad = np.sort(random.choice(count, max(1, round(share * count)), replace=False))
-    rig, corners_k = extraction.rig.cameras, corners_of(route)
+    rig, corners_k = extraction.rig.cameras, extraction.board.grid() * (extraction.board.square_m or 0.0)
     for i in bad:
         way = random.normal(size=3)
         displaced = np.eye(4)

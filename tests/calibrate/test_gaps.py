@@ -6,15 +6,12 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, requir
 from mobilecal_cli.calibrate.steps import fitted
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Nominal, Rejection
-from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.vision import SQUARES_UNKNOWN
-from tests.extractions import Noise, ideal_extraction, joined
+from tests.extractions import Noise, joined, simulated
 
 
 def extraction(motion, noise=None):
-    robot = paper_robot()
-    return ideal_extraction(robot, plan_route(robot, motion), noise)
+    return simulated(motion, noise, seed=0)
 
 
 @pytest.mark.parametrize("motion", ["standard", "large_turns", "moving"])

@@ -14,18 +14,14 @@ from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import dataset_for
-from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
+from tests.extractions import STATION_NOISE, simulated
 
 
 @pytest.fixture(scope="module")
 def npz(tmp_path_factory):
-    robot = ROBOTS["tick"]()
-    route = plan_route(robot, "standard", 8, seed=5)
-    extraction = imperfect_extraction(robot, route, Imperfection(noise=STATION_NOISE), seed=2)
+    extraction = simulated("standard", STATION_NOISE, "tick", 8, seed=5)
     path = tmp_path_factory.mktemp("npz") / "extraction.npz"
     path.write_bytes(extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))))
     return path

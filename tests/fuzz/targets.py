@@ -47,9 +47,8 @@ from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.resolve import survey_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import paper_robot, urdf_text
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.formats import HEAD_EYE, text_of
 from tests.readers import recordings as r
 
@@ -138,9 +137,7 @@ def _solved(path: Path) -> None:
 
 
 def _small_extraction() -> Extraction:
-    robot = paper_robot()
-    route = plan_route(robot, "standard", stations=6, seed=1)
-    extraction = ideal_extraction(robot, route, Noise(0.2, 0.003, 0.0, 1e-3), 1)
+    extraction = simulated("standard", Noise(0.2, 0.003, 0.0, 1e-3), stations=6, seed=1)
     return replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))
 
 

@@ -75,6 +75,7 @@ def test_a_full_directory_for_temporary_files(sample_logs, tmp_path):
     assert result.stdout.split() == ["disk:"]
 
 
+@pytest.mark.long
 def test_a_disk_that_fills_during_a_batch(sample_logs, tmp_path):
     (tmp_path / "robots").mkdir()
     shutil.copy(sample_logs / "straight.mcap", tmp_path / "robots")

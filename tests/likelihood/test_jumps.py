@@ -8,16 +8,18 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.model import WheelTrack
+from mobilecal_cli.model import Evidence, EvidenceValue, WheelTrack
 from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers import findings, solve
 from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.bench.imperfect import USUAL, Case, judged
-from tests.bench.jumps import RECORDINGS, changed
+from tests.bench.jumps import RECORDINGS
+from tests.bench.jumps import changed as changed_recording
 from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction, simulated, slipped
 from tests.pairs import with_views
 
@@ -69,7 +71,7 @@ def test_a_jump_that_does_not_matter_conceals_no_other(monkeypatch, whole):
 def moved_board(request):
     """A board that moves by ten standard deviations, in the middle of a recording, and the robot."""
     case = RECORDINGS["20 stations"]
-    extraction, after, _, _ = changed(
+    extraction, after, _, _ = changed_recording(
         case, "board", 10.0, request.param, solve(case.extraction(request.param))
     )
     return extraction, after.robot
@@ -128,18 +130,35 @@ def test_nothing_jumps_nor_one_station_that_does_not_fit(whole):
     assert solve(whole).jumps == ()
 
 
-@pytest.mark.parametrize("late_s", [0.005, 0.014])
-def test_a_late_camera_is_no_camera_that_moved(late_s):
+@pytest.mark.parametrize(("late_s", "seed"), [(0.005, 1), (0.014, 0)])
+def test_a_late_camera_is_no_camera_that_moved(late_s, seed):
     """Images at sudden changes of speed are off by themselves, as the rates around their stamps are means."""
-    case = Case(motion="moving", images=80, fixed={"time_right": late_s}, noise=USUAL)
-    solution = solve(case.extraction(0))
+    case = Case(motion="moving", images=48, fixed={"time_right": late_s}, noise=USUAL)
+    solution = solve(case.extraction(seed))
     assert solution.jumps == ()
     assert solution.constants["time_right"].value == pytest.approx(late_s, abs=5e-4)
 
 
+def test_a_late_camera_comes_before_stronger_contradictions_and_fails_with_them(monkeypatch):
+    """They may follow from it."""
+    late = {"time_right": EvidenceValue(0.033, 5e-5, 5e-3)}
+    longer = {"focal_left": EvidenceValue(0.03, 1e-3, 2e-3)}
+    found = [
+        Evidence("focal_length", "left camera", longer, chi2=1400.0, sigmas=37.0, shift_sigmas=9.0),
+        Evidence("stereo_clock", "right camera", late, chi2=300.0, sigmas=17.0, shift_sigmas=0.1),
+    ]
+    monkeypatch.setattr(findings, "evidence", lambda lin, parts=True: found)
+    extraction = Case(motion="moving", images=20, noise=USUAL).extraction(0)
+    solution = solve(extraction)
+    assert solution.contradictions == (found[1], found[0])
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("Right camera: delay against the left camera differs by +33.000 ± ")
+
+
+@pytest.mark.long
 def test_a_camera_that_is_a_frame_late_is_the_cause_of_all_else():
-    case = Case(motion="moving", images=80, fixed={"time_right": 0.033}, noise=USUAL)
-    extraction = case.extraction(0)
+    extraction = Case(motion="moving", fixed={"time_right": 0.033}, noise=USUAL).extraction(1)
     verdict = judge(solve(extraction), extraction)
     assert verdict.level == "FAIL"
     assert re.match(r"Right camera: delay against the left camera differs by \+3[23]\.\d+ ± ", verdict.reason)
@@ -161,27 +180,37 @@ def test_a_camera_that_shakes_has_to_move_further(whole):
     assert inference.jump(fit) is None
 
 
-def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, whole):
+@pytest.fixture(scope="module")
+def two_slips(whole):
+    """A recording in which the left wheel turns without the robot on two legs, and its fit."""
+    extraction = slipping(whole, (6, 7))
+    inference = Inference.of(extraction, Constraints())
+    return extraction, inference, robust_fit(inference)
+
+
+def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_slips):
     """A wheel that is not read for a while: the board of rejected images is nowhere near the camera's view."""
 
     def singular(lin):
         raise np.linalg.LinAlgError("Singular matrix")
 
-    slips = slipping(whole, (6, 7))
+    extraction, _, fit = two_slips
     monkeypatch.setattr(jumps, "_Test", singular)
     assert jumps.cause(None, 3) == ""
-    monkeypatch.setattr(Inference, "jump", lambda inference, fit: None)
-    assert solve(slips).jumps == ()
+    assert jumps_of(extraction, fit, lambda fit: None) == ((), fit)
 
 
 @pytest.mark.parametrize(
-    ("seed", "first", "change"),
+    ("seed", "first", "change", "outliers"),
     [
-        *((3, 20, 1.08), (4, 19, 1.06), (3, 4, 1.1)),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((6, 18, 1.04), (3, 12, 1.1))),
+        *((3, 20, 1.08, 3), (3, 4, 1.1, 0)),
+        *(
+            pytest.param(*case, 0, marks=pytest.mark.long)
+            for case in ((4, 19, 1.06), (6, 18, 1.04), (3, 12, 1.1))
+        ),
     ],
 )
-def test_a_wheel_that_changes_is_named(seed, first, change):
+def test_a_wheel_that_changes_is_named(seed, first, change, outliers):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
     whole = simulated("standard", NOISE, ROBOT, 24, seed)
     track = whole.wheels[0]
@@ -189,10 +218,12 @@ def test_a_wheel_that_changes_is_named(seed, first, change):
     rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
     left = track.left_rad[0] + np.cumsum(rolled)
     after = WheelTrack.at_same_times(track.time_ns, track.right_rad, left)
-    solution = solve(replace(whole, wheels=(after,)))
+    changed = replace(whole, wheels=(after,))
+    solution = solve(changed)
     (jump,) = solution.jumps
-    assert jump.part == "left wheel"
+    assert (jump.part, judge(solution, changed).level) == ("left wheel", "FAIL")
     assert abs(jump.station - first) <= 1  # the leg across it may look like a slip
+    assert sum(o.kind in ("slip", "station") for o in solution.outliers) >= outliers
     assert jump.move_m == pytest.approx((change - 1) * ROBOT.wheels.radius_left_m, rel=0.2)
     assert solution.contradictions == ()
     # The jump explains the misfit; or the table of mistakes names the same, where noise took up most of it.
@@ -206,8 +237,9 @@ def slipping(whole, legs):
     return whole
 
 
-def test_legs_that_slip_one_after_another(whole):
-    assert solve(slipping(whole, (6, 7))).jumps == ()
+def test_legs_that_slip_one_after_another(whole, two_slips):
+    extraction, inference, fit = two_slips
+    assert jumps_of(extraction, fit, inference.jump) == ((), fit)
     # Nor the values that the other legs had: the wheels differ for too long.
-    (jump,) = solve(slipping(whole, (6, 7, 8, 9))).jumps
-    assert (jump.part, jump.station, sum(jump.rejected)) == ("", 7, 4)
+    (jump,) = solve(slipping(whole, (7, 8, 9, 10))).jumps
+    assert (jump.part, jump.station, sum(jump.rejected)) == ("", 8, 4)

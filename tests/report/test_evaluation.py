@@ -97,6 +97,7 @@ def test_a_short_recording_is_not_enough(calibrated, tmp_path):
 
 def test_a_noisy_recording_is_not_enough(calibrated, tmp_path):
     """The recording contradicts itself: the calibration is not to blame."""
-    noisy = ideal_extraction(ROBOT, plan_route(ROBOT, seed=1), replace(NOISE, wheel_rad_per_sqrt_rad=0.05), 1)
+    noise = replace(NOISE, wheel_rad_per_sqrt_rad=0.03)
+    noisy = ideal_extraction(ROBOT, plan_route(ROBOT, stations=8, seed=1), noise, 1)
     noisy = replace(noisy, logs=(LogSource("1.mcap", "1"),))
     assert verdict(tmp_path, *calibrated[0], noisy).level == "NOT ENOUGH"

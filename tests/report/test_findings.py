@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
@@ -14,7 +15,10 @@ from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.constraints import constraints_of
+from mobilecal_cli.solvers.constraints import Constraints, constraints_of
+from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.uncertainty import uncertainty_of
 from tests.extractions import ideal_extraction
 from tests.report.example import drawn, made, make_extraction, make_solution, solved
 
@@ -84,8 +88,11 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
         "sway_rad": 1e-6,
         "sway_m": 1e-6,
     }
-    found = solve(replace(extraction, rig=replace(extraction.rig, noise=given)))
-    uncertainty = found.uncertainty
+    inference = Inference.of(replace(extraction, rig=replace(extraction.rig, noise=given)), Constraints())
+    everything = Inliers.all_of(inference.data)
+    state = initial_state(inference.data, right.parameters, everything)
+    fit = inference.fit(state, everything, inference.first_noise(np.array([given["pixel_px"]])))
+    uncertainty = uncertainty_of(fit)
     wide = uncertainty.widened > 1
     assert wide.any()
     np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])

@@ -70,7 +70,7 @@ def test_stated_sigmas_are_true(cameras, chain, seed):
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
-@pytest.mark.parametrize("name", ["paper", "tick", "fixed_camera"])
+@pytest.mark.parametrize("name", [pytest.param("paper", marks=pytest.mark.long), "tick", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
     both, pair = recorded(ROBOTS[name], 3)

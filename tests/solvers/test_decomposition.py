@@ -59,10 +59,18 @@ def test_a_small_corner_noise_is_not_rounded_to_zero():
 @pytest.mark.parametrize(
     ("robot", "noise"),
     [
-        ("paper", {"floor_rad": np.radians(1.0), "floor_m": 5e-4, "floor_place_m": 1.0}),
-        ("fixed_camera", {"encoder_step_rad": 2 * np.pi / 30, "floor_rad": 1e-3, "floor_m": 3e-4}),
+        pytest.param(
+            "paper",
+            {"floor_rad": np.radians(1.0), "floor_m": 5e-4, "floor_place_m": 1.0},
+            id="bent floor",
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
+            "fixed_camera",
+            {"encoder_step_rad": 2 * np.pi / 30, "floor_rad": 1e-3, "floor_m": 3e-4},
+            id="coarse encoders",
+        ),
     ],
-    ids=["bent floor", "coarse encoders"],
 )
 def test_the_point_error_of_a_healthy_robot_is_explained(robot, noise):
     """FAIL before: "The point error is 50 mm", and "the readings of the wheels do not fit the drive"."""

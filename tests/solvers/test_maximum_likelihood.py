@@ -20,8 +20,8 @@ from mobilecal_cli.solvers import maximum_likelihood as recipe
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.noise import lengths
 from tests.bench.simulated import as_described, errors, spoiled
-from tests.extractions import Imperfection, ideal_extraction, imperfect_extraction, joined
 from tests.extractions import Noise as Disturbance
+from tests.extractions import joined, simulated
 from tests.pairs import with_views
 from tests.robots import chain_of, three_on_pan_tilt
 from tests.truth import nees
@@ -32,14 +32,12 @@ GIVEN = {"pixel_px": 0.2, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np
 
 
 def extraction_of(motion="standard", seed=1, noise=NOISE, stations=12, **more):
-    route = plan_route(ROBOT, motion, stations=stations, seed=seed)
-    return ideal_extraction(ROBOT, route, noise, seed, **more)
+    return simulated(motion, noise, ROBOT, stations, seed, **more)
 
 
-def misstated(name, by, robot=ROBOT, noise=NOISE, **more):
+def misstated(name, by, robot=ROBOT, noise=NOISE, stations=12):
     """A recording of a robot whose description is wrong by so much."""
-    route = plan_route(robot, "standard", seed=1, **more)
-    return imperfect_extraction(robot, route, Imperfection({name: by}, noise), 1)
+    return simulated("standard", noise, robot, stations, 1, {name: by})
 
 
 def with_noise(extraction, known=GIVEN):
@@ -97,8 +95,7 @@ def test_correlation_lengths_stay_within_their_limits():
 def test_play_of_the_encoders_is_told_from_noise_of_the_wheels():
     # Every stop is read wrong by whole steps, 2 on average.
     step, random = np.radians(1.2), np.random.default_rng(3)
-    route = plan_route(ROBOT, "standard", stations=30, seed=3)
-    extraction = ideal_extraction(ROBOT, route, replace(NOISE, encoder_step_rad=step), 3)
+    extraction = extraction_of(seed=3, noise=replace(NOISE, encoder_step_rad=step), stations=30)
     track, stops = extraction.wheels[0], [o.time_ns for o in extraction.observations]
     play = np.zeros((len(track.time_ns), 2))
     play[np.searchsorted(track.time_ns, stops)] = step * np.round(2 * random.normal(size=(30, 2)))
@@ -126,7 +123,7 @@ def on_two_topics(seed, steps_rad):
         slip = 0.003 * np.sqrt(np.abs(np.diff(angles))) * random.normal(size=len(angles) - 1)
         angles = angles + np.append(0, np.cumsum(slip))
         wheels.append(Track(nanoseconds(times_s), np.floor(angles / step) * step if step else angles))
-    still = ideal_extraction(ROBOT, route, replace(NOISE, wheel_rad_per_sqrt_rad=0.0), seed)
+    still = extraction_of("moving", seed, replace(NOISE, wheel_rad_per_sqrt_rad=0.0))
     return replace(still, wheels=(WheelTrack(*wheels),))
 
 
@@ -166,8 +163,7 @@ def test_the_budget_of_an_unobservable_parameter_is_its_prior():
 
 
 def test_the_jackknife_agrees_over_many_legs():
-    route = plan_route(ROBOT, "standard", stations=40, seed=2)
-    found = solve(ideal_extraction(ROBOT, route, NOISE, 2)).uncertainty
+    found = solve(extraction_of(seed=2, stations=40)).uncertainty
     assert np.abs(np.log(found.jackknife_std / found.std)).max() < np.log(1.8)
 
 
@@ -194,7 +190,7 @@ def test_a_head_held_tilted_hides_the_base_s_vertical_and_no_more():
     T_h_c = se3.inverse(tilted) @ level @ robot.T_h_c  # the same camera on a tilted head
     wrong = T_h_c.copy()
     wrong[:3, 3] += (0.004, 0.003, -0.006)
-    extraction = ideal_extraction(robot, plan_route(robot, "head_fixed", seed=2), NOISE, 2)
+    extraction = simulated("head_fixed", NOISE, robot, seed=2)
     seen = tuple(replace(o, joints=o.joints + tilt) for o in extraction.observations)
     nominal = replace(extraction.rig.nominal, T_h_reference=wrong @ extraction.rig.cameras.T_c_reference)
     rig = replace(extraction.rig, nominal=nominal)
@@ -287,8 +283,7 @@ def test_each_constant_of_a_robot_can_be_asked_for():
 
 
 def test_bad_stations_and_a_slip_are_found_and_named(noisy):
-    route = plan_route(ROBOT, "standard", seed=1)
-    spoilt, bad, slip = spoiled(noisy, route, np.random.default_rng(0))
+    spoilt, bad, slip = spoiled(noisy, np.random.default_rng(0))
     found = solve(spoilt)
     left_out = {o.observations for o in found.outliers if o.kind == "station"}
     assert left_out == {(int(i),) for i in bad}
@@ -430,9 +425,7 @@ def test_a_wrong_link_between_pan_and_tilt_is_named():
 
 def test_corners_that_were_not_seen_have_no_say():
     """Half of the corners of each picture are hidden: wherever they are said to be, the answer is the same."""
-    robot = paper_robot()
-    route = plan_route(robot, "standard", stations=8, seed=4)
-    whole = ideal_extraction(robot, route, Disturbance(0.2, 0.003, 0.0, 1e-3), 4)
+    whole = extraction_of(seed=4, noise=Disturbance(0.2, 0.003, 0.0, 1e-3), stations=8)
     random = np.random.default_rng(4)
 
     def hidden(corners: Corners, shift_px: float) -> Corners:

@@ -13,9 +13,8 @@ from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.solve import solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.report.schema import validated
 from tests.robots import chain_of
 from tests.truth import parameters_of
@@ -26,8 +25,7 @@ SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 def drive(seed, stated=1.0):
     """A pan-tilt robot's poses of a target, with noise of `SIGMA`; the covariance is stated with another scale."""
     robot, random = paper_robot(), np.random.default_rng(seed)
-    route = plan_route(robot, "standard", stations=20, seed=seed)
-    exact = ideal_extraction(robot, route, Noise(0, 0.003, 0, 1e-4), seed=seed)
+    exact = simulated("standard", Noise(0, 0.003, 0, 1e-4), robot, 20, seed)
     covariance = np.diag((stated * SIGMA) ** 2)
     poses = []
     for o in exact.observations:

@@ -7,13 +7,12 @@ import pytest
 
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.robust import _holding, _weight, agreeing
 from tests.bench.simulated import spoiled
-from tests.extractions import ideal_extraction
+from tests.extractions import simulated
 from tests.solvers.test_several_logs import NOISE, ROBOT, recorded
 
 
@@ -27,11 +26,10 @@ def agreeing_of(extraction):
     return inliers
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.long), 1, 2])
 def test_a_third_of_bad_stations_and_a_slip(seed):
-    route = plan_route(ROBOT, "standard", stations=20, seed=seed)
-    ideal = ideal_extraction(ROBOT, route, NOISE, seed)
-    extraction, bad, slip = spoiled(ideal, route, np.random.default_rng(seed), share=0.35)
+    ideal = simulated("standard", NOISE, ROBOT, 20, seed)
+    extraction, bad, slip = spoiled(ideal, np.random.default_rng(seed), share=0.35)
     inliers = agreeing_of(extraction)
     assert np.flatnonzero(~inliers.views).tolist() == bad.tolist()
     # The slip is indistinguishable from one in the next leg where the station between them is bad.
