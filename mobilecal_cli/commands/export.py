@@ -74,13 +74,15 @@ def export(
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
-    paths = [] if output is None else [output]
+    inputs, paths = [params, urdf, *(log or [])], []
+    if output is not None:
+        check_file(output, force, inputs)
+        paths.append(output)
     if to == Target("foxglove"):
         if output is None:
             raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
         paths.append(output.with_suffix(".layout.json"))
-    for path in paths:
-        check_file(path, force, [params, urdf, *(log or [])])
+        check_file(paths[1], force, inputs)
     given = {"left": left_joint, "right": right_joint}
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(

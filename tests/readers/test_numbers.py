@@ -5,7 +5,7 @@ import pytest
 
 from mobilecal_cli.model import NumberField
 from mobilecal_cli.readers import number_fields, open_recording
-from mobilecal_cli.readers.description import _wraps
+from mobilecal_cli.readers.signals.wheels import wraps
 
 
 def counter(span, step, count=400, start=None):
@@ -28,7 +28,7 @@ def counter(span, step, count=400, start=None):
     ],
 )
 def test_how_a_counter_starts_again(values, expected):
-    bits, jump = _wraps(values)
+    bits, jump = wraps(np.array(values, dtype=np.float64))
     assert bits == expected[0]
     assert jump == (None if expected[1] is None else pytest.approx(expected[1], abs=30))
 

@@ -1,5 +1,7 @@
 """A camera that is fixed to the base: no joint tilts it, so its height is as described."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -34,9 +36,9 @@ def test_all_but_the_height_is_calibrated_and_the_verdict_is_about_it():
     assert found.covariance[height, height] == pytest.approx(0.1**2, rel=0.01)
     report = Report(Data(extraction), fit)
     assert report.verdict.level == "PASS"
-    assert " m, from the robot description" in str(report)
+    assert re.search(r"0\.10 +m +from the robot description", str(report))
     assert "tilt the head" not in str(report)
-    assert "8 of 8 that the motion of this robot can show" in report.html
+    assert "8 that the motion of this robot can show" in report.html
     assert motion_gaps(extraction) == ()
     with pytest.raises(SolveError, match="no joint of the head tilts the camera"):
         require_observable(extraction)
