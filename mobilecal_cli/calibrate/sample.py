@@ -94,13 +94,14 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     detected = sum(
         isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
     )
-    squares_m = (
+    pairs = (
         ()
         if cameras is None or not cameras.calibrated or findings
-        else _squares_m(cameras, board, detections)
+        else _stereo_pairs(cameras, board, detections)
     )
+    squares_m = tuple(pair.square_m for pair in pairs)
     square_m = float(np.median(squares_m)) if squares_m else None
-    findings += _wrong_square(stated_m, squares_m) if stated_m and squares_m else []
+    findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
     size = board.columns, board.rows
     return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), findings
 
@@ -110,9 +111,10 @@ def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:
     return whole is not None and size[0] <= whole[0] and size[1] <= whole[1]
 
 
-def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> list[Finding]:
+def _wrong_square(stated_m: float, pairs: Sequence[Measured]) -> list[Finding]:
     """A stated size of the squares that `calibrate` refuses, or that several stereo pairs do not confirm."""
-    mean, refused = float(np.mean(squares_m)), square_error(stated_m, squares_m)
+    squares_m = [pair.square_m for pair in pairs]
+    mean, refused = float(np.mean(squares_m)), square_error(stated_m, pairs)
     if refused is not None:
         return [Finding.of("square size", refused)]
     noise = float(np.std(squares_m, ddof=1)) / math.sqrt(len(squares_m)) if len(squares_m) > 1 else math.inf
@@ -123,17 +125,17 @@ def _wrong_square(stated_m: float, squares_m: Sequence[float]) -> list[Finding]:
     return [Finding("square size", "limit", what, square_cure(stated_m, mean), QualityError.exit_code)]
 
 
-def _squares_m(
+def _stereo_pairs(
     cameras: CameraRig, board: Board, detections: Mapping[str, Sequence[Detection | Miss | None]]
-) -> tuple[float, ...]:
-    """Side of a square in each stereo pair that shows the board, m."""
+) -> tuple[Measured, ...]:
+    """The board in each stereo pair that shows it."""
     if len(detections["left"]) != len(detections["right"]):
         return ()  # the images cannot be paired without their stamps
-    sides = []
+    pairs = []
     station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
     for left, right in zip(detections["left"], detections["right"], strict=True):
         if isinstance(left, Detection) and isinstance(right, Detection):
             measured = measure(0, station, [[left, right]], cameras, board)
             if isinstance(measured, Measured) and measured.points is not None:
-                sides.append(measured.square_m)
-    return tuple(sides)
+                pairs.append(measured)
+    return tuple(pairs)

@@ -14,7 +14,7 @@ import numpy as np
 from mobilecal_cli.errors import ObservationError
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
 from mobilecal_cli.vision.grid import turned, turns
-from mobilecal_cli.vision.observing import SQUARE_TOLERANCE, Measured
+from mobilecal_cli.vision.observing import Measured
 from mobilecal_cli.vision.pose import triangulate
 from mobilecal_cli.vision.values import INCONSISTENT, Detection, StereoPoints
 
@@ -213,20 +213,20 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
     Raises:
         ObservationError: they differ at the median of enough stations; names a unit given as meters.
     """
-    stations = (station for station in measured if isinstance(station, Measured))
-    sides_m = [station.square_m for station in stations if station.points is not None]
-    if len(sides_m) >= _FEWEST and (error := square_error(square_m, sides_m)) is not None:
+    stations = [each for each in measured if isinstance(each, Measured) and each.points is not None]
+    if len(stations) >= _FEWEST and (error := square_error(square_m, stations)) is not None:
         raise error
 
 
-def square_error(square_m: float, sides_m: Sequence[float]) -> ObservationError | None:
-    """The error if the median of measured sides of a square, m, is another one than the stated side, m."""
-    side_m = float(np.median(sides_m))
-    if abs(side_m - square_m) <= SQUARE_TOLERANCE * square_m:
+def square_error(square_m: float, stations: Sequence[Measured]) -> ObservationError | None:
+    """The error if the median side of a square by a stereo pair, m, is not the stated one."""
+    side_m = float(np.median([station.square_m for station in stations]))
+    limit = float(np.median([station.square_tolerance for station in stations]))
+    if abs(side_m - square_m) <= limit * square_m:
         return None
     return ObservationError(
-        f"the squares are {side_m:.3g} m wide at the median of {len(sides_m)} measurements, but board.square_m is "
-        f"{square_m:g} m (limit {100 * SQUARE_TOLERANCE:g} %)",
+        f"the squares are {side_m:.3g} m wide at the median of {len(stations)} measurements, but board.square_m is "
+        f"{square_m:g} m (limit {100 * limit:.3g} %)",
         square_cure(square_m, side_m),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -47,9 +48,11 @@ from mobilecal_cli.vision.values import (
 
 _MAX_DRIFT_PX = 0.5
 _DRIFT_SIGMAS = 4.0
-#: Largest acceptable difference of a square's measured side from the stated one, as a share.
-SQUARE_TOLERANCE = 0.1
-_SQUARE_SIGMAS = 5.0
+#: Largest acceptable difference of a square's measured side from the stated one, as a share: this, or so many standard
+#: deviations. More, where a wrong disparity by principal points that are a usual share of the image width off (one
+#: standard deviation of their prior in each camera) makes as much: the estimate then shows which of them is wrong.
+_SQUARE_TOLERANCE, _SQUARE_SIGMAS = 0.1, 5.0
+_PRINCIPAL_SHARE, _PRINCIPAL_SIGMAS = 0.003 * math.sqrt(2), 3.0
 #: Corners that are not detected are predicted up to so many image sizes away: a distortion model ends before.
 _FARTHEST = 10.0
 #: Reason of a station that one camera alone shows, of a board whose squares are not known.
@@ -221,6 +224,14 @@ class Measured:
         """Side of a square as measured at this station, m; `rough_m` without `points`."""
         return self.rough_m * self.pose.scale
 
+    @property
+    def square_tolerance(self) -> float:
+        """Largest acceptable difference of `square_m` from the stated one, as a share."""
+        first, baseline_m = self.rig.each[0], self.rig.baseline_m or math.inf
+        disparity_px = first.K[0, 0] * baseline_m / self.pose.T_c_k[2, 3]
+        usual = _PRINCIPAL_SIGMAS * _PRINCIPAL_SHARE * first.width / disparity_px
+        return max(_SQUARE_TOLERANCE, float(usual))
+
     def rejected(self, reason: str, detail: str) -> Rejection:
         """Rejection of this station."""
         return _rejection(self.log, self.station, reason, detail)
@@ -369,7 +380,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
             return m.rejected(from_one.reason, from_one.detail)
         m, pose = replace(m, rough_m=square_m), from_one
     elif square_m is not None and m.points is not None:
-        tolerance_m = max(SQUARE_TOLERANCE * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
+        tolerance_m = max(m.square_tolerance * square_m, _SQUARE_SIGMAS * m.rough_m * pose.scale_sigma)
         if abs(m.square_m - square_m) > tolerance_m:
             return m.rejected(
                 "unexpected square size",

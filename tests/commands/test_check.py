@@ -51,7 +51,7 @@ WRONG = {
     "gates": ({"gates": {"neck": 1}}, 2, "unknown figure"),
     "motion": ({"wheels.left": {"topic": "/joint_states", "field": "nope"}}, 3, "no field nope ('nope' is"),
     "board": ({"board": {"columns": 8, "rows": 6}}, 4, "8 x 6 inner corners, but the images show 9 x 6"),
-    "square size": ({"board.square_m": 0.1}, 4, "the squares are 0.08 m wide at the median"),
+    "square size": ({"board.square_m": 0.15}, 4, "the squares are 0.08 m wide at the median"),
 }
 
 

@@ -131,3 +131,17 @@ def test_a_wrong_square_is_named(square_m: float, cure: str) -> None:
     with pytest.raises(ObservationError, match=r"the squares are 0\.06 m wide at the median of 8") as told:
         check_square(measured(pairs()), square_m)
     assert told.value.hint == cure
+
+
+def test_principal_points_that_are_as_far_off_as_usual_are_no_wrong_square() -> None:
+    """Their disparity makes squares far beyond a tenth too small, of a pair with a short baseline."""
+    T_c_r = RIG.T_c_each[1].copy()
+    T_c_r[:3, 3] *= 0.3
+    near = with_pair(RIG, T_c_r=T_c_r)
+    found = [moved(pair, (-0.004 * RIG.each[1].width, 0.0)) for pair in pairs(rig=near)]
+    stations = measured(found, near)
+    sides_m = [station.square_m for station in stations if isinstance(station, Measured)]
+    assert abs(np.median(sides_m) / SQUARE_M - 1) > 0.12
+    check_square(stations, SQUARE_M)
+    with pytest.raises(ObservationError):
+        check_square(stations, 2 * SQUARE_M)
