@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
     NO_IMAGES,
+    WHEEL_NOISE,
     Evaluation,
     Extraction,
     FloatArray,
@@ -575,7 +576,7 @@ _NOISE = {
     _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
     Metric("noise.joint", "degrees", section="limits"): (0.2, 0.4, *_PLAY),
     Metric("noise.sliding_joint", "mm", section="limits"): (0.35, 0.7, *_PLAY),
-    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (0.015, 0.03, "wheels", "the wheels for slip"),
+    Metric("noise.wheel", "rad per sqrt(rad)", section="limits"): (0.015, WHEEL_NOISE, "wheels", "the wheels for slip"),
     Metric("noise.wheel_share", "%", section="limits"): (
         1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
     ),
