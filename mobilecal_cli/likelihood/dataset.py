@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
 from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions
-from mobilecal_cli.likelihood.nuisance import Constant, Layout
+from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
@@ -88,6 +88,9 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     shown = np.stack([[view.seen for view in o.views] for o in observations])
     claims = np.hypot([[view.sigma_px for view in o.views] for o in observations], _LEAST_CLAIM_PX)
     usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
+    sides, turned = _approach_direction(extraction, widths_ns, joint_noise)
+    on_the_way = between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1])
+    play = kind("backlash").sigma * np.array(units)
     return Dataset(
         cameras=extraction.rig.cameras,
         chain=extraction.rig.chain,
@@ -104,9 +107,9 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         joint_tracks=extraction.joint_tracks,
         joint_widths_ns=widths_ns,
         moving=moving,
-        approach_direction=_approach_direction(extraction, widths_ns, joint_noise),
+        approach_direction=sides,
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
-        joints_between=between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1]),
+        joints_between=np.hypot(on_the_way, play * (turned & moving[:, None])),
         log=log,
         legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
         tracks=tracks,
@@ -184,10 +187,11 @@ def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) 
 
 def _approach_direction(
     extraction: Extraction, widths_ns: Sequence[Sequence[int]], joint_noise: Sequence[Sequence[float]]
-) -> FloatArray:
-    """(N, J) the direction of each joint's last motion before each station, from -1 to 1.
+) -> tuple[FloatArray, BoolArray]:
+    """(N, J) the direction of each joint's last motion before each station, from -1 to 1, and where it just turned.
 
-    Where a joint turns back, its play is on neither side: there the direction changes in proportion to the rate.
+    Where a joint turns back, its play is on neither side: there the direction changes in proportion to the rate. Until
+    it has come back by more than noise, the side may be the other one.
 
     Args:
         extraction: the stations.
@@ -196,7 +200,7 @@ def _approach_direction(
     observations = extraction.observations
     log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
-    sides = np.zeros(joints.shape)
+    sides, turned = np.zeros(joints.shape), np.zeros(joints.shape, dtype=np.bool_)
     for number, of_log in enumerate(zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)):
         mine = np.flatnonzero(log == number)
         for j, (track, width_ns, noise) in enumerate(zip(*of_log, strict=True)):
@@ -210,7 +214,8 @@ def _approach_direction(
             own = np.clip((after - before) / (2e-9 * _INTERVAL_NS) / _MOVING_RADPS, -1, 1)
             turns = np.minimum(np.abs(long_ago - here), np.abs(later - here)) > moved
             sides[mine, j] = np.where((np.abs(rate) > _MOVING_RADPS) | turns, own, last)
-    return sides
+            turned[mine, j] = (own * last < 0) | (turns & (np.abs(own) < 1))
+    return sides, turned
 
 
 def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray, moved: float) -> FloatArray:

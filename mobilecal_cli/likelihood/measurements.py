@@ -88,8 +88,8 @@ class Measurements:
         joint_widths_ns: intervals over which the motion of each of them is taken; longer for noisy readings.
         moving: (N,) stations that are not at rest: there, the offset of a clock matters.
         approach_direction: (N, J) the direction of each joint's last motion, +1 or -1; 0 where it is not known.
-        wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m;
-            0 at rest.
+        wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m,
+            and of the side of its play of a joint that just turned back; 0 at rest.
         log: (N,) the recording of each station. Each recording has a board pose of its own.
         first_log: number of the first of these recordings among all.
         legs: (L, 2) consecutive stations of one recording.

@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -70,6 +71,22 @@ def test_a_joint_that_turns_back_at_a_station_is_on_neither_side():
     tracks = (back, *EXTRACTION.joint_tracks[0][1:])
     sides = approach_direction(dataclasses.replace(EXTRACTION, joint_tracks=(tracks,)))
     assert abs(sides[2, 0]) < 0.1
+
+
+def test_the_side_of_a_joint_that_just_turned_back_is_uncertain():
+    """In motion, by the prior of its play; at rest it is known, and so is that of a joint that moves on."""
+    o = EXTRACTION.observations[2]
+    at = o.time_ns + np.arange(-40, 41) * 10_000_000
+    turned, on = (Track(at, way) for way in (0.5 * ((at - o.time_ns) * 1e-9) ** 2, 0.5 * (at - at[0]) * 1e-9))
+    tracks = (turned, on, *EXTRACTION.joint_tracks[0][2:])
+    joints = np.array([track.at(np.array([o.time_ns]))[0] for track in tracks])
+    for at_rest, sigma in ((False, np.radians(0.1)), (True, 0.0)):
+        stations = list(EXTRACTION.observations)
+        stations[2] = dataclasses.replace(o, at_rest=at_rest, joints=joints)
+        made = dataclasses.replace(EXTRACTION, observations=tuple(stations), joint_tracks=(tracks,))
+        between = dataset_of(made).joints_between[2]
+        assert between[0] == pytest.approx(sigma, rel=0.01)
+        assert between[1] < 1e-6
 
 
 def test_a_route_comes_from_both_sides():
