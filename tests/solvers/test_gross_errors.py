@@ -54,7 +54,7 @@ def exchanged(extraction, station):
         # Far images of one camera: no half of the legs is near.
         ("camera on the base", 20, one_turn, {"slip"}),
         pytest.param("pan-tilt", 20, reset, {"slip"}, marks=pytest.mark.long),
-        ("pan-tilt", 20, early_reset, {"slip"}),
+        pytest.param("pan-tilt", 14, early_reset, {"slip"}, marks=pytest.mark.long),
         # The reading as it was is no error of the calibration.
         ("camera on pan-tilt", 20, misread, {"joint"}),
         # Also of the first one, which only its leg holds.
