@@ -66,7 +66,8 @@ def change(case: Case) -> Table | None:
         for p, std, value, sigmas, percent in zip(parameters, stds, *columns, strict=True)
         if np.isfinite(value)
     ]
-    note = f"Difference from {difference.against}; in sigma: over its standard deviation."
+    over = "; in sigma: over its standard deviation" if np.isfinite(difference.sigmas).any() else ""
+    note = f"Difference from {difference.against}{over}."
     if difference.p_value is not None:
         chance = percent_text(difference.p_value, _LEAST_PROBABILITY)
         note += f" If the robot did not change, the probability of a difference this large is {chance}."

@@ -180,7 +180,7 @@ def interruptions(readings: Readings) -> Iterator[Hypothesis]:
             for first, last in _still(values, others):
                 if first and last < len(mine) - 1 and number >= len(of_joints):
                     continue  # the leg across would be wrong
-                kept = np.delete(np.arange(len(readings.log)), mine[first + 1 if first else 0 : last + 1])
+                kept = np.delete(np.arange(len(readings.log)), mine[first : last + 1])
                 yield Hypothesis(
                     f"{cause} between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s",
                     "check the cable and the driver, and record again, or leave this stretch out",

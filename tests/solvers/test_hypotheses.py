@@ -338,6 +338,19 @@ def test_images_of_a_station_that_do_not_show_one_board(name, px):
     assert float(re.search(r"([\d.]+) px", diagnosis.cause)[1]) == pytest.approx(px, rel=0.1)
 
 
+def test_wheels_that_stop_counting_on_the_way_are_named(recorded):
+    """Half a leg is lost: the reading at the next station is wrong, too, though it is the first that does not change."""
+    o = recorded.observations
+    at_ns = (o[5].time_ns + o[6].time_ns) // 2
+
+    def stopped(track):
+        return replace(track, value=np.where(track.time_ns > at_ns, track.at(np.array([at_ns])), track.value))
+
+    extraction = both(stopped)(recorded)
+    diagnosis = Search(extraction).diagnosis
+    assert diagnosis.cause.startswith("the readings of both wheels do not change between")
+
+
 def test_images_that_freeze_are_named_with_their_time():
     diagnosis = Search(WRONG["both images frozen from the middle"].change(meaning.recorded())).diagnosis
     assert diagnosis.cause.startswith("from about 42.6 s on, all stations show the board at the same place")
