@@ -221,6 +221,9 @@ class Sight:
         through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
         points_c: (N, M, 3) corners in the first camera's frame, m.
         by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
+        by_stamped_c: the same by where the point was at the stamp.
+        points_k: (M, 3) corners on the board as stated, m.
+        R_c_k: (N, 3, 3) rotation of the board.
         velocity_c: (N, M, 3) of the corners in the first camera's frame, m/s.
         rows: (N, M) row of each corner from the middle of the image, in image heights.
     """
@@ -234,6 +237,9 @@ class Sight:
     through: FloatArray | None
     points_c: FloatArray
     by_point_c: FloatArray
+    by_stamped_c: FloatArray
+    points_k: FloatArray
+    R_c_k: FloatArray
     velocity_c: FloatArray
     rows: FloatArray
 
@@ -244,15 +250,20 @@ class Sight:
 
     def by_shift(self, shift_c: FloatArray) -> FloatArray:
         """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
-        by_x, by_y, by_z = self.by_point_c
-        moved: FloatArray = by_x * shift_c[..., 0, None]
-        moved += by_y * shift_c[..., 1, None]
-        moved += by_z * shift_c[..., 2, None]
-        return moved
+        return _along(self.by_point_c, shift_c)
 
     def corrected(self, shift: FloatArray) -> FloatArray:
         """(N, M, 2) displacements of pixels before the correction as displacements after it."""
         return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
+
+
+def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:
+    """(3, N, M, 2) derivative by a point, and (N, M, 3) its displacement → (N, M, 2)."""
+    by_x, by_y, by_z = by_point
+    moved: FloatArray = by_x * shift[..., 0, None]
+    moved += by_y * shift[..., 1, None]
+    moved += by_z * shift[..., 2, None]
+    return moved
 
 
 def _by_turn(sight: Sight, about: FloatArray) -> FloatArray:
@@ -300,8 +311,22 @@ _BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
 POSE, INTRINSICS = ("turn", "swing", "shift"), ("focal", "principal", "lens")
 
 
+class ImageEffect(Effect, ABC):
+    """Changes the cameras or the board, not the camera's pose."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def concerns(self, camera: int) -> bool:
+        """Whether the pixels of a camera depend on this."""
+
+    @abstractmethod
+    def pixels(self, sight: Sight) -> FloatArray:
+        """(N, M, 2) derivative of the predicted pixels of a camera that depends on this."""
+
+
 @dataclass(frozen=True, slots=True)
-class CameraEffect(Effect):
+class CameraEffect(ImageEffect):
     """Changes one camera, or all alike.
 
     Attributes:
@@ -328,10 +353,8 @@ class CameraEffect(Effect):
         """Whether the pixels of a camera depend on this."""
         return self.camera in (None, camera)
 
-    def pixels(self, sight: Sight) -> FloatArray | None:
-        """(N, M, 2) derivative of a camera's predicted pixels, or None where it does not depend on this."""
-        if not self.concerns(sight.camera):
-            return None
+    def pixels(self, sight: Sight) -> FloatArray:
+        """(N, M, 2) derivative of a camera's predicted pixels."""
         return _BY[self.of](sight, np.array(self.along))
 
 
@@ -339,7 +362,7 @@ class CameraEffect(Effect):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoardEffect(Effect):
+class BoardEffect(ImageEffect):
     """Changes the board's shape.
 
     Attributes:
@@ -351,6 +374,14 @@ class BoardEffect(Effect):
     def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
         return not data.posed.all()
+
+    def concerns(self, camera: int) -> bool:
+        """All cameras see the board."""
+        return True
+
+    def pixels(self, sight: Sight) -> FloatArray:
+        """(N, M, 2) derivative of a camera's predicted pixels."""
+        return _along(sight.by_stamped_c, self.displacement(sight.points_k) @ np.swapaxes(sight.R_c_k, 1, 2))
 
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:

@@ -80,11 +80,10 @@ def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
     for j, name in enumerate(data.chain.joints):
         yield f"joint {name}", of_delta(views.by_own[:, :, j : j + 1])
     yield "board", of_delta(se3.adjoint(board_in_camera(data, lin.state)))
-    rows = [row.effect for _, row in data.layout.direct]
     for camera, name in enumerate(data.cameras.names[1:], 1):
         own = [
             k
-            for k, effect in enumerate(rows)
+            for k, (_, _, effect) in enumerate(data.layout.direct)
             if isinstance(effect, CameraEffect) and effect.camera == camera and effect.of in POSE
         ]
         if own:

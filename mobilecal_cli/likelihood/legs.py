@@ -71,7 +71,7 @@ def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray
 
 def _wider(data: Dataset, state: State, above: FloatArray) -> FloatArray:
     """(n,) effective over mean separation in each step; `above`: see `Increments.above_mean_rate`."""
-    slip = sum(state.value(row.name) for row in data.layout.constants if isinstance(row.effect, TurnSlip))
+    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
     return np.asarray(1 + slip * above)
 
 
@@ -122,10 +122,11 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
-    for column, row in enumerate(data.layout.constants, 9):
-        if isinstance(row.effect, Clock) and row.effect.of == "wheels":
-            by_shared[:, :, column] = by_clock * row.effect.stations(data)[i, None]
-        elif isinstance(row.effect, TurnSlip) and above is not None:
+    for column, _, clock in data.layout.of(Clock):
+        if clock.of == "wheels":
+            by_shared[:, :, column] = by_clock * clock.stations(data)[i, None]
+    for column, _, _ in data.layout.of(TurnSlip):
+        if above is not None:
             by_shared[:, :, column] = arcs.by_widening(above)
     odometry = Legs(residual, by_start, by_end, by_shared)
     return odometry if data.motions is None else odometry.followed_by(_of_sensor(data, state, data.motions))

@@ -215,10 +215,13 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
         LinAlgError: values that are too large, at a trial that is lost.
     """
     scale = np.sqrt(np.where(before > 0, before, 1.0))
-    values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
-    negative = values < 0
-    if not negative.any():
+    scaled = S / np.outer(scale, scale)
+    try:
+        np.linalg.cholesky(scaled)
         return S
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(scaled)
+    negative = values < 0
     lost = scale[:, None] * vectors[:, negative] * np.sqrt(-values[negative])
     with np.errstate(over="ignore"):
         mended = np.asarray(S + lost @ lost.T)

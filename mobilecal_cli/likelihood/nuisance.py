@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Literal
+from functools import cached_property, partial
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from mobilecal_cli.likelihood.effects import (
     Clock,
     Effect,
     FloorShape,
+    ImageEffect,
     JointReading,
     TurnSlip,
     bent,
@@ -415,7 +416,10 @@ def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str,
     return tuple(row.name for row in rows if row.name in requested or row.kind in requested)
 
 
-@dataclass(frozen=True, slots=True)
+_E = TypeVar("_E", bound=Effect)
+
+
+@dataclass(frozen=True)
 class Layout:
     """Columns of the parameters that all recordings share: the nine and the estimated constants.
 
@@ -425,7 +429,7 @@ class Layout:
 
     constants: tuple[Constant, ...] = ()
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Names of the columns."""
         return (*NINE, *(row.name for row in self.constants))
@@ -435,14 +439,23 @@ class Layout:
         """Number of columns."""
         return len(NINE) + len(self.constants)
 
+    def of(self, kind: type[_E]) -> tuple[tuple[int, str, _E], ...]:
+        """(column, name, effect) of the constants with one kind of effect."""
+        if kind not in self._of:
+            rows = enumerate(self.constants, len(NINE))
+            self._of[kind] = tuple(
+                (k, row.name, row.effect) for k, row in rows if isinstance(row.effect, kind)
+            )
+        return self._of[kind]
+
+    @cached_property
+    def _of(self) -> dict[type[Effect], tuple[tuple[int, str, Any], ...]]:
+        return {}
+
     @property
-    def direct(self) -> tuple[tuple[int, Constant], ...]:
-        """(column, row) of the constants that change the cameras or the board, not the camera's pose."""
-        return tuple(
-            (k, row)
-            for k, row in enumerate(self.constants, len(NINE))
-            if isinstance(row.effect, CameraEffect | BoardEffect)
-        )
+    def direct(self) -> tuple[tuple[int, str, ImageEffect], ...]:
+        """Those of the constants that change the cameras or the board, not the camera's pose."""
+        return self.of(ImageEffect)
 
     def prior_sigmas(self, wheels: WheelGeometry) -> FloatArray:
         """(P,) prior sigmas of the nine around nominal values, and of the constants around zero."""

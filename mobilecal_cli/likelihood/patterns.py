@@ -26,7 +26,7 @@ from scipy.linalg import block_diag, eigh
 from mobilecal_cli import se3
 from mobilecal_cli.camera import LENS_TERMS, lens_terms
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect
+from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Constant, kind
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.likelihood.views import corner_residuals, whitened
@@ -123,7 +123,7 @@ class _Images:
     @classmethod
     def of(cls, data: Dataset, rows: Sequence[Constant]) -> _Images:
         """Those of cameras and board as stated; rows: of all constants."""
-        in_images = [row for row in rows if isinstance(row.effect, CameraEffect | BoardEffect)]
+        in_images = [row for row in rows if isinstance(row.effect, ImageEffect)]
         every = np.arange(0, data.stations, max(1, data.stations // _MOST_STATIONS))
         plain = data.with_constants(in_images)
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]

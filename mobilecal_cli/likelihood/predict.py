@@ -44,10 +44,9 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
 
     The pose's part is a right twist, mean over the head's poses in the recording; covariance as for `predicted_at`.
     """
-    rows = enumerate(lin.data.layout.constants, 9)
     own = {
         row.name: column
-        for column, row in rows
+        for column, row in enumerate(lin.data.layout.constants, 9)
         if isinstance(row.effect, CameraEffect)
         and row.effect.camera == 0
         and row.effect.of in INTRINSICS

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 
@@ -16,12 +16,15 @@ from mobilecal_cli.likelihood.effects import (
     ChainChange,
     ChainEffect,
     Clock,
+    Effect,
     FloorEffect,
     JointEffect,
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change
+from mobilecal_cli.likelihood.nuisance import PATTERNS, Layout, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
+
+_E = TypeVar("_E", bound=Effect)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +91,10 @@ class State:
         """Value of a constant."""
         return self.constants.get(name, 0.0)
 
+    def present(self, layout: Layout, kind: type[_E]) -> Iterator[tuple[float, _E]]:
+        """Value and effect of the constants with one kind of effect, but for those that are zero."""
+        return ((self.value(name), effect) for _, name, effect in layout.of(kind) if self.value(name))
+
     def plus(self, data: Dataset, step: Step) -> State:
         """The state after a step."""
         values = zip(data.layout.constants, step.shared[9:].tolist(), strict=True)
@@ -124,9 +131,8 @@ def joints_at(data: Dataset, state: State) -> FloatArray:
     """(N, J) joint positions: readings, their errors, and the constants that shift joints."""
     offset_s = clock_s(data, state, "joints")
     joints = data.joints + state.joint_errors
-    for row in data.layout.constants:
-        if isinstance(row.effect, JointEffect) and state.value(row.name):
-            joints = joints + state.value(row.name) * row.effect.rate(data)
+    for value, effect in state.present(data.layout, JointEffect):
+        joints = joints + value * effect.rate(data)
     if np.any(offset_s):
         joints = joints + data.joint_shift(offset_s)
     if np.any(state.stamp_errors):
@@ -137,18 +143,17 @@ def joints_at(data: Dataset, state: State) -> FloatArray:
 def clock_s(data: Dataset, state: State, of: Literal["joints", "wheels"]) -> FloatArray:
     """(N,) offset of the clock of joints or wheels at each station, s."""
     offset = np.zeros(data.stations)
-    for row in data.layout.constants:
-        if isinstance(row.effect, Clock) and row.effect.of == of:
-            offset += state.value(row.name) * row.effect.stations(data)
+    for value, clock in state.present(data.layout, Clock):
+        if clock.of == of:
+            offset += value * clock.stations(data)
     return offset
 
 
 def chain_change(data: Dataset, state: State) -> ChainChange:
     """What the constants change in the head's chain."""
     change = ChainChange()
-    for row in data.layout.constants:
-        if isinstance(row.effect, ChainEffect) and state.value(row.name):
-            row.effect.add(change, state.value(row.name))
+    for value, effect in state.present(data.layout, ChainEffect):
+        effect.add(change, value)
     return change
 
 
@@ -171,9 +176,8 @@ def cameras_at(data: Dataset, state: State) -> CameraRig:
 def points_at(data: Dataset, state: State) -> FloatArray:
     """(M, 3) corners on the board with the constants that change it, m."""
     points = data.points_k
-    for row in data.layout.constants:
-        if isinstance(row.effect, BoardEffect) and state.value(row.name):
-            points = points + state.value(row.name) * row.effect.displacement(data.points_k)
+    for value, effect in state.present(data.layout, BoardEffect):
+        points = points + value * effect.displacement(data.points_k)
     return points
 
 
@@ -185,9 +189,8 @@ def stance_at(data: Dataset, state: State) -> FloatArray:
 def constant_stance(data: Dataset, state: State) -> FloatArray:
     """(N, 3) the part of `stance_at` that constants make: the shape of the floor, and lean."""
     stance = np.zeros((data.stations, 3))
-    for row in data.layout.constants:
-        if isinstance(row.effect, FloorEffect) and state.value(row.name):
-            stance += state.value(row.name) * row.effect.stance(data, state.base)
+    for value, effect in state.present(data.layout, FloorEffect):
+        stance += value * effect.stance(data, state.base)
     return stance
 
 

@@ -17,8 +17,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
-    BoardEffect,
-    CameraEffect,
     ChainEffect,
     Clock,
     FloorEffect,
@@ -183,17 +181,11 @@ def corner_residuals(
         J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
         if not direct or terms is None:
             continue
-        motion = velocity_c, rows
-        sight = Sight(k, data.cameras, rig, change, pixels, terms, through, points_c, by_exposed, *motion)
-        at_stamp = replace(sight, by_point_c=by_point)
-        for column, (_, row) in enumerate(direct, 6):
-            if isinstance(row.effect, CameraEffect):
-                by_value = row.effect.pixels(sight)
-                if by_value is not None:
-                    J[:, column, k] = by_value
-            elif isinstance(row.effect, BoardEffect):
-                shift_c = row.effect.displacement(data.points_k) @ np.swapaxes(T_c_k[:, :3, :3], 1, 2)
-                J[:, column, k] = at_stamp.by_shift(shift_c)
+        sights = points_c, by_exposed, by_point, data.points_k, T_c_k[:, :3, :3]
+        sight = Sight(k, data.cameras, rig, change, pixels, terms, through, *sights, velocity_c, rows)
+        for column, (_, _, effect) in enumerate(direct, 6):
+            if effect.concerns(k):
+                J[:, column, k] = effect.pixels(sight)
     return residual, J
 
 
@@ -228,10 +220,8 @@ def _pose_columns(
     by_own = np.empty((count, 6, data.own_width))
     by_own[..., :joints] = -Ad_c_v @ frames.by_joints()
     by_own[..., joints:] = -Ad_c_floor @ _stance_twists(stance)
-    for row in layout.constants:
-        if isinstance(row.effect, FloorEffect) and state.value(row.name):
-            moved = state.value(row.name) * row.effect.stance_by_base(data, state.base)
-            by_base[..., BASE] += by_own[..., joints:] @ moved
+    for value, effect in state.present(layout, FloorEffect):
+        by_base[..., BASE] += by_own[..., joints:] @ (value * effect.stance_by_base(data, state.base))
     by_base[data.first] = 0.0  # the world is the base at its first station
     by_base[..., FLOOR] = by_own[..., joints:]
     if data.base_width > STAMP:
@@ -240,20 +230,18 @@ def _pose_columns(
 
     by_shared = np.zeros((count, 6, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
-    of_chain = [
-        (k, row.effect) for k, row in enumerate(layout.constants, 9) if isinstance(row.effect, ChainEffect)
-    ]
+    of_chain = layout.of(ChainEffect)
     if of_chain:
-        twists = np.stack([effect.twist(frames, change) for _, effect in of_chain], axis=2)
-        by_shared[..., [column for column, _ in of_chain]] = -Ad_c_v @ twists
-    for column, row in enumerate(layout.constants, 9):
-        if isinstance(row.effect, JointEffect):
-            by_shared[..., column] = (by_own[..., :joints] @ row.effect.rate(data)[:, :, None])[..., 0]
-        elif isinstance(row.effect, Clock) and row.effect.of == "joints" and data.base_width > STAMP:
-            by_shared[..., column] = by_base[..., STAMP] * row.effect.stations(data)[:, None]
-        elif isinstance(row.effect, FloorEffect):
-            stance = row.effect.stance(data, state.base)
-            by_shared[..., column] = (by_own[..., joints:] @ stance[..., None])[..., 0]
+        twists = np.stack([effect.twist(frames, change) for _, _, effect in of_chain], axis=2)
+        by_shared[..., [column for column, _, _ in of_chain]] = -Ad_c_v @ twists
+    for column, _, joint in layout.of(JointEffect):
+        by_shared[..., column] = (by_own[..., :joints] @ joint.rate(data)[:, :, None])[..., 0]
+    for column, _, clock in layout.of(Clock):
+        if clock.of == "joints" and data.base_width > STAMP:
+            by_shared[..., column] = by_base[..., STAMP] * clock.stations(data)[:, None]
+    for column, _, floor in layout.of(FloorEffect):
+        stance = floor.stance(data, state.base)
+        by_shared[..., column] = (by_own[..., joints:] @ stance[..., None])[..., 0]
     return by_base, by_own, se3.adjoint(T_c_k), by_shared
 
 
@@ -275,7 +263,7 @@ def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise,
         _measured(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
     ]
     residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
-    direct = np.array([column for column, _ in data.layout.direct], dtype=np.int64)
+    direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
     return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
@@ -326,11 +314,7 @@ def _measured(
 
 def _columns_of(data: Dataset, camera: int) -> IntArray:
     """Those of (delta, direct constants) that move the corners in a camera: not the constants of others."""
-    concerned = [
-        not isinstance(row.effect, CameraEffect) or row.effect.concerns(camera)
-        for _, row in data.layout.direct
-    ]
-    return np.flatnonzero(np.append(np.ones(6, dtype=np.bool_), concerned))
+    return np.flatnonzero([True] * 6 + [effect.concerns(camera) for _, _, effect in data.layout.direct])
 
 
 def _measured_poses(

@@ -118,13 +118,12 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
         return J
     R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], cameras_at(data, state).T_c_reference
     J[3:6, :3] = -se3.skew(R_h_c @ T_c_reference[:3, 3])
-    for k, row in enumerate(data.layout.constants, 9):
-        if isinstance(row.effect, CameraEffect):
-            moved = {**state.constants, row.name: state.value(row.name) + _STEP}
-            T = camera_change(data.cameras, data.layout.constants, moved).apply(data.cameras).T_c_reference
-            turn = se3.log_so3(T[:3, :3] @ T_c_reference[:3, :3].T)
-            J[:3, k] = R_h_c @ turn / _STEP
-            J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / _STEP
+    for k, name, _ in data.layout.of(CameraEffect):
+        moved = {**state.constants, name: state.value(name) + _STEP}
+        T = camera_change(data.cameras, data.layout.constants, moved).apply(data.cameras).T_c_reference
+        turn = se3.log_so3(T[:3, :3] @ T_c_reference[:3, :3].T)
+        J[:3, k] = R_h_c @ turn / _STEP
+        J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / _STEP
     return J
 
 
