@@ -17,7 +17,7 @@ from scipy.linalg import cho_solve_banded
 from scipy.special import betainc, chdtrc
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.effects import POSE, CameraEffect
+from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -29,6 +29,8 @@ _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
+#: The part that differs where recordings have different boards.
+SHAPE = "board's shape"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +38,7 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel".
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel" or `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
@@ -44,7 +46,8 @@ class Jump:
         shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
             deviations.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
-            own frame (rad, m), rotation and position of a camera against the first one (rad, m), or m of the radius.
+            own frame (rad, m), rotation and position of a camera against the first one (rad, m), m of the radius, or
+            constants of the board, in units of a few prior sigmas.
         also: another part that explains about the same; "" if none does.
     """
 
@@ -76,6 +79,12 @@ def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
         out[:, :6] = columns
         return _Part(views=out)
 
+    def of_direct(columns: Sequence[int], units: FloatArray | float = 1.0) -> _Part:
+        out = np.zeros((count, Q, len(columns)))
+        out[:, [6 + k for k in columns], range(len(columns))] = units
+        return _Part(views=out)
+
+    effects = [effect for _, _, effect in data.layout.direct]
     yield "head mount", of_delta(views.by_shared[:, :, :6])
     for j, name in enumerate(data.chain.joints):
         yield f"joint {name}", of_delta(views.by_own[:, :, j : j + 1])
@@ -83,13 +92,15 @@ def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
     for camera, name in enumerate(data.cameras.names[1:], 1):
         own = [
             k
-            for k, (_, _, effect) in enumerate(data.layout.direct)
+            for k, effect in enumerate(effects)
             if isinstance(effect, CameraEffect) and effect.camera == camera and effect.of in POSE
         ]
         if own:
-            moved = np.zeros((count, Q, len(own)))
-            moved[:, [6 + k for k in own], range(len(own))] = 1.0
-            yield camera_words(name), _Part(views=moved)
+            yield camera_words(name), of_direct(own)
+    shape = [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect)]
+    if shape and data.logs > 1:
+        # A step of a prior sigma shows as well as the least step of a pose that is regarded.
+        yield SHAPE, of_direct(shape, math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]])
     for k, side in enumerate(("right", "left")):
         yield f"{side} wheel", _Part(legs=lin.legs.by_shared[:, :, 6 + k : 7 + k])
 
@@ -346,7 +357,8 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
     test, parts, ranked = _Test(lin), dict(_parts(lin)), []
     tried = len(parts) * len(differing + inside)
     for name, part in parts.items():
-        moments = inside if name == "board" else differing + inside  # each recording has a board of its own
+        # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
+        moments = {"board": inside, SHAPE: differing}.get(name, differing + inside)
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         best = _best(test, name, part, moments[::every])
         if every > 1 and best is not None:

@@ -199,6 +199,7 @@ _JUMPS = {
     "": ("something", "Check the mounts of head, cameras and board, the wheels, and the cables"),
     "head mount": ("the camera on the head", "Fasten the camera to the head"),
     "board": ("the board", "Fasten the board"),
+    "board's shape": ("the board's size or shape", "Use the same board in all recordings, on a flat plate"),
     "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
     "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
     "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),

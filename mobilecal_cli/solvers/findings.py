@@ -100,11 +100,11 @@ def jumps_of(
     if jump.shift_sigmas < MATERIAL_SIGMAS:
         without = fit
     value = jump.value
-    turns = jump.part != "" and not jump.part.endswith("wheel")
+    turns = jump.part not in ("", jumps.SHAPE) and not jump.part.endswith("wheel")
     slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
-    move = float(np.linalg.norm(value[3:])) if len(value) == 6 else 0.0
-    move = float(value[0]) if slides or not turns else move
+    move = float(np.linalg.norm(value[3:])) if turns and len(value) == 6 else 0.0
+    move = float(value[0]) if slides or jump.part.endswith("wheel") else move
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
     return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),), without

@@ -17,10 +17,21 @@ from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
-from tests.bench.imperfect import USUAL, Case, judged
+from tests.actual import draw
+from tests.bench.imperfect import CORRELATED, USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS
 from tests.bench.jumps import changed as changed_recording
-from tests.extractions import Noise, OutsideRobot, extraction_of, ideal_extraction, simulated, slipped
+from tests.extractions import (
+    Imperfection,
+    Noise,
+    OutsideRobot,
+    extraction_of,
+    ideal_extraction,
+    imperfect_extraction,
+    joined,
+    simulated,
+    slipped,
+)
 from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
@@ -243,3 +254,16 @@ def test_legs_that_slip_one_after_another(whole, two_slips):
     # Nor the values that the other legs had: the wheels differ for too long.
     (jump,) = solve(slipping(whole, (7, 8, 9, 10))).jumps
     assert (jump.part, jump.station, sum(jump.rejected)) == ("", 8, 4)
+
+
+@pytest.mark.parametrize("other", [pytest.param(False, marks=pytest.mark.long), True])
+def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
+    case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
+    constants = case.constants(23)
+    redrawn = draw(robot, np.random.default_rng(24), 1.0, {"square_size", "board_bend"})
+    both = [
+        imperfect_extraction(robot, case.route(seed), Imperfection(drawn, case.noise_of(seed)), seed)
+        for seed, drawn in ((23, constants), (123, constants | redrawn if other else constants))
+    ]
+    solution = solve(joined(*both))
+    assert [(jump.part, jump.log) for jump in solution.jumps] == [(jumps.SHAPE, 1)] * other
