@@ -34,13 +34,15 @@ def at_state(
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
 
+    Pixels are those that the cameras have at the stamps, without the patterns of their lenses.
+
     Args:
         extraction, data: the measurements.
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
     """
     stated, cameras = extraction, cameras_at(data, state)
-    extraction = replace(_at_stamps(stated, data, state), rig=replace(stated.rig, cameras=cameras))
+    extraction = replace(_as_modeled(stated, data, state), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     extraction = triangulated_again(_posed_again(extraction, stated), factor)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
@@ -52,21 +54,25 @@ def at_state(
     )
 
 
-def _at_stamps(extraction: Extraction, data: Dataset, state: State) -> Extraction:
-    """The same with each corner where it was at its image's stamp, see `CameraChange`."""
+def _as_modeled(extraction: Extraction, data: Dataset, state: State) -> Extraction:
+    """The same with each corner where `cameras_at` has it at the image's stamp.
+
+    It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
+    lens (a few tenths of a pixel, which may be centimeters of a point's depth).
+    """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    if not (change.readout_s.any() or change.delay_s.any()):
-        return extraction
-    cameras, rates = change.apply(data.cameras), view_rates(data, state)[:, None]
+    modeled, actual = cameras_at(data, state), change.apply(data.cameras)
+    rates = view_rates(data, state)[:, None]
     points_c = se3.act(data.T_c_k, points_at(data, state))
     velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
     moved = []
-    for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
+    for k, (camera, T_c_camera) in enumerate(zip(modeled.each, modeled.T_c_each, strict=True)):
         rows = (data.pixels[:, k, :, 1] + 0.5) / camera.height - 0.5
         late_c = points_c + change.late_s(k, rows)[..., None] * velocity
         points, late = (se3.act(se3.inverse(T_c_camera), at) for at in (points_c, late_c))
-        by = project(camera, late) - project(camera, points)
-        moved.append(np.where(data.seen[:, k, :, None], by, 0.0))
+        ahead = data.seen[:, k, :, None]
+        exposed, stamped = (np.where(ahead, at, [0.0, 0.0, 1.0]) for at in (late, points))
+        moved.append(np.where(ahead, project(actual.each[k], exposed) - project(camera, stamped), 0.0))
     observations = tuple(
         replace(
             o,
