@@ -64,6 +64,7 @@ from mobilecal_cli.vision import (
     agreeing,
     check_arrangement,
     check_square,
+    readable_words,
     resolve_numbering,
     resolve_square,
 )
@@ -146,8 +147,8 @@ def _extracted(
         if size is None:
             raise ObservationError(
                 f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
-                f"keep the whole board in {rig.cameras.images_words}, in good light, with squares of 7 pixels or "
-                "more, or set the number of its inner corners with --board, such as --board 9x6",
+                f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
+                "or set the number of its inner corners with --board, such as --board 9x6",
             )
         board = Board(*size, config.board.square_m)
     detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))

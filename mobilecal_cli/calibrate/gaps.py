@@ -21,7 +21,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
-from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN
+from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 #: Notes on a recording in the hint of a refusal.
@@ -131,9 +131,8 @@ def require_stations(extraction: Extraction) -> None:
         looked_at = extraction.counts.get("stations", have)
         where = f"the board was found at {have} of {looked_at} stations"
         where_kept = extraction.rig.cameras.images_words
-        cure = (
-            f"keep the whole board in {where_kept}, at rest, in good light, with squares of 7 pixels or more"
-        )
+        needed = readable_words(extraction.board)
+        cure = f"keep the whole board in {where_kept}, at rest, in good light, with {needed}"
         stage, reason = reasons[0][0] if reasons else ("", "")
         if have == looked_at or stage == "stations":
             cure = "; noted: ".join(["stop at more places in front of the board", *extraction.notes[:_NOTED]])

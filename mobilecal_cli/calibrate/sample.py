@@ -29,6 +29,7 @@ from mobilecal_cli.vision import (
     find_board,
     identify_size,
     measure,
+    readable_words,
     square_cure,
     square_error,
 )
@@ -84,7 +85,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         what = f"{what} is in none of {len(readable)} images spread over the recording"
         where = "an image" if cameras is None else cameras.images_words
         where = "both images" if len(images) == 2 else where
-        cure = f"keep the whole board in {where}, in good light, with squares of 7 pixels or more"
+        cure = f"keep the whole board in {where}, in good light, with {readable_words(stated)}"
         findings.append(Finding.of("board", ObservationError(what, cure)))
         return BoardView(len(readable), 0, None, other_sizes=others), findings
     detections = {

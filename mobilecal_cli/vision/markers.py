@@ -10,6 +10,10 @@ from mobilecal_cli.vision.acceptance import MIN_EDGE_PX
 from mobilecal_cli.vision.grid_map import scatter_px
 from mobilecal_cli.vision.values import LEAST_CORNERS, OCCLUDED, Detection, Miss, rms
 
+_READ_PX = 2  # of a marker's cell: most are read from here on
+# Where a cell has fewer pixels, or no marker is read, the image is enlarged so many times: of cells with 2 px, four
+# times as many tags are read.
+_SMALL_PX, _LARGER = 3, 3
 _LEAST_TAGS = 3  # fewer do not determine the board's pose
 _FLOOR_PX = 0.02  # error of OpenCV's refinement on images without noise
 _OF_ROOM, _LEAST_WINDOW = 0.65, 3  # half window: share of the distance to the next edge, and least, px
@@ -62,11 +66,27 @@ def _edge_px(grid: FloatArray, pixels: FloatArray) -> float:
     return float(np.linalg.svd(affine, compute_uv=False).min())
 
 
+def readable_words(board: Board | None) -> str:
+    """What must be how large in an image for the board to be found, for messages; None: any checkerboard."""
+    if board is None or board.markers is None:
+        return f"squares of {MIN_EDGE_PX:.0f} pixels or more"
+    markers = board.markers
+    side = _READ_PX * _cells(markers)
+    return (
+        f"markers of {side} pixels or more, and check that board.dictionary ({markers.dictionary}) is theirs"
+    )
+
+
 def _dictionary(markers: Markers, count: int) -> cv2.aruco.Dictionary:
     """Dictionary of only the board's markers, numbered from 0: a larger one makes the search slower."""
     family = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, markers.dictionary))
     own = np.ascontiguousarray(family.bytesList[markers.first_id : markers.first_id + count])
     return cv2.aruco.Dictionary(own, family.markerSize, family.maxCorrectionBits)
+
+
+def _cells(markers: Markers) -> int:
+    """Cells of a marker along its side, with its border."""
+    return int(_dictionary(markers, 1).markerSize + 2 * markers.border_bits)
 
 
 def _parameters(markers: Markers) -> cv2.aruco.DetectorParameters:
@@ -75,13 +95,39 @@ def _parameters(markers: Markers) -> cv2.aruco.DetectorParameters:
     return parameters
 
 
+def _read(image: GrayImage, markers: Markers, count: int) -> tuple[IntArray, FloatArray]:
+    """Numbers of the visible markers, (n,), and their outlines, (n, 4, 2) px; small ones in the enlarged image."""
+    detector = cv2.aruco.ArucoDetector(_dictionary(markers, count), _parameters(markers))
+    numbers, outlines = _read_at(1, image, detector)
+    least_px = _SMALL_PX * _cells(markers)
+    if not len(numbers) or np.median(np.linalg.norm(np.diff(outlines, axis=1), axis=-1)) < least_px:
+        numbers, outlines = max(
+            (numbers, outlines), _read_at(_LARGER, image, detector), key=lambda r: len(r[0])
+        )
+    return numbers, outlines
+
+
+def _read_at(scale: int, image: GrayImage, detector: cv2.aruco.ArucoDetector) -> tuple[IntArray, FloatArray]:
+    height, width = image.shape
+    large = cv2.resize(image, (scale * width, scale * height), interpolation=cv2.INTER_CUBIC)
+    outlines, numbers, _ = detector.detectMarkers(large)
+    if numbers is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2))
+    places = (np.asarray(outlines, dtype=np.float64).reshape(-1, 4, 2) + 0.5) / scale - 0.5
+    return np.asarray(numbers, dtype=np.int64).ravel(), places
+
+
 def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, FloatArray] | Miss:
     """Numbers of the visible corners, and their pixels (n, 2)."""
     squares = (board.columns + 1, board.rows + 1)
     count = squares[0] * squares[1] // 2
     drawn = cv2.aruco.CharucoBoard(squares, 1.0, markers.share, _dictionary(markers, count))
     detector = cv2.aruco.CharucoDetector(drawn, cv2.aruco.CharucoParameters(), _parameters(markers))
-    corners, numbers, _, _ = detector.detectBoard(image)
+    read, outlines = _read(image, markers, count)
+    if not len(read):
+        return Miss("no board found", f"no markers of {markers.dictionary}")
+    places = [outline[None].astype(np.float32) for outline in outlines]
+    corners, numbers, _, _ = detector.detectBoard(image, None, None, places, read.astype(np.int32)[:, None])
     if corners is None or numbers is None or not len(numbers):
         return Miss("no board found", f"no markers of {markers.dictionary} with corners")
     return np.asarray(numbers, dtype=np.int64).ravel(), np.asarray(corners, dtype=np.float64).reshape(-1, 2)
@@ -89,19 +135,14 @@ def _charuco(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray
 
 def _tags(image: GrayImage, board: Board, markers: Markers) -> tuple[IntArray, FloatArray] | Miss:
     """Numbers of the visible tags' corners, and their pixels (n, 2)."""
-    count = board.columns * board.rows
-    detector = cv2.aruco.ArucoDetector(_dictionary(markers, count), _parameters(markers))
-    outlines, numbers, _ = detector.detectMarkers(image)
-    tags: IntArray = np.zeros(0, dtype=np.int64)
-    if numbers is not None and len(numbers):
-        tags = np.asarray(numbers, dtype=np.int64).ravel()
+    tags, outlines = _read(image, markers, board.columns * board.rows)
     # A tag that appears twice belongs to another board, or is a false detection.
     mine = np.array([np.sum(tags == tag) == 1 for tag in tags], dtype=np.bool_)
     if mine.sum() < _LEAST_TAGS:
         return Miss(
             "no board found", f"{mine.sum()} tags of {markers.dictionary} visible, minimum {_LEAST_TAGS}"
         )
-    quads = np.asarray(outlines, dtype=np.float64).reshape(-1, 4, 2)[mine]
+    quads = outlines[mine]
     grid = board.grid()[:, :2].reshape(-1, 4, 2)[tags[mine]]
     # Families differ in which corner of a tag is the first; the grid of tags determines it.
     options = [np.roll(quads, k, axis=1) for k in range(4)]
@@ -117,8 +158,7 @@ def _refined(image: GrayImage, quads: FloatArray, markers: Markers) -> FloatArra
     result.
     """
     edge = float(np.median(np.linalg.norm(np.diff(quads, axis=1), axis=-1)))
-    cells = _dictionary(markers, 1).markerSize + 2 * markers.border_bits
-    border = markers.border_bits / cells
+    border = markers.border_bits / _cells(markers)
     room = min(border, markers.share) if markers.share else border
     half = max(_LEAST_WINDOW, int(_OF_ROOM * room * edge))
     corners = quads.reshape(-1, 1, 2).astype(np.float32)

@@ -10,7 +10,7 @@ from mobilecal_cli.model import Board, Markers, Observation, Station
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.scenario import PRINTED
-from mobilecal_cli.vision import Miss, find_board
+from mobilecal_cli.vision import Miss, find_board, readable_words
 from tests.vision.scenes import detected, missed
 from tests.vision.test_observing import observe
 
@@ -53,13 +53,15 @@ LOOKS = {
 def test_seen_corners_are_where_they_are(kind, look):
     x, y, z, turn = LOOKS[look]
     board, made = views(kind, centred(kind, x, y, z, turn))
+    cut_off = []
     for image, truth in made:
         found = detected(find_board(image, board))
         height, width = image.shape
         inside = np.all((truth > 15) & (truth < [width - 15, height - 15]), axis=1)
         assert found.seen.sum() > 0.5 * inside.sum()
-        if look != "whole":
-            assert not found.seen.all()
+        in_image = np.all((truth > 0) & (truth < [width, height]), axis=1)
+        assert not found.seen[~in_image].any()
+        cut_off.append(not in_image.all())
         error = (found.pixels - truth)[found.seen]
         assert np.sqrt(np.mean(error**2)) < 0.15
         assert np.quantile(np.abs(error), 0.98) < 0.5
@@ -67,6 +69,21 @@ def test_seen_corners_are_where_they_are(kind, look):
         # Near the camera the lens bends the board more than a low polynomial does: the claim is then too careful.
         assert 0.6 < found.sigma_px / np.sqrt(np.mean(error**2)) < (1.8 if look != "near" else 6)
         assert np.all(found.pixels[~found.seen] == 0)
+    assert any(cut_off) == (look in ("off to the left", "near"))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_far_board_is_read_where_the_cells_of_its_markers_have_two_pixels(kind):
+    board, cells = PRINTED[kind], {"aprilgrid": 10, "charuco": 7}[kind]
+    assert f"markers of {2 * cells} pixels or more" in readable_words(board)
+    side_m = board.square_m * (board.markers.share if kind == "charuco" else 1.0)
+    away_m = RIG.each[0].K[0, 0] * side_m / (2 * cells)
+    _, ((image, truth), _) = views(kind, centred(kind, 0.0, 0.0, away_m, (5, -8, 3)))
+    found = detected(find_board(image, board))
+    assert found.seen.mean() > 0.75
+    error = np.sqrt(np.mean((found.pixels - truth)[found.seen] ** 2))
+    assert error < 0.2
+    assert 0.8 < found.sigma_px / error < 1.2
 
 
 @pytest.mark.parametrize("kind", KINDS)
