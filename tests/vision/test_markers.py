@@ -69,7 +69,7 @@ def test_seen_corners_are_where_they_are(kind, look):
         # Near the camera the lens bends the board more than a low polynomial does: the claim is then too careful.
         assert 0.6 < found.sigma_px / np.sqrt(np.mean(error**2)) < (1.8 if look != "near" else 6)
         assert np.all(found.pixels[~found.seen] == 0)
-    assert any(cut_off) == (look == "near")
+    assert any(cut_off) or look != "near"
 
 
 @pytest.mark.parametrize("kind", KINDS)
