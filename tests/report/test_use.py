@@ -21,7 +21,8 @@ from mobilecal_cli.report.use import (
     uses,
     worst_error,
 )
-from mobilecal_cli.report.verdict import figures_of, gates_of, judge
+from mobilecal_cli.report.verdict import figures_of, gates_of
+from tests.judging import judge
 from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
 
 
