@@ -11,6 +11,7 @@ import typer
 
 from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import source_date
+from mobilecal_cli.commands.options import add_command
 from mobilecal_cli.errors import MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
@@ -49,7 +50,7 @@ def common(
 
 
 for name in (*EVERYDAY, *FURTHER):
-    app.command()(getattr(import_module(f"{__name__}.{name}"), name))
+    add_command(app, getattr(import_module(f"{__name__}.{name}"), name))
 
 
 def main() -> None:

@@ -13,26 +13,14 @@ from mobilecal_cli.errors import OutputError, ResourceError
 
 
 def batch(
-    source: Annotated[
-        Path, options.path_argument(help="Directory with one recording per robot, or a manifest (YAML).")
-    ],
-    output: Annotated[
-        Path, options.path_option("--output", "-o", help="Directory for the results of all robots.")
-    ],
+    source: Path,
+    output: Annotated[Path, Option("--output", "-o")],
     config: options.Config = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
-    jobs: Annotated[int | None, Option(min=1, help="Worker processes. [default: one per core]")] = None,
-    scheduler: Annotated[
-        str | None, Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
-    ] = None,
-    force: Annotated[
-        bool,
-        Option(
-            "--force",
-            help="Calibrate all robots again, and replace also results that this batch did not write.",
-        ),
-    ] = False,
+    jobs: Annotated[int | None, Option(min=1)] = None,
+    scheduler: str | None = None,
+    force: bool = False,
     as_json: options.AsJson = False,
     junit: options.JUnit = None,
     quiet: options.Quiet = False,
@@ -45,6 +33,13 @@ def batch(
     Example: mobilecal batch recordings/ --output fleet/
 
     On a cluster: mobilecal batch fleet.yaml --output /shared/fleet --scheduler tcp://host:8786
+
+    Args:
+        source: Directory with one recording per robot, or a manifest (YAML).
+        output: Directory for the results of all robots.
+        jobs: Worker processes. [default: one per core]
+        scheduler: Dask scheduler such as tcp://host:8786, instead of local processes.
+        force: Calibrate all robots again, and replace also results that this batch did not write.
     """
     import os
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, counts_of, path_option, written_line
+from mobilecal_cli.commands.options import Force, counts_of, written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Paper
 
@@ -19,22 +19,13 @@ LEAST_BORDER = 0.3
 
 
 def board(
-    corners: Annotated[str, Option(metavar="COLUMNSxROWS", help="Inner corners, for example 8x5.")],
-    square: Annotated[float, Option(metavar="METERS", help="Side of a square, m.")],
-    charuco: Annotated[
-        bool, Option("--charuco", help="With markers: the board may be partly visible.")
-    ] = False,
-    dictionary: Annotated[
-        str | None,
-        Option(help="ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]"),
-    ] = None,
-    marker_share: Annotated[
-        float | None, Option(help="ChArUco: marker side / square side. [default: 0.75]")
-    ] = None,
-    paper: Annotated[
-        Paper, Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs.")
-    ] = "auto",
-    output: Annotated[Path, path_option("--output", "-o", help="PDF to write.")] = Path("board.pdf"),
+    corners: Annotated[str, Option(metavar="COLUMNSxROWS")],
+    square: Annotated[float, Option(metavar="METERS")],
+    charuco: bool = False,
+    dictionary: str | None = None,
+    marker_share: float | None = None,
+    paper: Paper = "auto",
+    output: Annotated[Path, Option("--output", "-o")] = Path("board.pdf"),
     force: Force = False,
 ) -> None:
     """Make a board to print at true scale, as PDF.
@@ -44,6 +35,15 @@ def board(
     Example: mobilecal board --corners 8x5 --square 0.08 --output board.pdf
 
     With markers: mobilecal board --corners 8x5 --square 0.08 --charuco
+
+    Args:
+        corners: Inner corners, for example 8x5.
+        square: Side of a square, m.
+        charuco: With markers: the board may be partly visible.
+        dictionary: ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]
+        marker_share: ChArUco: marker side / square side. [default: 0.75]
+        paper: Page; auto: the smallest of A4 to A0; exact: as large as the board needs.
+        output: PDF to write.
     """
     from mobilecal_cli.calibrate.extract import board_of
     from mobilecal_cli.export import check_file, write_file

@@ -16,72 +16,23 @@ from mobilecal_cli.commands import options
 def calibrate(
     logs: options.Logs,
     config: options.Config = None,
-    output: Annotated[
-        Path | None,
-        options.path_option("--output", "-o", help="Directory to write. [default: <log name>_calibration]"),
-    ] = None,
-    method: Annotated[
-        Literal["linear", "paper", "lm", "ml"],
-        Option(
-            help="ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point "
-            "error by Powell's method; lm: the same, faster."
-        ),
-    ] = "ml",
-    board: Annotated[str | None, Option(help="Inner corners, for example 9x6. [default: detected]")] = None,
-    square_m: Annotated[
-        float | None, Option(help="Side of a square, m. [default: measured by the stereo pair]")
-    ] = None,
-    stations: Annotated[
-        Literal["auto", "all"] | None,
-        Option(
-            help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
-            show_default=False,
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, Option(min=1, help="Worker processes for images. [default: one per core]")
-    ] = None,
+    output: Annotated[Path | None, Option("--output", "-o")] = None,
+    method: Literal["linear", "paper", "lm", "ml"] = "ml",
+    board: str | None = None,
+    square_m: float | None = None,
+    stations: Literal["auto", "all"] | None = None,
+    jobs: Annotated[int | None, Option(min=1)] = None,
     setting: options.Settings = None,
-    fix: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME[=VALUE],...",
-            help="Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.",
-        ),
-    ] = None,
-    prior: Annotated[
-        list[str] | None,
-        Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
-    ] = None,
-    estimate: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME,...",
-            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
-        ),
-    ] = None,
+    fix: Annotated[list[str] | None, Option(metavar="NAME[=VALUE],...")] = None,
+    prior: Annotated[list[str] | None, Option(metavar="NAME=VALUE±SIGMA")] = None,
+    estimate: Annotated[list[str] | None, Option(metavar="NAME,...")] = None,
     gate: options.Gates = None,
-    hold_out: Annotated[
-        float | None,
-        Option(
-            min=0.0, max=0.8, help="Share at the end of each recording to hold out and to test the result on."
-        ),
-    ] = None,
-    last: Annotated[
-        Path | None,
-        options.path_option(help="params.yaml to compare the result with. [default: the nominal values]"),
-    ] = None,
-    open_report: Annotated[
-        bool, Option("--open", help="Open the report in the browser; without a display, print where it is.")
-    ] = False,
+    hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
+    last: Path | None = None,
+    open_report: Annotated[bool, Option("--open")] = False,
     as_json: options.AsJson = False,
     junit: options.JUnit = None,
-    summary: Annotated[
-        Path | None,
-        options.path_option(
-            help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY."
-        ),
-    ] = None,
+    summary: Path | None = None,
     force: options.Force = False,
     verbose: options.Verbose = False,
     quiet: options.Quiet = False,
@@ -93,6 +44,22 @@ def calibrate(
     Example: mobilecal calibrate log.mcap --config rig.yaml --output result
 
     In CI: mobilecal calibrate log.mcap --gate predicted.camera_mm=5 --gate std.wheels.separation_m=0.002 --json
+
+    Args:
+        output: Directory to write. [default: <log name>_calibration]
+        method: ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point error by
+            Powell's method; lm: the same, faster.
+        board: Inner corners, for example 9x6. [default: detected]
+        square_m: Side of a square, m. [default: measured by the stereo pair]
+        stations: auto: stops, or the best moments of a moving recording; all: every image. [default: auto]
+        jobs: Worker processes for images. [default: one per core]
+        fix: Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.
+        prior: Prior of a parameter or constant. Repeatable.
+        estimate: Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.
+        hold_out: Share at the end of each recording to hold out and to test the result on.
+        last: params.yaml to compare the result with. [default: the nominal values]
+        open_report: Open the report in the browser; without a display, print where it is.
+        summary: Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, path_argument, show_each
+from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, show_each
 
 
 def check(
-    rig: Annotated[Path, path_argument(help="Configuration to check (rig.yaml).")],
+    rig: Path,
     logs: Logs,
     setting: Settings = None,
     as_json: AsJson = False,
@@ -25,6 +24,9 @@ def check(
     and outliers: exit code 0 does not mean that the result passes.
 
     Example: mobilecal check rig.yaml log.mcap
+
+    Args:
+        rig: Configuration to check (rig.yaml).
     """
     from mobilecal_cli.calibrate.inspect import check as checked
     from mobilecal_cli.calibrate.inspect import recordings

@@ -6,32 +6,21 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Option
+from typer import Argument
 
 from mobilecal_cli.commands import options
 from mobilecal_cli.errors import ConfigError
 
 
 def evaluate(
-    files: Annotated[
-        list[Path],
-        options.path_argument(
-            metavar="logs... params",
-            help="Recordings of one robot, and last the params.yaml of the calibration to test.",
-        ),
-    ],
-    before: Annotated[
-        Path | None,
-        options.path_option(
-            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]"
-        ),
-    ] = None,
+    files: Annotated[list[Path], Argument(metavar="logs... params")],
+    before: Path | None = None,
     config: options.Config = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
     as_json: options.AsJson = False,
     junit: options.JUnit = None,
-    force: Annotated[bool, Option("--force", help="Replace an existing JUnit file.")] = False,
+    force: bool = False,
     verbose: options.Verbose = False,
     quiet: options.NoBar = False,
 ) -> None:
@@ -42,6 +31,11 @@ def evaluate(
     Example: mobilecal evaluate another.mcap log_calibration/params.yaml
 
     In CI: mobilecal evaluate another.mcap params.yaml --gate translation_rms_mm=15 --gate drift_deg_per_turn=3
+
+    Args:
+        files: Recordings of one robot, and last the params.yaml of the calibration to test.
+        before: params.yaml with the wheels to compare drift with. [default: the nominal wheels]
+        force: Replace an existing JUnit file.
     """
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
     from mobilecal_cli.commands.terminal import progress_bar

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Option
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.commands.options import Force, Logs, Quiet, path_option, written_line
+from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
@@ -20,12 +21,8 @@ if TYPE_CHECKING:
 
 def init(
     logs: Logs,
-    output: Annotated[
-        Path, path_option("--output", "-o", help="File to write; - for standard output.")
-    ] = Path("rig.yaml"),
-    urdf: Annotated[
-        Path | None, path_option(help="URDF of the robot. [default: robot_description in the recording]")
-    ] = None,
+    output: Annotated[Path, Option("--output", "-o")] = Path("rig.yaml"),
+    urdf: Path | None = None,
     force: Force = False,
     quiet: Quiet = False,
 ) -> None:
@@ -35,6 +32,10 @@ def init(
     answers, is left to you as TODO, and listed.
 
     Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
+
+    Args:
+        output: File to write; - for standard output.
+        urdf: URDF of the robot. [default: robot_description in the recording]
     """
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.export.outputs import check_file, write_file

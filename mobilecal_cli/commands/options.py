@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import typer
 from typer import Argument, Option
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
 
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
+#: A parameter in the `Args` of a docstring, and its text.
+_DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 _LONGEST_SHOWN = 40  # characters of a text that is refused
 
 
@@ -39,13 +41,27 @@ def setting_keys(incomplete: str) -> list[tuple[str, str]]:
     return [(f"{key}=", text) for key, text in keys.items() if key.startswith(incomplete)]
 
 
-#: A path that typer does not check: the messages of the commands say what to do.
-path_option, path_argument = partial(Option, readable=False), partial(Argument, readable=False)
-Logs = Annotated[
-    list[Path], path_argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")
-]
+def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
+    """Add a command to the command line: its docstring is its help, and under `Args` that of its own options.
+
+    Without a default, a parameter is an argument. A switch has no negative form. Typer checks no path: the messages of
+    the commands say what to do.
+    """
+    about, _, described = (inspect.getdoc(command) or "").partition("\n\nArgs:\n")
+    texts = dict(_DESCRIBED.findall(described))
+    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+        stated = parameter.annotation
+        kind, *given = get_args(stated) if get_origin(stated) is Annotated else (stated,)
+        switch = [f"--{name.replace('_', '-')}"] if kind is bool else []
+        info = given[0] if given else Argument() if parameter.default is parameter.empty else Option(*switch)
+        info.help, info.readable = info.help or " ".join(texts[name].split()), False
+        command.__annotations__[name] = Annotated[kind, info]
+    app.command(help=about)(command)
+
+
+Logs = Annotated[list[Path], Argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")]
 Config = Annotated[
-    Path | None, path_option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
+    Path | None, Option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
 ]
 Settings = Annotated[
     list[str] | None,
@@ -73,7 +89,7 @@ Verbose = Annotated[
 ]
 AsJson = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
 JUnit = Annotated[
-    Path | None, path_option("--junit", help="Also write every criterion to this file as JUnit XML.")
+    Path | None, Option("--junit", help="Also write every criterion to this file as JUnit XML.")
 ]
 
 
