@@ -15,15 +15,15 @@ from mobilecal_cli.errors import OutputError, ResourceError
 def batch(
     source: Path,
     output: Annotated[Path, Option("--output", "-o")],
-    config: options.Config = None,
+    config: Path | None = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
     jobs: Annotated[int | None, Option(min=1)] = None,
     scheduler: str | None = None,
     force: bool = False,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
-    quiet: options.Quiet = False,
+    as_json: bool = False,
+    junit: Path | None = None,
+    quiet: bool = False,
 ) -> None:
     """Calibrate many robots and tabulate the results.
 

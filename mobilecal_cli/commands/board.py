@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, counts_of, written_line
+from mobilecal_cli.commands.options import counts_of, written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Paper
 
@@ -25,8 +25,8 @@ def board(
     dictionary: str | None = None,
     marker_share: float | None = None,
     paper: Paper = "auto",
-    output: Annotated[Path, Option("--output", "-o")] = Path("board.pdf"),
-    force: Force = False,
+    output: Path = Path("board.pdf"),
+    force: bool = False,
 ) -> None:
     """Make a board to print at true scale, as PDF.
 

@@ -14,9 +14,9 @@ from mobilecal_cli.commands import options
 
 
 def calibrate(
-    logs: options.Logs,
-    config: options.Config = None,
-    output: Annotated[Path | None, Option("--output", "-o")] = None,
+    logs: list[Path],
+    config: Path | None = None,
+    output: Path | None = None,
     method: Literal["linear", "paper", "lm", "ml"] = "ml",
     board: str | None = None,
     square_m: float | None = None,
@@ -29,13 +29,13 @@ def calibrate(
     gate: options.Gates = None,
     hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
     last: Path | None = None,
-    open_report: Annotated[bool, Option("--open")] = False,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
+    open_report: bool = False,
+    as_json: bool = False,
+    junit: Path | None = None,
     summary: Path | None = None,
-    force: options.Force = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    force: bool = False,
+    verbose: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Calibrate head and wheels, and write parameters and a report.
 

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, show_each
+from mobilecal_cli.commands.options import Settings, flags_of, show_each
 
 
 def check(
     rig: Path,
-    logs: Logs,
+    logs: list[Path],
     setting: Settings = None,
-    as_json: AsJson = False,
-    quiet: NoBar = False,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Check a configuration against a recording, without calibrating.
 
@@ -27,6 +27,7 @@ def check(
 
     Args:
         rig: Configuration to check (rig.yaml).
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.inspect import check as checked
     from mobilecal_cli.calibrate.inspect import recordings

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import AsJson, Force, conclude
+from mobilecal_cli.commands.options import conclude
 
 
 def compare(
@@ -17,8 +17,8 @@ def compare(
     max_ray_mm: Annotated[float | None, Option(min=0.0)] = None,
     max_heading_deg: Annotated[float | None, Option(min=0.0)] = None,
     plot: Path | None = None,
-    as_json: AsJson = False,
-    force: Force = False,
+    as_json: bool = False,
+    force: bool = False,
 ) -> None:
     """Compare calibrations of one robot.
 

@@ -15,14 +15,14 @@ from mobilecal_cli.errors import ConfigError
 def evaluate(
     files: Annotated[list[Path], Argument(metavar="logs... params")],
     before: Path | None = None,
-    config: options.Config = None,
+    config: Path | None = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
+    as_json: bool = False,
+    junit: Path | None = None,
     force: bool = False,
-    verbose: options.Verbose = False,
-    quiet: options.NoBar = False,
+    verbose: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Test a calibration on another recording.
 
@@ -36,6 +36,7 @@ def evaluate(
         files: Recordings of one robot, and last the params.yaml of the calibration to test.
         before: params.yaml with the wheels to compare drift with. [default: the nominal wheels]
         force: Replace an existing JUnit file.
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
     from mobilecal_cli.commands.terminal import progress_bar

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, written_line
+from mobilecal_cli.commands.options import written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Target
 
@@ -25,8 +25,8 @@ def export(
     distance: Annotated[float | None, Option(metavar="METERS")] = None,
     log: list[Path] | None = None,
     allow_failed: bool = False,
-    output: Annotated[Path | None, Option("--output", "-o")] = None,
-    force: Force = False,
+    output: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Export a calibration as URDF, xacro, ros2_control and more.
 

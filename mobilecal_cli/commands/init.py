@@ -7,24 +7,23 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from typer import Option
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.commands.options import Force, Logs, Quiet, written_line
+from mobilecal_cli.commands.options import written_line
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
 
 
 def init(
-    logs: Logs,
-    output: Annotated[Path, Option("--output", "-o")] = Path("rig.yaml"),
+    logs: list[Path],
+    output: Path = Path("rig.yaml"),
     urdf: Path | None = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    force: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Write a commented draft of rig.yaml from a recording.
 

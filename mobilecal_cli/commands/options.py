@@ -1,4 +1,16 @@
-"""What several commands share: options and their completion, the verdict at the end, errors in a JUnit file."""
+"""What several commands share: options and their completion, the verdict at the end, errors in a JUnit file.
+
+Args:
+    logs: Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.
+    config: Configuration (rig.yaml); `mobilecal init` drafts one.
+    setting: Override rig.yaml, for example wheels.left.sign=-1. Repeatable.
+    gate: Exit with code 6 if the figure exceeds the limit. Repeatable.
+    as_json: Print JSON instead of text.
+    junit: Also write every criterion to this file as JUnit XML.
+    force: Replace existing output.
+    verbose: Print every figure and check; on standard error, each stage.
+    quiet: Print no progress and no summary.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +32,9 @@ if TYPE_CHECKING:
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
 #: A parameter in the `Args` of a docstring, and its text.
 _DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+#: Parameter → the name of its option, if that is another one; and its second, short name.
+_LONG = {"as_json": "--json", "open_report": "--open"}
+_SHORT = {"config": ["-c"], "output": ["-o"], "quiet": ["-q"], "verbose": ["-v"]}
 _LONGEST_SHOWN = 40  # characters of a text that is refused
 
 
@@ -42,55 +57,26 @@ def setting_keys(incomplete: str) -> list[tuple[str, str]]:
 
 
 def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
-    """Add a command to the command line: its docstring is its help, and under `Args` that of its own options.
+    """Add a command to the command line.
 
-    Without a default, a parameter is an argument. A switch has no negative form. Typer checks no path: the messages of
-    the commands say what to do.
+    Its docstring is its help, and under `Args` that of its parameters; the docstring of this module has that of common
+    ones. Without a default, a parameter is an argument. A switch has no negative form. Typer checks no path: the
+    messages of the commands say what to do.
     """
     about, _, described = (inspect.getdoc(command) or "").partition("\n\nArgs:\n")
-    texts = dict(_DESCRIBED.findall(described))
+    texts = dict(_DESCRIBED.findall(f"{__doc__}\n{described}"))
     for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
         stated = parameter.annotation
         kind, *given = get_args(stated) if get_origin(stated) is Annotated else (stated,)
-        switch = [f"--{name.replace('_', '-')}"] if kind is bool else []
-        info = given[0] if given else Argument() if parameter.default is parameter.empty else Option(*switch)
+        names = [_LONG.get(name, f"--{name.replace('_', '-')}"), *_SHORT.get(name, ())]
+        info = given[0] if given else Argument() if parameter.default is parameter.empty else Option(*names)
         info.help, info.readable = info.help or " ".join(texts[name].split()), False
         command.__annotations__[name] = Annotated[kind, info]
     app.command(help=about)(command)
 
 
-Logs = Annotated[list[Path], Argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")]
-Config = Annotated[
-    Path | None, Option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
-]
-Settings = Annotated[
-    list[str] | None,
-    Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable.",
-        autocompletion=setting_keys,
-    ),
-]
-Gates = Annotated[
-    list[str] | None,
-    Option(
-        "--gate",
-        metavar="NAME=LIMIT",
-        help="Exit with code 6 if the figure exceeds the limit. Repeatable.",
-        autocompletion=gate_names,
-    ),
-]
-Force = Annotated[bool, Option("--force", help="Replace existing output.")]
-Quiet = Annotated[bool, Option("--quiet", "-q", help="Print no progress and no summary.")]
-NoBar = Annotated[bool, Option("--quiet", "-q", help="Print no progress.")]
-Verbose = Annotated[
-    bool, Option("--verbose", "-v", help="Print every figure and check; on standard error, each stage.")
-]
-AsJson = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
-JUnit = Annotated[
-    Path | None, Option("--junit", help="Also write every criterion to this file as JUnit XML.")
-]
+Settings = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", autocompletion=setting_keys)]
+Gates = Annotated[list[str] | None, Option("--gate", metavar="NAME=LIMIT", autocompletion=gate_names)]
 
 
 def flags_of(settings: list[str] | None) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, Quiet, written_line
+from mobilecal_cli.commands.options import written_line
 from mobilecal_cli.targets import ROBOTS, BoardKind, Container, Motion, Pictures, Robot
 
 _PAPER = Robot("paper")
@@ -28,8 +28,8 @@ def simulate(
     board: BoardKind = "checkerboard",
     exact: bool = False,
     camera_late: Annotated[float, Option(min=-0.2, max=0.2)] = 0.0,
-    force: Force = False,
-    quiet: Quiet = False,
+    force: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Simulate a recording with known truth.
 
