@@ -8,11 +8,7 @@ from mobilecal_cli.commands.options import Settings, flags_of, show_each
 
 
 def check(
-    rig: Path,
-    logs: list[Path],
-    setting: Settings = None,
-    as_json: bool = False,
-    quiet: bool = False,
+    rig: Path, logs: list[Path], setting: Settings = None, as_json: bool = False, quiet: bool = False
 ) -> None:
     """Check a configuration against a recording, without calibrating.
 

@@ -27,6 +27,7 @@ from mobilecal_cli.model import (
     Provenance,
     Rejection,
     Solution,
+    Uncertainty,
 )
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.evaluation import EvaluationData
@@ -240,13 +241,23 @@ def _by_parameter(name: str) -> Any:  # noqa: ANN401
     return by(lambda uncertainty: dict(zip(NINE, getattr(uncertainty, name).tolist(), strict=True)))
 
 
+def _std(uncertainty: Uncertainty) -> FloatArray:
+    return np.asarray(np.sqrt(np.diag(uncertainty.reference_covariance)))
+
+
+def _correlation(uncertainty: Uncertainty) -> FloatArray:
+    std = _std(uncertainty)
+    known = np.where(std > 0, std, 1.0)
+    return np.asarray(uncertainty.reference_covariance / np.outer(known, known))
+
+
 class UncertaintyData(JsonValue):
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
-    order: tuple[str, ...]
-    std: ByName
+    order: tuple[str, ...] = by(lambda _: NINE)
+    std: ByName = by(lambda uncertainty: dict(zip(NINE, _std(uncertainty).tolist(), strict=True)))
     covariance: Matrix = by(lambda uncertainty: uncertainty.reference_covariance)
-    correlation: Matrix
+    correlation: Matrix = by(_correlation)
     observable: Mapping[str, bool] = _by_parameter("observable")
     described: Mapping[str, bool] = _by_parameter("described")
     unobservable_directions: Matrix = by(lambda uncertainty: uncertainty.unobservable)
@@ -257,21 +268,6 @@ class UncertaintyData(JsonValue):
     jackknife_std: ByName = _by_parameter("jackknife_std")
     widened: ByName = _by_parameter("widened")
     predicted: AtWork = by(lambda uncertainty: uncertainty.at_work)
-
-
-def _uncertainty(case: Case) -> UncertaintyData | None:
-    uncertainty = case.solution.uncertainty
-    if uncertainty is None:
-        return None
-    std = np.sqrt(np.diag(uncertainty.reference_covariance))
-    known = np.where(std > 0, std, 1.0)
-    return like(
-        UncertaintyData,
-        uncertainty,
-        order=NINE,
-        std=dict(zip(NINE, std.tolist(), strict=True)),
-        correlation=uncertainty.reference_covariance / np.outer(known, known),
-    )
 
 
 class ConstantData(JsonValue):
@@ -319,10 +315,7 @@ def _budget(case: Case) -> BudgetData | None:
         for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
     )
     return BudgetData(
-        sources=budget.sources,
-        nine=nine,
-        at_work=at_work,
-        limiting="" if error is None else error.limiting,
+        sources=budget.sources, nine=nine, at_work=at_work, limiting="" if error is None else error.limiting
     )
 
 
@@ -547,7 +540,9 @@ class ReportData(JsonValue):
     linear: LinearData = by(_linear)
     refinement: RefinementData | None = by(_refinement)
     legs: tuple[LegData, ...] = by(_legs)
-    uncertainty: UncertaintyData | None = by(_uncertainty)
+    uncertainty: UncertaintyData | None = by(
+        lambda case: case.solution.uncertainty and like(UncertaintyData, case.solution.uncertainty)
+    )
     outliers: tuple[Outlier, ...]
     outliers_text: tuple[str, ...] = by(
         lambda case: tuple(outlier_sentences(case.solution.outliers, case.extraction))
