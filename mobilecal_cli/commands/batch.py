@@ -46,13 +46,13 @@ def batch(
     from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.export import write_file
     from mobilecal_cli.report.fleet import fleet_json, fleet_text
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
     run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
-    with options.errors_to(junit, [source], replace, [config], {name: output / name for name in SUMMARIES}):
+    summaries = {name: output / name for name in SUMMARIES}
+    with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
         with progress_bar(quiet) as progress:
             rows = calibrate_each(
                 source,
@@ -64,8 +64,7 @@ def batch(
                 run=run,
                 progress=progress,
             )
-        if junit is not None:
-            write_file(junit, junit_fleet_xml(str(source), rows), replace)
+        write_junit(junit_fleet_xml(str(source), rows))
     robots = [row for row in rows if row.verdict != "SKIPPED"]
     failed = [row for row in robots if row.verdict != "PASS"]
     if as_json:

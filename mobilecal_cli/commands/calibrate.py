@@ -63,7 +63,7 @@ def calibrate(
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
-    from mobilecal_cli.export import append_text, check_appendable, write_file
+    from mobilecal_cli.export import append_text, check_appendable
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.rig.config import load_rig
@@ -74,7 +74,7 @@ def calibrate(
         name = logs[0].resolve().name if logs[0].is_dir() else logs[0].stem
         output = Path(f"{name}_calibration")
     outputs = {"--summary": summary, "--output": output}
-    with options.errors_to(junit, logs, force, [config, last], outputs):
+    with options.junit_file(junit, logs, force, [config, last], outputs) as write_junit:
         if summary is not None:
             check_appendable(summary)
         flags = options.flags_of(setting)
@@ -98,9 +98,7 @@ def calibrate(
                 progress=progress,
                 jobs=jobs or os.cpu_count() or 1,
             )
-        if junit is not None:
-            took_s = time.perf_counter() - began_s
-            write_file(junit, junit_xml(str(logs[0]), report.values.verdict, took_s), force)
+        write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
         if summary is not None:
             append_text(summary, report.markdown)
     if as_json:

@@ -40,7 +40,6 @@ def evaluate(
     """
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.export import write_file
     from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.rig.config import load_rig
@@ -51,7 +50,7 @@ def evaluate(
             f"{params}: the only path given; evaluate needs a recording and a params.yaml",
             "mobilecal evaluate another.mcap log_calibration/params.yaml",
         )
-    with options.errors_to(junit, logs, force, [params, before, config]):
+    with options.junit_file(junit, logs, force, [params, before, config]) as write_junit:
         with progress_bar(quiet, verbose) as progress:
             result = evaluated(
                 logs,
@@ -61,8 +60,7 @@ def evaluate(
                 gates=gate or [],
                 progress=progress,
             )
-        if junit is not None:
-            write_file(junit, junit_xml(str(logs[0]), result.verdict), force)
+        write_junit(junit_xml(str(logs[0]), result.verdict))
     text = evaluation_json(result) if as_json else evaluation_text(result)
     typer.echo(text, nl=False)
     options.conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)

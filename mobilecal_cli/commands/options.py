@@ -1,4 +1,4 @@
-"""What several commands share: options and their completion, the verdict at the end, errors in a JUnit file.
+"""What several commands share: options and their completion, the verdict at the end, the JUnit file.
 
 Args:
     logs: Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.
@@ -107,14 +107,14 @@ def counts_of(option: str, text: str) -> tuple[int, int]:
 
 
 @contextmanager
-def errors_to(
+def junit_file(
     junit: Path | None,
     logs: Sequence[Path],
     force: bool,
     others: Sequence[Path | None],
     outputs: Mapping[str, Path | None] | None = None,
-) -> Iterator[None]:
-    """Write an error to the JUnit file as well, unless that file must not be replaced.
+) -> Iterator[Callable[[bytes], None]]:
+    """What writes the JUnit file, if there is one. An error is written to it as well, unless it must not be replaced.
 
     Args:
         junit: this file.
@@ -129,11 +129,15 @@ def errors_to(
     check_apart({"--junit": junit, **(outputs or {})})
     if junit is not None:
         check_file(junit, force, [*logs, *others])
-    try:
-        yield
-    except MobilecalError as error:
+
+    def write(content: bytes) -> None:
         if junit is not None:
-            write_file(junit, junit_error_xml(str(logs[0]), error), force)
+            write_file(junit, content, force)
+
+    try:
+        yield write
+    except MobilecalError as error:
+        write(junit_error_xml(str(logs[0]), error))
         raise
 
 
