@@ -70,7 +70,7 @@ def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
         kind, *given = get_args(stated) if get_origin(stated) is Annotated else (stated,)
         names = [_LONG.get(name, f"--{name.replace('_', '-')}"), *_SHORT.get(name, ())]
         info = given[0] if given else Argument() if parameter.default is parameter.empty else Option(*names)
-        info.help, info.readable = info.help or " ".join(texts[name].split()), False
+        info.help, info.readable = info.help or " ".join(texts.get(name, "").split()), False
         command.__annotations__[name] = Annotated[kind, info]
     app.command(help=about)(command)
 

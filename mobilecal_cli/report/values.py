@@ -123,21 +123,15 @@ class OdometryData(JsonValue):
 
     topic: str
     factors: Mapping[str, FactorData]
-    assumed_radius_m: float
-    assumed_separation_m: float
+    assumed_radius_m: float = by(lambda assumed: assumed.wheels.radius_right_m)
+    assumed_separation_m: float = by(lambda assumed: assumed.wheels.separation_m)
 
 
 def _odometry(case: Case) -> OdometryData | None:
     assumed = case.extraction.rig.sources.assumed_odometry
-    if assumed is None:
-        return None
-    factors = odometry_factors(case.extraction.rig, case.solution)
-    return OdometryData(
-        topic=assumed.topic,
-        factors={name: FactorData(value=value, std=std) for name, (value, std) in factors.items()},
-        assumed_radius_m=assumed.wheels.radius_right_m,
-        assumed_separation_m=assumed.wheels.separation_m,
-    )
+    values = odometry_factors(case.extraction.rig, case.solution).items()
+    factors = {name: FactorData(value=value, std=std) for name, (value, std) in values}
+    return None if assumed is None else like(OdometryData, assumed, factors=factors)
 
 
 class ResultData(ParametersData):
@@ -314,9 +308,7 @@ def _budget(case: Case) -> BudgetData | None:
         {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
         for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
     )
-    return BudgetData(
-        sources=budget.sources, nine=nine, at_work=at_work, limiting="" if error is None else error.limiting
-    )
+    return like(BudgetData, budget, nine=nine, at_work=at_work, limiting=error.limiting if error else "")
 
 
 class ContradictionData(Evidence, JsonValue):
@@ -346,9 +338,8 @@ class ScaleData(JsonValue):
 
 def _scale(case: Case) -> ScaleData | None:
     scale, wrong = case.solution.scale, {evidence.kind for evidence in case.solution.contradictions}
-    if scale is None:
-        return None
-    return like(ScaleData, scale, consistent=not (scale.apart or SCALES & wrong))
+    apart = scale is not None and (scale.apart or SCALES & wrong)
+    return None if scale is None else like(ScaleData, scale, consistent=not apart)
 
 
 class LogsData(JsonValue):
@@ -406,6 +397,7 @@ class StationData(JsonValue):
 def _stations(case: Case) -> tuple[StationData, ...]:
     rig, residuals = case.extraction.rig, case.solution.residuals
     joints, cameras = rig.chain.joints, rig.cameras.names
+    each = zip(case.extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
     return tuple(
         like(
             StationData,
@@ -422,9 +414,7 @@ def _stations(case: Case) -> tuple[StationData, ...]:
             T_world_camera=np.round((T_w_k @ se3.inverse(o.T_c_k))[:3], 6),
             T_world_board=np.round(T_w_k[:3], 6),
         )
-        for o, T_w_v, T_w_k in zip(
-            case.extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True
-        )
+        for o, T_w_v, T_w_k in each
     )
 
 
