@@ -18,6 +18,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
@@ -69,7 +70,8 @@ def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
         stated = parameter.annotation
         kind, *given = get_args(stated) if get_origin(stated) is Annotated else (stated,)
         names = [_LONG.get(name, f"--{name.replace('_', '-')}"), *_SHORT.get(name, ())]
-        info = given[0] if given else Argument() if parameter.default is parameter.empty else Option(*names)
+        usual = Argument() if parameter.default is parameter.empty else Option(*names)
+        info = copy(given[0]) if given else usual
         info.help, info.readable = info.help or " ".join(texts.get(name, "").split()), False
         command.__annotations__[name] = Annotated[kind, info]
     app.command(help=about)(command)
@@ -114,7 +116,7 @@ def junit_file(
     others: Sequence[Path | None],
     outputs: Mapping[str, Path | None] | None = None,
 ) -> Iterator[Callable[[bytes], None]]:
-    """What writes the JUnit file, if there is one. An error is written to it as well, unless it must not be replaced.
+    """Function that writes the JUnit file, if there is one; an error of the command is written to it, too.
 
     Args:
         junit: this file.

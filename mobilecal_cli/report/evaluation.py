@@ -227,7 +227,7 @@ class LegErrorData(JsonValue):
 
 
 class LegErrors(JsonValue):
-    """Errors on each leg, (legs,)."""
+    """Errors on each leg, (legs,): px, degrees and mm."""
 
     reprojection_px: FloatArray
     rotation_deg: FloatArray
