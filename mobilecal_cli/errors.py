@@ -6,16 +6,18 @@ from typing import ClassVar
 
 
 class MobilecalError(Exception):
-    """Base class of the errors.
+    """Base class of the errors; a kind states its exit code, and is called `code`, in one word, by programs.
 
     Args:
         message: what is wrong and where, with the numbers.
         hint: what to do next.
     """
 
-    exit_code: ClassVar[int] = 1
-    #: The kind as one word, for programs.
-    code: ClassVar[str] = "bug"
+    exit_code: ClassVar[int]
+    code: ClassVar[str]
+
+    def __init_subclass__(cls, exit_code: int) -> None:
+        cls.exit_code, cls.code = exit_code, cls.__name__.removesuffix("Error").lower()
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -23,50 +25,29 @@ class MobilecalError(Exception):
         self.hint = hint
 
 
-class ConfigError(MobilecalError):
+class ConfigError(MobilecalError, exit_code=2):
     """An unknown key, an invalid value or an unreadable file in the configuration or on the command line."""
 
-    exit_code = 2
-    code = "config"
 
-
-class RecordingError(MobilecalError):
+class RecordingError(MobilecalError, exit_code=3):
     """A recording that cannot be read, or lacks a required topic, field or data."""
 
-    exit_code = 3
-    code = "recording"
 
-
-class ObservationError(MobilecalError):
+class ObservationError(MobilecalError, exit_code=4):
     """The board was detected at too few stations."""
 
-    exit_code = 4
-    code = "observation"
 
-
-class SolveError(MobilecalError):
+class SolveError(MobilecalError, exit_code=5):
     """The nine parameters cannot be estimated: not observable, or not converged."""
 
-    exit_code = 5
-    code = "solve"
 
-
-class QualityError(MobilecalError):
+class QualityError(MobilecalError, exit_code=6):
     """The verdict is not PASS, or a limit is exceeded."""
 
-    exit_code = 6
-    code = "quality"
 
-
-class OutputError(MobilecalError):
+class OutputError(MobilecalError, exit_code=7):
     """An output cannot be written, or already exists."""
 
-    exit_code = 7
-    code = "output"
 
-
-class ResourceError(MobilecalError):
+class ResourceError(MobilecalError, exit_code=8):
     """Not enough memory, or not enough space for temporary files."""
-
-    exit_code = 8
-    code = "resource"

@@ -144,32 +144,27 @@ def from_motions(
         poses = TargetPose(0.0, ahead, nothing), TargetPose(1.0, se3.inverse(T) @ ahead, nothing)
         turned = np.array([0.0, leg.right_rad]), np.array([0.0, leg.left_rad])
         drives.append(Drive(poses, np.array([0.0, 1.0]), *turned))
-        if not np.all(np.linalg.eigvalsh(leg.covariance) > 0):
-            raise ConfigError(
-                f"leg {number}: the covariance is not positive definite",
-                "give a covariance of x, y and heading",
-            )
+        _require_positive(f"leg {number}", leg.covariance, 3, "give a covariance of x, y and heading")
     return replace(from_poses(drives, wheels_m, None, T_v_c, noise), motions=tuple(motions))
 
 
+def _require_positive(where: str, covariance: FloatArray, size: int, hint: str) -> None:
+    square = covariance.shape == (size, size)
+    if not square or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > 0):
+        raise ConfigError(f"{where}: the covariance is not positive definite, or not {size} x {size}", hint)
+
+
 def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Observation:
-    drive, number = log + 1, station + 1
+    where = f"drive {log + 1}, pose {station + 1}"
     missing = [name for name in chain.joints if name not in pose.joints]
     if missing:
-        raise ConfigError(
-            f"drive {drive}, pose {number}: no reading of {', '.join(missing)}",
-            "give all joints of the chain",
-        )
+        raise ConfigError(f"{where}: no reading of {', '.join(missing)}", "give all joints of the chain")
     covariance = np.array(pose.covariance, dtype=np.float64)
     if covariance.shape == (6, 6):
         wide = np.flatnonzero(~(np.diag(covariance) < NOT_MEASURED**2))
         covariance[wide], covariance[:, wide] = 0.0, 0.0
         covariance[wide, wide] = NOT_MEASURED**2
-    if covariance.shape != (6, 6) or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > 0):
-        raise ConfigError(
-            f"drive {drive}, pose {number}: the covariance is not positive definite, or not 6 x 6",
-            "give what is not measured an infinite variance",
-        )
+    _require_positive(where, covariance, 6, "give what is not measured an infinite variance")
     assert _TARGET.square_m is not None
     points = _TARGET.grid() * _TARGET.square_m
     joints = np.array([pose.joints[name] for name in chain.joints])

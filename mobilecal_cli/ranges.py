@@ -120,12 +120,9 @@ FOCAL_LENGTH = Range(1.0, 1e6, "px")
 READING = Range(-1e9, 1e9)
 
 
+_OF_PARAMETER = {"r": TURN, "t": POSITION, "radius": WHEEL_RADIUS, "separation": WHEEL_SEPARATION}
+
+
 def of_parameter(name: str) -> Range:
     """Range of one of the nine parameters."""
-    if name.startswith("radius_"):
-        return WHEEL_RADIUS
-    if name == "separation":
-        return WHEEL_SEPARATION
-    if name.startswith("t_"):
-        return POSITION
-    return TURN
+    return _OF_PARAMETER[name.partition("_")[0]]

@@ -1,31 +1,23 @@
-"""The commands, a module each; `main` turns errors into messages and exit codes."""
+"""The commands, each a function in a module of its name; `main` turns errors into messages and exit codes."""
 
 from __future__ import annotations
 
 import sys
 from contextlib import suppress
+from importlib import import_module
 from typing import Annotated, NoReturn
 
 import typer
 
 from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import source_date
-from mobilecal_cli.commands import (
-    batch,
-    board,
-    calibrate,
-    check,
-    compare,
-    evaluate,
-    export,
-    init,
-    inspect,
-    simulate,
-    suggest,
-)
+from mobilecal_cli.commands.options import add_command
 from mobilecal_cli.errors import MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
+#: In the order of `mobilecal --help`.
+EVERYDAY = ("calibrate", "init", "check", "inspect", "suggest", "evaluate", "compare")
+FURTHER = ("export", "batch", "board", "simulate")
 #: Error code of OpenCV where memory cannot be allocated.
 _OPENCV_NO_MEMORY = -4
 
@@ -57,20 +49,8 @@ def common(
     """
 
 
-for command in (  # the order of `mobilecal --help`: the everyday commands first
-    calibrate.calibrate,
-    init.init,
-    check.check,
-    inspect.inspect,
-    suggest.suggest,
-    evaluate.evaluate,
-    compare.compare,
-    export.export,
-    batch.batch,
-    board.board,
-    simulate.simulate,
-):
-    app.command()(command)
+for name in (*EVERYDAY, *FURTHER):
+    add_command(app, getattr(import_module(f"{__name__}.{name}"), name))
 
 
 def main() -> None:

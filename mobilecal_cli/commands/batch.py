@@ -13,29 +13,17 @@ from mobilecal_cli.errors import OutputError, ResourceError
 
 
 def batch(
-    source: Annotated[
-        Path, options.path_argument(help="Directory with one recording per robot, or a manifest (YAML).")
-    ],
-    output: Annotated[
-        Path, options.path_option("--output", "-o", help="Directory for the results of all robots.")
-    ],
-    config: options.Config = None,
+    source: Path,
+    output: Annotated[Path, Option("--output", "-o")],
+    config: Path | None = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
-    jobs: Annotated[int | None, Option(min=1, help="Worker processes. [default: one per core]")] = None,
-    scheduler: Annotated[
-        str | None, Option(help="Dask scheduler such as tcp://host:8786, instead of local processes.")
-    ] = None,
-    force: Annotated[
-        bool,
-        Option(
-            "--force",
-            help="Calibrate all robots again, and replace also results that this batch did not write.",
-        ),
-    ] = False,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
-    quiet: options.Quiet = False,
+    jobs: Annotated[int | None, Option(min=1)] = None,
+    scheduler: str | None = None,
+    force: bool = False,
+    as_json: bool = False,
+    junit: Path | None = None,
+    quiet: bool = False,
 ) -> None:
     """Calibrate many robots and tabulate the results.
 
@@ -45,19 +33,26 @@ def batch(
     Example: mobilecal batch recordings/ --output fleet/
 
     On a cluster: mobilecal batch fleet.yaml --output /shared/fleet --scheduler tcp://host:8786
+
+    Args:
+        source: Directory with one recording per robot, or a manifest (YAML).
+        output: Directory for the results of all robots.
+        jobs: Worker processes. [default: one per core]
+        scheduler: Dask scheduler such as tcp://host:8786, instead of local processes.
+        force: Calibrate all robots again, and replace also results that this batch did not write.
     """
     import os
 
     from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.export import write_file
     from mobilecal_cli.report.fleet import fleet_json, fleet_text
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
     run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
-    with options.errors_to(junit, [source], replace, [config], {name: output / name for name in SUMMARIES}):
+    summaries = {name: output / name for name in SUMMARIES}
+    with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
         with progress_bar(quiet) as progress:
             rows = calibrate_each(
                 source,
@@ -69,8 +64,7 @@ def batch(
                 run=run,
                 progress=progress,
             )
-        if junit is not None:
-            write_file(junit, junit_fleet_xml(str(source), rows), replace)
+        write_junit(junit_fleet_xml(str(source), rows))
     robots = [row for row in rows if row.verdict != "SKIPPED"]
     failed = [row for row in robots if row.verdict != "PASS"]
     if as_json:

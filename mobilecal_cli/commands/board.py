@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, counts_of, path_option, written_line
+from mobilecal_cli.commands.options import counts_of, written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Paper
-
-if TYPE_CHECKING:
-    from mobilecal_cli.export.board_print import BoardPrint
 
 #: Markers in the dictionaries of 5 x 5 cells; small ones have fewer false detections.
 _FAMILIES = (50, 100, 250, 1000)
@@ -22,23 +19,14 @@ LEAST_BORDER = 0.3
 
 
 def board(
-    corners: Annotated[str, Option(metavar="COLUMNSxROWS", help="Inner corners, for example 8x5.")],
-    square: Annotated[float, Option(metavar="METERS", help="Side of a square, m.")],
-    charuco: Annotated[
-        bool, Option("--charuco", help="With markers: the board may be partly visible.")
-    ] = False,
-    dictionary: Annotated[
-        str | None,
-        Option(help="ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]"),
-    ] = None,
-    marker_share: Annotated[
-        float | None, Option(help="ChArUco: marker side / square side. [default: 0.75]")
-    ] = None,
-    paper: Annotated[
-        Paper, Option(help="Page; auto: the smallest of A4 to A0; exact: as large as the board needs.")
-    ] = "auto",
-    output: Annotated[Path, path_option("--output", "-o", help="PDF to write.")] = Path("board.pdf"),
-    force: Force = False,
+    corners: Annotated[str, Option(metavar="COLUMNSxROWS")],
+    square: Annotated[float, Option(metavar="METERS")],
+    charuco: bool = False,
+    dictionary: str | None = None,
+    marker_share: float | None = None,
+    paper: Paper = "auto",
+    output: Path = Path("board.pdf"),
+    force: bool = False,
 ) -> None:
     """Make a board to print at true scale, as PDF.
 
@@ -47,14 +35,41 @@ def board(
     Example: mobilecal board --corners 8x5 --square 0.08 --output board.pdf
 
     With markers: mobilecal board --corners 8x5 --square 0.08 --charuco
+
+    Args:
+        corners: Inner corners, for example 8x5.
+        square: Side of a square, m.
+        charuco: With markers: the board may be partly visible.
+        dictionary: ChArUco: markers, by OpenCV name. [default: the smallest DICT_5X5 that suffices]
+        marker_share: ChArUco: marker side / square side. [default: 0.75]
+        paper: Page; auto: the smallest of A4 to A0; exact: as large as the board needs.
+        output: PDF to write.
     """
+    from mobilecal_cli.calibrate.extract import board_of
     from mobilecal_cli.export import check_file, write_file
+    from mobilecal_cli.export.board_print import board_pdf
+    from mobilecal_cli.rig.config import load_rig
 
     if output.suffix.lower() not in ("", ".pdf"):
         raise ConfigError(f"--output {output}: a board is written as PDF", "use a name that ends with .pdf")
     check_file(output, force)
     columns, rows = counts_of("--corners", corners)
-    made = print_board(columns, rows, square, charuco, dictionary, marker_share, paper)
+    flags: dict[str, object] = {
+        "board.kind": "charuco" if charuco else "checkerboard",
+        "board.columns": columns,
+        "board.rows": rows,
+        "board.square_m": square,
+    }
+    if charuco:
+        markers = (columns + 1) * (rows + 1) // 2
+        enough = next((size for size in _FAMILIES if size >= markers), _FAMILIES[-1])
+        flags["board.dictionary"] = dictionary or f"DICT_5X5_{enough}"
+        flags["board.marker_share"] = 0.75 if marker_share is None else marker_share
+    elif dictionary is not None or marker_share is not None:
+        raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
+    stated = board_of(load_rig(None, flags))
+    assert stated is not None
+    made = board_pdf(stated, paper)
     write_file(output, made.content, force)
     typer.echo(made.config)
     if not charuco and (columns - rows) % 2 == 0:
@@ -69,39 +84,3 @@ def board(
         )
     typer.echo(f"Print at actual size on {made.page}, and measure the scale bar.")
     typer.echo(written_line(output))
-
-
-def print_board(
-    columns: int,
-    rows: int,
-    square_m: float,
-    charuco: bool = False,
-    dictionary: str | None = None,
-    marker_share: float | None = None,
-    paper: Paper = "auto",
-) -> BoardPrint:
-    """A board as a PDF at true scale; for the arguments see `board`.
-
-    Raises:
-        ConfigError: a value is out of range, or the board does not fit on the page.
-    """
-    from mobilecal_cli.calibrate.extract import board_of
-    from mobilecal_cli.export.board_print import board_pdf
-    from mobilecal_cli.rig.config import load_rig
-
-    flags: dict[str, object] = {
-        "board.kind": "charuco" if charuco else "checkerboard",
-        "board.columns": columns,
-        "board.rows": rows,
-        "board.square_m": square_m,
-    }
-    if charuco:
-        markers = (columns + 1) * (rows + 1) // 2
-        enough = next((size for size in _FAMILIES if size >= markers), _FAMILIES[-1])
-        flags["board.dictionary"] = dictionary or f"DICT_5X5_{enough}"
-        flags["board.marker_share"] = 0.75 if marker_share is None else marker_share
-    elif dictionary is not None or marker_share is not None:
-        raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
-    board = board_of(load_rig(None, flags))
-    assert board is not None
-    return board_pdf(board, paper)

@@ -14,77 +14,28 @@ from mobilecal_cli.commands import options
 
 
 def calibrate(
-    logs: options.Logs,
-    config: options.Config = None,
-    output: Annotated[
-        Path | None,
-        options.path_option("--output", "-o", help="Directory to write. [default: <log name>_calibration]"),
-    ] = None,
-    method: Annotated[
-        Literal["linear", "paper", "lm", "ml"],
-        Option(
-            help="ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point "
-            "error by Powell's method; lm: the same, faster."
-        ),
-    ] = "ml",
-    board: Annotated[str | None, Option(help="Inner corners, for example 9x6. [default: detected]")] = None,
-    square_m: Annotated[
-        float | None, Option(help="Side of a square, m. [default: measured by the stereo pair]")
-    ] = None,
-    stations: Annotated[
-        Literal["auto", "all"] | None,
-        Option(
-            help="auto: stops, or the best moments of a moving recording; all: every image. [default: auto]",
-            show_default=False,
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None, Option(min=1, help="Worker processes for images. [default: one per core]")
-    ] = None,
+    logs: list[Path],
+    config: Path | None = None,
+    output: Path | None = None,
+    method: Literal["linear", "paper", "lm", "ml"] = "ml",
+    board: str | None = None,
+    square_m: float | None = None,
+    stations: Literal["auto", "all"] | None = None,
+    jobs: Annotated[int | None, Option(min=1)] = None,
     setting: options.Settings = None,
-    fix: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME[=VALUE],...",
-            help="Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.",
-        ),
-    ] = None,
-    prior: Annotated[
-        list[str] | None,
-        Option(metavar="NAME=VALUE±SIGMA", help="Prior of a parameter or constant. Repeatable."),
-    ] = None,
-    estimate: Annotated[
-        list[str] | None,
-        Option(
-            metavar="NAME,...",
-            help="Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.",
-        ),
-    ] = None,
+    fix: Annotated[list[str] | None, Option(metavar="NAME[=VALUE],...")] = None,
+    prior: Annotated[list[str] | None, Option(metavar="NAME=VALUE±SIGMA")] = None,
+    estimate: Annotated[list[str] | None, Option(metavar="NAME,...")] = None,
     gate: options.Gates = None,
-    hold_out: Annotated[
-        float | None,
-        Option(
-            min=0.0, max=0.8, help="Share at the end of each recording to hold out and to test the result on."
-        ),
-    ] = None,
-    last: Annotated[
-        Path | None,
-        options.path_option(help="params.yaml to compare the result with. [default: the nominal values]"),
-    ] = None,
-    open_report: Annotated[
-        bool, Option("--open", help="Open the report in the browser; without a display, print where it is.")
-    ] = False,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
-    summary: Annotated[
-        Path | None,
-        options.path_option(
-            help="Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY."
-        ),
-    ] = None,
-    force: options.Force = False,
-    verbose: options.Verbose = False,
-    quiet: options.Quiet = False,
+    hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
+    last: Path | None = None,
+    open_report: bool = False,
+    as_json: bool = False,
+    junit: Path | None = None,
+    summary: Path | None = None,
+    force: bool = False,
+    verbose: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Calibrate head and wheels, and write parameters and a report.
 
@@ -93,10 +44,26 @@ def calibrate(
     Example: mobilecal calibrate log.mcap --config rig.yaml --output result
 
     In CI: mobilecal calibrate log.mcap --gate predicted.camera_mm=5 --gate std.wheels.separation_m=0.002 --json
+
+    Args:
+        output: Directory to write. [default: <log name>_calibration]
+        method: ml: maximum likelihood, with standard deviations; linear: no initial values; paper: least point error by
+            Powell's method; lm: the same, faster.
+        board: Inner corners, for example 9x6. [default: detected]
+        square_m: Side of a square, m. [default: measured by the stereo pair]
+        stations: auto: stops, or the best moments of a moving recording; all: every image. [default: auto]
+        jobs: Worker processes for images. [default: one per core]
+        fix: Fix parameters or constants (m, rad, share), or head_eye or wheels. Repeatable.
+        prior: Prior of a parameter or constant. Repeatable.
+        estimate: Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.
+        hold_out: Share at the end of each recording to hold out and to test the result on.
+        last: params.yaml to compare the result with. [default: the nominal values]
+        open_report: Open the report in the browser; without a display, print where it is.
+        summary: Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
-    from mobilecal_cli.export import append_text, check_appendable, write_file
+    from mobilecal_cli.export import append_text, check_appendable
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.rig.config import load_rig
@@ -107,7 +74,7 @@ def calibrate(
         name = logs[0].resolve().name if logs[0].is_dir() else logs[0].stem
         output = Path(f"{name}_calibration")
     outputs = {"--summary": summary, "--output": output}
-    with options.errors_to(junit, logs, force, [config, last], outputs):
+    with options.junit_file(junit, logs, force, [config, last], outputs) as write_junit:
         if summary is not None:
             check_appendable(summary)
         flags = options.flags_of(setting)
@@ -131,9 +98,7 @@ def calibrate(
                 progress=progress,
                 jobs=jobs or os.cpu_count() or 1,
             )
-        if junit is not None:
-            took_s = time.perf_counter() - began_s
-            write_file(junit, junit_xml(str(logs[0]), report.values.verdict, took_s), force)
+        write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
         if summary is not None:
             append_text(summary, report.markdown)
     if as_json:

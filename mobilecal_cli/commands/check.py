@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-from mobilecal_cli.commands.options import AsJson, Logs, NoBar, Settings, flags_of, path_argument, show_each
+from mobilecal_cli.commands.options import Settings, flags_of, show_each
 
 
 def check(
-    rig: Annotated[Path, path_argument(help="Configuration to check (rig.yaml).")],
-    logs: Logs,
-    setting: Settings = None,
-    as_json: AsJson = False,
-    quiet: NoBar = False,
+    rig: Path, logs: list[Path], setting: Settings = None, as_json: bool = False, quiet: bool = False
 ) -> None:
     """Check a configuration against a recording, without calibrating.
 
@@ -25,6 +20,10 @@ def check(
     and outliers: exit code 0 does not mean that the result passes.
 
     Example: mobilecal check rig.yaml log.mcap
+
+    Args:
+        rig: Configuration to check (rig.yaml).
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.inspect import check as checked
     from mobilecal_cli.calibrate.inspect import recordings

@@ -8,27 +8,17 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import AsJson, Force, conclude, path_argument, path_option
+from mobilecal_cli.commands.options import conclude
 
 
 def compare(
-    files: Annotated[
-        list[Path], path_argument(help="params.yaml files of one robot; the first is the reference.")
-    ],
-    max_sigma: Annotated[
-        float | None, Option(min=0.0, help="Limit on the change of each parameter, in sigmas.")
-    ] = None,
-    max_ray_mm: Annotated[
-        float | None, Option(min=0.0, help="Limit on the shift of a point 2 m ahead, mm.")
-    ] = None,
-    max_heading_deg: Annotated[
-        float | None, Option(min=0.0, help="Limit on the change of heading per full turn, deg.")
-    ] = None,
-    plot: Annotated[
-        Path | None, path_option(help="SVG file to write: every parameter over all calibrations.")
-    ] = None,
-    as_json: AsJson = False,
-    force: Force = False,
+    files: list[Path],
+    max_sigma: Annotated[float | None, Option(min=0.0)] = None,
+    max_ray_mm: Annotated[float | None, Option(min=0.0)] = None,
+    max_heading_deg: Annotated[float | None, Option(min=0.0)] = None,
+    plot: Path | None = None,
+    as_json: bool = False,
+    force: bool = False,
 ) -> None:
     """Compare calibrations of one robot.
 
@@ -38,6 +28,13 @@ def compare(
     Example: mobilecal compare monday/params.yaml friday/params.yaml --max-sigma 4
 
     A history: mobilecal compare */params.yaml --plot drift.svg
+
+    Args:
+        files: params.yaml files of one robot; the first is the reference.
+        max_sigma: Limit on the change of each parameter, in sigmas.
+        max_ray_mm: Limit on the shift of a point 2 m ahead, mm.
+        max_heading_deg: Limit on the change of heading per full turn, deg.
+        plot: SVG file to write: every parameter over all calibrations.
     """
     from mobilecal_cli.calibrate.compare import compare as compared
     from mobilecal_cli.report.comparison import comparison_json, comparison_text

@@ -6,34 +6,23 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from typer import Option
+from typer import Argument
 
 from mobilecal_cli.commands import options
 from mobilecal_cli.errors import ConfigError
 
 
 def evaluate(
-    files: Annotated[
-        list[Path],
-        options.path_argument(
-            metavar="logs... params",
-            help="Recordings of one robot, and last the params.yaml of the calibration to test.",
-        ),
-    ],
-    before: Annotated[
-        Path | None,
-        options.path_option(
-            help="params.yaml with the wheels to compare drift with. [default: the nominal wheels]"
-        ),
-    ] = None,
-    config: options.Config = None,
+    files: Annotated[list[Path], Argument(metavar="logs... params")],
+    before: Path | None = None,
+    config: Path | None = None,
     setting: options.Settings = None,
     gate: options.Gates = None,
-    as_json: options.AsJson = False,
-    junit: options.JUnit = None,
-    force: Annotated[bool, Option("--force", help="Replace an existing JUnit file.")] = False,
-    verbose: options.Verbose = False,
-    quiet: options.NoBar = False,
+    as_json: bool = False,
+    junit: Path | None = None,
+    force: bool = False,
+    verbose: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Test a calibration on another recording.
 
@@ -42,10 +31,15 @@ def evaluate(
     Example: mobilecal evaluate another.mcap log_calibration/params.yaml
 
     In CI: mobilecal evaluate another.mcap params.yaml --gate translation_rms_mm=15 --gate drift_deg_per_turn=3
+
+    Args:
+        files: Recordings of one robot, and last the params.yaml of the calibration to test.
+        before: params.yaml with the wheels to compare drift with. [default: the nominal wheels]
+        force: Replace an existing JUnit file.
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.export import write_file
     from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.rig.config import load_rig
@@ -56,7 +50,7 @@ def evaluate(
             f"{params}: the only path given; evaluate needs a recording and a params.yaml",
             "mobilecal evaluate another.mcap log_calibration/params.yaml",
         )
-    with options.errors_to(junit, logs, force, [params, before, config]):
+    with options.junit_file(junit, logs, force, [params, before, config]) as write_junit:
         with progress_bar(quiet, verbose) as progress:
             result = evaluated(
                 logs,
@@ -66,8 +60,7 @@ def evaluate(
                 gates=gate or [],
                 progress=progress,
             )
-        if junit is not None:
-            write_file(junit, junit_xml(str(logs[0]), result.verdict), force)
+        write_junit(junit_xml(str(logs[0]), result.verdict))
     text = evaluation_json(result) if as_json else evaluation_text(result)
     typer.echo(text, nl=False)
     options.conclude(result.verdict.level, result.verdict.reason, result.verdict.next_step, quiet=as_json)

@@ -8,59 +8,25 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, path_argument, path_option, written_line
+from mobilecal_cli.commands.options import written_line
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.targets import Target
 
 
 def export(
-    params: Annotated[Path, path_argument(help="params.yaml of a calibration.")],
-    to: Annotated[Target, Option(help="Output format.")],
-    urdf: Annotated[
-        Path | None, path_option(help="URDF to patch, for --to urdf; the file itself is not changed.")
-    ] = None,
-    camera: Annotated[
-        str | None, Option(metavar="NAME", help="For --to camera_info: the camera. [default: the reference]")
-    ] = None,
-    left_joint: Annotated[
-        str | None, Option(help="Joint of the left wheel. [default: as calibrated]")
-    ] = None,
-    right_joint: Annotated[
-        str | None, Option(help="Joint of the right wheel. [default: as calibrated]")
-    ] = None,
-    with_chain: Annotated[
-        bool,
-        Option(
-            "--with-chain",
-            help="For --to urdf: also write the estimated head chain (joint origins and axes).",
-        ),
-    ] = False,
-    rate: Annotated[
-        float | None,
-        Option(metavar="HZ", help="For --to odometry_covariance: messages per second. [default: 50]"),
-    ] = None,
-    distance: Annotated[
-        float | None,
-        Option(
-            metavar="METERS",
-            help="For --to odometry_covariance: length of straight drives. [default: legs of the recording]",
-        ),
-    ] = None,
-    log: Annotated[
-        list[Path] | None,
-        path_option(help="For --to foxglove: recording of the calibration, for its images. Repeatable."),
-    ] = None,
-    allow_failed: Annotated[
-        bool,
-        Option(
-            "--allow-failed",
-            help="Also export a calibration whose verdict is not PASS; the export states the verdict.",
-        ),
-    ] = False,
-    output: Annotated[
-        Path | None, path_option("--output", "-o", help="File to write. [default: standard output]")
-    ] = None,
-    force: Force = False,
+    params: Path,
+    to: Annotated[Target, Option()],
+    urdf: Path | None = None,
+    camera: Annotated[str | None, Option(metavar="NAME")] = None,
+    left_joint: str | None = None,
+    right_joint: str | None = None,
+    with_chain: bool = False,
+    rate: Annotated[float | None, Option(metavar="HZ")] = None,
+    distance: Annotated[float | None, Option(metavar="METERS")] = None,
+    log: list[Path] | None = None,
+    allow_failed: bool = False,
+    output: Path | None = None,
+    force: bool = False,
 ) -> None:
     """Export a calibration as URDF, xacro, ros2_control and more.
 
@@ -69,6 +35,20 @@ def export(
     Example: mobilecal export out/params.yaml --to urdf --urdf robot.urdf --output robot_calibrated.urdf
 
     For a controller: mobilecal export out/params.yaml --to ros2_control
+
+    Args:
+        params: params.yaml of a calibration.
+        to: Output format.
+        urdf: URDF to patch, for --to urdf; the file itself is not changed.
+        camera: For --to camera_info: the camera. [default: the reference]
+        left_joint: Joint of the left wheel. [default: as calibrated]
+        right_joint: Joint of the right wheel. [default: as calibrated]
+        with_chain: For --to urdf: also write the estimated head chain (joint origins and axes).
+        rate: For --to odometry_covariance: messages per second. [default: 50]
+        distance: For --to odometry_covariance: length of straight drives. [default: legs of the recording]
+        log: For --to foxglove: recording of the calibration, for its images. Repeatable.
+        allow_failed: Also export a calibration whose verdict is not PASS; the export states the verdict.
+        output: File to write. [default: standard output]
     """
     from mobilecal_cli.calibrate.export import export as exported
     from mobilecal_cli.export.outputs import check_file, write_file

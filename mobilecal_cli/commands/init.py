@@ -7,27 +7,23 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.commands.options import Force, Logs, Quiet, path_option, written_line
+from mobilecal_cli.commands.options import written_line
 
 if TYPE_CHECKING:
     from mobilecal_cli.rig.draft import Draft
 
 
 def init(
-    logs: Logs,
-    output: Annotated[
-        Path, path_option("--output", "-o", help="File to write; - for standard output.")
-    ] = Path("rig.yaml"),
-    urdf: Annotated[
-        Path | None, path_option(help="URDF of the robot. [default: robot_description in the recording]")
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
+    logs: list[Path],
+    output: Path = Path("rig.yaml"),
+    urdf: Path | None = None,
+    force: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Write a commented draft of rig.yaml from a recording.
 
@@ -35,6 +31,10 @@ def init(
     answers, is left to you as TODO, and listed.
 
     Example: mobilecal init log.mcap --urdf robot.urdf --output rig.yaml
+
+    Args:
+        output: File to write; - for standard output.
+        urdf: URDF of the robot. [default: robot_description in the recording]
     """
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.export.outputs import check_file, write_file

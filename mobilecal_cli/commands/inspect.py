@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from mobilecal_cli.commands.options import AsJson, Config, Logs, NoBar, Settings, flags_of, show_each
+from pathlib import Path
+
+from mobilecal_cli.commands.options import Settings, flags_of, show_each
 
 
 def inspect(
-    logs: Logs,
-    config: Config = None,
+    logs: list[Path],
+    config: Path | None = None,
     setting: Settings = None,
-    as_json: AsJson = False,
-    quiet: NoBar = False,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Show what a recording contains and what is missing.
 
@@ -18,6 +20,9 @@ def inspect(
     a rig.yaml against it. Samples a long recording, so that it takes seconds. Writes nothing.
 
     Example: mobilecal inspect log.mcap
+
+    Args:
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.inspect import inspect as inspected
     from mobilecal_cli.calibrate.inspect import recordings

@@ -1,13 +1,26 @@
-"""What several commands share: options and their completion, the verdict at the end, errors in a JUnit file."""
+"""What several commands share: options and their completion, the verdict at the end, the JUnit file.
+
+Args:
+    logs: Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.
+    config: Configuration (rig.yaml); `mobilecal init` drafts one.
+    setting: Override rig.yaml, for example wheels.left.sign=-1. Repeatable.
+    gate: Exit with code 6 if the figure exceeds the limit. Repeatable.
+    as_json: Print JSON instead of text.
+    junit: Also write every criterion to this file as JUnit XML.
+    force: Replace existing output.
+    verbose: Print every figure and check; on standard error, each stage.
+    quiet: Print no progress and no summary.
+"""
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
+from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import typer
 from typer import Argument, Option
@@ -18,6 +31,11 @@ if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
 
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
+#: A parameter in the `Args` of a docstring, and its text.
+_DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
+#: Parameter → the name of its option, if that is another one; and its second, short name.
+_LONG = {"as_json": "--json", "open_report": "--open"}
+_SHORT = {"config": ["-c"], "output": ["-o"], "quiet": ["-q"], "verbose": ["-v"]}
 _LONGEST_SHOWN = 40  # characters of a text that is refused
 
 
@@ -39,42 +57,28 @@ def setting_keys(incomplete: str) -> list[tuple[str, str]]:
     return [(f"{key}=", text) for key, text in keys.items() if key.startswith(incomplete)]
 
 
-#: A path that typer does not check: the messages of the commands say what to do.
-path_option, path_argument = partial(Option, readable=False), partial(Argument, readable=False)
-Logs = Annotated[
-    list[Path], path_argument(help="Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.")
-]
-Config = Annotated[
-    Path | None, path_option("--config", "-c", help="Configuration (rig.yaml); `mobilecal init` drafts one.")
-]
-Settings = Annotated[
-    list[str] | None,
-    Option(
-        "--set",
-        metavar="KEY=VALUE",
-        help="Override rig.yaml, for example wheels.left.sign=-1. Repeatable.",
-        autocompletion=setting_keys,
-    ),
-]
-Gates = Annotated[
-    list[str] | None,
-    Option(
-        "--gate",
-        metavar="NAME=LIMIT",
-        help="Exit with code 6 if the figure exceeds the limit. Repeatable.",
-        autocompletion=gate_names,
-    ),
-]
-Force = Annotated[bool, Option("--force", help="Replace existing output.")]
-Quiet = Annotated[bool, Option("--quiet", "-q", help="Print no progress and no summary.")]
-NoBar = Annotated[bool, Option("--quiet", "-q", help="Print no progress.")]
-Verbose = Annotated[
-    bool, Option("--verbose", "-v", help="Print every figure and check; on standard error, each stage.")
-]
-AsJson = Annotated[bool, Option("--json", help="Print JSON instead of text.")]
-JUnit = Annotated[
-    Path | None, path_option("--junit", help="Also write every criterion to this file as JUnit XML.")
-]
+def add_command(app: typer.Typer, command: Callable[..., None]) -> None:
+    """Add a command to the command line.
+
+    Its docstring is its help, and under `Args` that of its parameters; the docstring of this module has that of common
+    ones. Without a default, a parameter is an argument. A switch has no negative form. Typer checks no path: the
+    messages of the commands say what to do.
+    """
+    about, _, described = (inspect.getdoc(command) or "").partition("\n\nArgs:\n")
+    texts = dict(_DESCRIBED.findall(f"{__doc__}\n{described}"))
+    for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
+        stated = parameter.annotation
+        kind, *given = get_args(stated) if get_origin(stated) is Annotated else (stated,)
+        names = [_LONG.get(name, f"--{name.replace('_', '-')}"), *_SHORT.get(name, ())]
+        usual = Argument() if parameter.default is parameter.empty else Option(*names)
+        info = copy(given[0]) if given else usual
+        info.help, info.readable = info.help or " ".join(texts.get(name, "").split()), False
+        command.__annotations__[name] = Annotated[kind, info]
+    app.command(help=about)(command)
+
+
+Settings = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", autocompletion=setting_keys)]
+Gates = Annotated[list[str] | None, Option("--gate", metavar="NAME=LIMIT", autocompletion=gate_names)]
 
 
 def flags_of(settings: list[str] | None) -> dict[str, Any]:
@@ -105,14 +109,14 @@ def counts_of(option: str, text: str) -> tuple[int, int]:
 
 
 @contextmanager
-def errors_to(
+def junit_file(
     junit: Path | None,
     logs: Sequence[Path],
     force: bool,
     others: Sequence[Path | None],
     outputs: Mapping[str, Path | None] | None = None,
-) -> Iterator[None]:
-    """Write an error to the JUnit file as well, unless that file must not be replaced.
+) -> Iterator[Callable[[bytes], None]]:
+    """Function that writes the JUnit file, if there is one; an error of the command is written to it, too.
 
     Args:
         junit: this file.
@@ -127,11 +131,15 @@ def errors_to(
     check_apart({"--junit": junit, **(outputs or {})})
     if junit is not None:
         check_file(junit, force, [*logs, *others])
-    try:
-        yield
-    except MobilecalError as error:
+
+    def write(content: bytes) -> None:
         if junit is not None:
-            write_file(junit, junit_error_xml(str(logs[0]), error), force)
+            write_file(junit, content, force)
+
+    try:
+        yield write
+    except MobilecalError as error:
+        write(junit_error_xml(str(logs[0]), error))
         raise
 
 

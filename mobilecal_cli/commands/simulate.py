@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from mobilecal_cli.commands.options import Force, Quiet, path_argument, written_line
+from mobilecal_cli.commands.options import written_line
 from mobilecal_cli.targets import ROBOTS, BoardKind, Container, Motion, Pictures, Robot
 
 _PAPER = Robot("paper")
@@ -16,34 +16,37 @@ _BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
 
 
 def simulate(
-    out: Annotated[Path, path_argument(help="Recording to write: a file, or a directory for rosbag2.")],
+    out: Path,
     robot: Annotated[
         Robot, Option(help=f"{'; '.join(f'{name}: {meaning}' for name, meaning in ROBOTS.items())}.")
     ] = _PAPER,
-    motion: Annotated[Motion, Option(help="Motion of the base and the head.")] = "standard",
-    seed: Annotated[int, Option(min=0, help="Seed of the random numbers.")] = 0,
-    stations: Annotated[
-        int, Option(min=2, help="Number of stops; a moving recording lasts 3 s per stop.")
-    ] = 12,
-    container: Annotated[
-        Container | None, Option(help="Container format. [default: from the file extension]")
-    ] = None,
-    pictures: Annotated[Pictures, Option(help="Image encoding.")] = "jpeg",
-    board: Annotated[
-        BoardKind, Option(help="Board on the wall; boards with markers may be partly visible.")
-    ] = "checkerboard",
-    exact: Annotated[
-        bool, Option("--exact", help="No noise and no encoder quantization (use with png).")
-    ] = False,
-    camera_late: Annotated[float, Option(min=-0.2, max=0.2, help="Delay of the camera clock, s.")] = 0.0,
-    force: Force = False,
-    quiet: Quiet = False,
+    motion: Motion = "standard",
+    seed: Annotated[int, Option(min=0)] = 0,
+    stations: Annotated[int, Option(min=2)] = 12,
+    container: Container | None = None,
+    pictures: Pictures = "jpeg",
+    board: BoardKind = "checkerboard",
+    exact: bool = False,
+    camera_late: Annotated[float, Option(min=-0.2, max=0.2)] = 0.0,
+    force: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Simulate a recording with known truth.
 
     The truth is written to a YAML file next to the recording.
 
     Example: mobilecal simulate drive.mcap --robot paper --seed 7
+
+    Args:
+        out: Recording to write: a file, or a directory for rosbag2.
+        motion: Motion of the base and the head.
+        seed: Seed of the random numbers.
+        stations: Number of stops; a moving recording lasts 3 s per stop.
+        container: Container format. [default: from the file extension]
+        pictures: Image encoding.
+        board: Board on the wall; boards with markers may be partly visible.
+        exact: No noise and no encoder quantization (use with png).
+        camera_late: Delay of the camera clock, s.
     """
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.simulate.record import simulate as record

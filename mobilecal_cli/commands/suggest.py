@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import typer
 
-from mobilecal_cli.commands.options import AsJson, Config, Logs, NoBar, Settings, flags_of
+from mobilecal_cli.commands.options import Settings, flags_of
 
 
 def suggest(
-    logs: Logs,
-    config: Config = None,
+    logs: list[Path],
+    config: Path | None = None,
     setting: Settings = None,
-    as_json: AsJson = False,
-    quiet: NoBar = False,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> None:
     """Suggest what improves a calibration most, the cheapest first.
 
@@ -20,6 +22,9 @@ def suggest(
     head, and the standard deviation to expect. Reads recordings or an extraction.npz. Writes nothing.
 
     Example: mobilecal suggest log.mcap
+
+    Args:
+        quiet: Print no progress.
     """
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import progress_bar

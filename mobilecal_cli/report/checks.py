@@ -646,14 +646,10 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     right_rad, left_rad = encoder_steps_rad(made.extraction.wheels).tolist()
     step_rad = (wheels.radius_right_m * right_rad + wheels.radius_left_m * left_rad) / wheels.separation_m
     bad = max(bad, encoder_steps * step_rad)
+    distance_mm, focal_px = made.extraction.board_distance_m * 1e3, float(made.solution.cameras.first.K[0, 0])
     for metric, kind, errors, scale in (
-        (metrics[0], "point", residuals.leg_point_rms_m * 1e3, made.extraction.board_distance_m * 1e3),
-        (
-            metrics[1],
-            "reprojection",
-            residuals.leg_reprojection_px,
-            float(made.solution.cameras.first.K[0, 0]),
-        ),
+        (metrics[0], "point", residuals.leg_point_rms_m * 1e3, distance_mm),
+        (metrics[1], "reprojection", residuals.leg_reprojection_px, focal_px),
     ):
         worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = (names[end] for end in residuals.legs[worst])

@@ -107,7 +107,7 @@ def comparison_text(comparison: Comparison) -> str:
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
             rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
-        rows += [(meaning, f"{value:+.3f}", "", "", unit) for meaning, value, unit in effects(each)]
+        rows += [(meaning, f"{value:+.3f}", "", "", unit) for _, meaning, value, unit in effects(each)]
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
         lines.append("  r is a small rotation about the head's axes.")
@@ -138,10 +138,7 @@ def comparison_json(comparison: Comparison) -> str:
                 "changed": changed(each),
                 "share_a_recording": each.shared,
                 "unobservable": dict(zip(NINE, each.unobservable.tolist(), strict=True)),
-                "ray_at_2m_mm": each.ray_m * 1e3,
-                "along_mm_per_m": each.along_m_per_m * 1e3,
-                "heading_deg_per_m": math.degrees(each.heading_rad_per_m),
-                "heading_deg_per_turn": math.degrees(each.heading_rad_per_turn),
+                **{key: value for key, _, value, _ in effects(each)},
             }
             for each in comparison.differences
         ],
@@ -150,14 +147,14 @@ def comparison_json(comparison: Comparison) -> str:
     return json_text(data, sort_keys=False)
 
 
-def effects(difference: Difference) -> tuple[tuple[str, float, str], ...]:
-    """What a change means for the robot: (effect, value, unit)."""
-    heading_deg_per_m = math.degrees(difference.heading_rad_per_m)
+def effects(difference: Difference) -> tuple[tuple[str, str, float, str], ...]:
+    """What a change means for the robot: (key for programs, effect, value, unit)."""
+    heading, turn = map(math.degrees, (difference.heading_rad_per_m, difference.heading_rad_per_turn))
     return (
-        (f"shift of a point {AHEAD_M:g} m ahead", difference.ray_m * 1e3, "mm"),
-        ("distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
-        ("heading, driving straight", heading_deg_per_m, "deg per m"),
-        ("heading per full turn", math.degrees(difference.heading_rad_per_turn), "deg"),
+        ("ray_at_2m_mm", f"shift of a point {AHEAD_M:g} m ahead", difference.ray_m * 1e3, "mm"),
+        ("along_mm_per_m", "distance, driving straight", difference.along_m_per_m * 1e3, "mm per m"),
+        ("heading_deg_per_m", "heading, driving straight", heading, "deg per m"),
+        ("heading_deg_per_turn", "heading per full turn", turn, "deg"),
     )
 
 

@@ -6,7 +6,7 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -226,23 +226,24 @@ class LegErrorData(JsonValue):
     translation_mm: float
 
 
-_ERRORS: Mapping[str, Callable[[Evaluation], FloatArray]] = {
-    "reprojection_px": lambda evaluation: evaluation.reprojection_px,
-    "rotation_deg": lambda evaluation: np.degrees(evaluation.rotation_rad),
-    "translation_mm": lambda evaluation: evaluation.translation_m * 1e3,
-}
+class LegErrors(JsonValue):
+    """Errors on each leg, (legs,): px, degrees and mm."""
+
+    reprojection_px: FloatArray
+    rotation_deg: FloatArray
+    translation_mm: FloatArray
 
 
 def _spread(name: str) -> Any:  # noqa: ANN401
     def of(evaluation: Evaluation) -> SpreadData:
-        values = _ERRORS[name](evaluation)
+        values = getattr(like(LegErrors, evaluation), name)
         return SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
 
     return by(of)
 
 
 def _legs(evaluation: Evaluation) -> tuple[LegErrorData, ...]:
-    errors = {name: of(evaluation).tolist() for name, of in _ERRORS.items()}
+    errors = {name: each.tolist() for name, each in vars(like(LegErrors, evaluation)).items()}
     return tuple(
         LegErrorData(
             log=log, from_station=i, to_station=j, **{name: each[k] for name, each in errors.items()}

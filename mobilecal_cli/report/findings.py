@@ -9,7 +9,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
-from mobilecal_cli.report.use import SOURCES
+from mobilecal_cli.report.use import STATED
 
 #: Further constants of a group are named if they are so many standard deviations off.
 _NAMED_SIGMAS = 2.0
@@ -48,8 +48,8 @@ def contradiction_sentences(
             "stated, recalibrate the stereo pair.",
         )
     measured = evidence.kind == "square_size" and extraction.board.square_m is None
-    words = SOURCES[evidence.kind]
-    stated, cure = _MEASURED_SQUARE if measured else (words.stated, words.cure)
+    words = STATED[evidence.kind]
+    stated, cure = _MEASURED_SQUARE if measured else (words.value, words.cure)
     if evidence.asked:
         stated = " and ".join(f"--prior {name}" for name in evidence.asked)
         cure = f"Correct {stated}, or leave it out."

@@ -143,23 +143,19 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
     """The table as an HTML page with links to the reports."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
-    lines: list[dict[str, Any]] = []
+    lines = []
     for row, values, sigmas in zip(rows, numbers, std, strict=True):
-        if row.verdict == "SKIPPED":
-            continue
-        cells = [
-            {
-                "text": value_text(value, sigma, 2) if np.isfinite(value) else "",
-                "std": f"± {std_text(sigma)}" if np.isfinite(sigma) else "",
-                "out": name in out.get(row.name, ()),
-            }
-            for name, value, sigma in zip(NINE, values, sigmas, strict=True)
+        texts = [
+            value_text(value, s, 2) if np.isfinite(value) else ""
+            for value, s in zip(values, sigmas, strict=True)
         ]
-        lines.append({"row": row, "cells": cells, "out": out.get(row.name, ())})
+        stds = [f"± {std_text(sigma)}" if np.isfinite(sigma) else "" for sigma in sigmas]
+        if row.verdict != "SKIPPED":
+            lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
     levels = ("PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
-        remarks=[line for line in lines if line["out"] or line["row"].verdict != "PASS"],
+        remarks=[(row, marks) for row, _, marks in lines if marks or row.verdict != "PASS"],
         fleet_limit=OUT_OF_FLEET,
         sigma_limit=OUT_OF_SIGMA,
         counts={level: sum(row.verdict == level for row in rows) for level in levels},

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
@@ -82,7 +82,7 @@ class Finding:
     """One criterion for a calibration.
 
     Attributes:
-        about: what it concerns, one of `Inspection.CRITERIA`.
+        about: what it concerns, one of `CRITERIA`.
         state: "limit": a calibration is possible, with limits; "problem": it is not; "unknown": another problem
             prevents the check.
         what: what was found, or what is wrong.
@@ -107,7 +107,6 @@ class Inspection:
     """Summary of a recording.
 
     Attributes:
-        CRITERIA: what is checked, in order; see `Finding.about`.
         name: path as given by the user.
         containers: file formats.
         size_bytes: total size.
@@ -122,22 +121,6 @@ class Inspection:
         findings: what prevents or limits a calibration.
         notes: irregularities and losses, whole sentences.
     """
-
-    CRITERIA: ClassVar[tuple[str, ...]] = (
-        "rig.yaml",
-        "recording",
-        "cameras",
-        "camera infos",
-        "wheels",
-        "head chain",
-        "joints",
-        "priors",
-        "gates",
-        "time",
-        "motion",
-        "board",
-        "square size",
-    )
 
     name: str
     containers: tuple[str, ...] = ()
@@ -265,8 +248,12 @@ def _topics(inspection: Inspection) -> list[str]:
     return Table.of(("topic", "type", "number:messages", "number:rate", "longest gap", ""), rows).lines()
 
 
-#: Criteria without which no other can be checked, and those that are listed for their problems only.
-_FIRST, _ONLY_PROBLEMS = ("rig.yaml", "recording"), ("rig.yaml", "recording", "priors", "gates")
+#: Criteria without which no other can be checked, those of the robot's description, and those of the recording.
+_FIRST = ("rig.yaml", "recording")
+_DESCRIBED = ("cameras", "camera infos", "wheels", "head chain", "joints", "priors", "gates")
+_RECORDED = ("time", "motion", "board", "square size")
+#: What is checked, in order; and what is listed for its problems only.
+CRITERIA, _ONLY_PROBLEMS = (*_FIRST, *_DESCRIBED, *_RECORDED), (*_FIRST, "priors", "gates")
 
 
 def checklist(inspection: Inspection) -> tuple[Finding, ...]:
@@ -280,7 +267,7 @@ def checklist(inspection: Inspection) -> tuple[Finding, ...]:
     lines: list[Finding] = []
     known = {**_known(inspection.survey), **_measured(inspection)}
     unknown = "not checked, see the problems" if inspection.missing else "could not be measured"
-    for about in inspection.CRITERIA:
+    for about in CRITERIA:
         problems = [each for each in (*inspection.missing, *inspection.weak) if each.about == about]
         if problems or about in _ONLY_PROBLEMS:
             lines += problems

@@ -6,24 +6,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import NamedTuple
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.fleet import FleetRow
 from mobilecal_cli.report.verdict import LEVELS, Verdict
-
-
-class _Case(NamedTuple):
-    """A test case; `tag` is "failure", "error", or "" for one that passes, and `out` what it printed."""
-
-    name: str
-    tag: str
-    message: str
-    kind: str
-    text: str
-    out: str = ""
-    seconds: float = 0.0
 
 
 def junit_xml(name: str, verdict: Verdict, seconds: float = 0.0) -> bytes:
@@ -36,32 +23,24 @@ def junit_xml(name: str, verdict: Verdict, seconds: float = 0.0) -> bytes:
         tag, warning = "failure" if check.outcome in LEVELS else "", check.outcome == "warning"
         out = f"measured: {check.measured_text}; limit: {check.limit_text}"
         out += f"; warning: {check.why}" if warning else ""
-        cases.append(_Case(check.name, tag, check.why, check.label, check.next_step, out))
+        cases.append(_case(check.name, tag, check.why, check.label, check.next_step, out))
     return _xml(name, cases, seconds)
 
 
 def junit_error_xml(name: str, error: MobilecalError) -> bytes:
     """One test case with the error that ended a run without a result."""
-    case = _Case("the recording can be calibrated", "error", error.message, error.code, error.hint)
-    return _xml(name, [case])
+    case = _case("the recording can be calibrated", "error", error.message, error.code, error.hint)
+    return _xml(name, [case], 0.0)
 
 
 def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
     """A test suite of a directory of recordings: each robot is a case, an error if it has no result."""
-    tags = {"PASS": "", "ERROR": "error"}
+    tags, robots = {"PASS": "", "ERROR": "error"}, [row for row in rows if row.verdict != "SKIPPED"]
     cases = [
-        _Case(
-            row.name,
-            tags.get(row.verdict, "failure"),
-            row.reason,
-            row.verdict.lower(),
-            row.hint,
-            seconds=row.seconds,
-        )
-        for row in rows
-        if row.verdict != "SKIPPED"
+        _case(r.name, tags.get(r.verdict, "failure"), r.reason, r.verdict.lower(), r.hint, seconds=r.seconds)
+        for r in robots
     ]
-    return _xml(name, cases)
+    return _xml(name, cases, sum(row.seconds for row in robots))
 
 
 def is_junit(path: Path) -> bool:
@@ -73,19 +52,26 @@ def is_junit(path: Path) -> bool:
         return False
 
 
-def _xml(name: str, cases: Sequence[_Case], seconds: float = 0.0) -> bytes:
+def _case(
+    name: str, tag: str, message: str, kind: str, text: str, out: str = "", seconds: float = 0.0
+) -> ET.Element:
+    """A test case; `tag` is "failure", "error", or "" for one that passes, and `out` what it printed."""
+    about = {"classname": "mobilecal", "name": visible(name), "time": f"{seconds:.3f}"}
+    case = ET.Element("testcase", about)
+    if tag:
+        ET.SubElement(case, tag, message=visible(message), type=kind).text = visible(text)
+    if out:
+        ET.SubElement(case, "system-out").text = visible(out)
+    return case
+
+
+def _xml(name: str, cases: Sequence[ET.Element], seconds: float) -> bytes:
     counts = {"tests": str(len(cases))}
-    counts |= {f"{tag}s": str(sum(case.tag == tag for case in cases)) for tag in ("failure", "error")}
-    counts["time"] = f"{seconds or sum(case.seconds for case in cases):.3f}"
+    counts |= {
+        f"{tag}s": str(sum(case.find(tag) is not None for case in cases)) for tag in ("failure", "error")
+    }
+    counts["time"] = f"{seconds:.3f}"
     suites = ET.Element("testsuites", counts)
-    suite = ET.SubElement(suites, "testsuite", {"name": visible(name), **counts})
-    for case in cases:
-        about = {"classname": "mobilecal", "name": visible(case.name), "time": f"{case.seconds:.3f}"}
-        element = ET.SubElement(suite, "testcase", about)
-        if case.tag:
-            child = ET.SubElement(element, case.tag, {"message": visible(case.message), "type": case.kind})
-            child.text = visible(case.text)
-        if case.out:
-            ET.SubElement(element, "system-out").text = visible(case.out)
+    ET.SubElement(suites, "testsuite", {"name": visible(name), **counts}).extend(cases)
     ET.indent(suites)
     return bytes(ET.tostring(suites, encoding="utf-8", xml_declaration=True)) + b"\n"

@@ -42,14 +42,6 @@ class Drawn(NamedTuple):
     title: str = ""
 
 
-class Plot(NamedTuple):
-    """A plot in a section of the page, in one or several parts; half as wide as the page, side by side, if `half`."""
-
-    section: str
-    half: bool
-    parts: tuple[Drawn, ...]
-
-
 class Overlay(NamedTuple):
     """The region of an image around the board, as base64 ("" if it cannot be decoded), with marks, for the template.
 
@@ -87,7 +79,10 @@ _PLOTS: list[tuple[str, bool, _Draw]] = []
 
 
 def plot(section: str, *, half: bool = False) -> Callable[[_Draw], _Draw]:
-    """Add a function to the plots of the page; see `Plot`. It yields nothing where there is nothing to show."""
+    """Add a function to the plots of a section of the page; half as wide as the page, side by side, if `half`.
+
+    It yields nothing where there is nothing to show.
+    """
 
     def registered(draw: _Draw) -> _Draw:
         _PLOTS.append((section, half, draw))
@@ -96,10 +91,9 @@ def plot(section: str, *, half: bool = False) -> Callable[[_Draw], _Draw]:
     return registered
 
 
-def plots(solution: Solution, extraction: Extraction) -> list[Plot]:
-    """All plots that have something to show, in the order of their definition."""
-    every = (Plot(section, half, tuple(draw(solution, extraction))) for section, half, draw in _PLOTS)
-    return [each for each in every if each.parts]
+def plots(solution: Solution, extraction: Extraction) -> list[tuple[str, bool, Drawn]]:
+    """All plots that have something to show, in the order of their definition: section, whether half as wide, plot."""
+    return [(section, half, drawn) for section, half, draw in _PLOTS for drawn in draw(solution, extraction)]
 
 
 SHOWN_LEGS = 3  # of which the page shows the images; those of others on request

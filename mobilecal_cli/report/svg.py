@@ -84,13 +84,10 @@ class Canvas:
     title: str
     parts: list[str] = field(default_factory=list)
 
-    def text(
-        self, x: float, y: float, text: str, kind: str = "small", anchor: str = "start", turn: float = 0
-    ) -> None:
+    def text(self, x: float, y: float, text: str, kind: str = "small", anchor: str = "start") -> None:
         """One line of text; anchor "start", "middle" or "end"."""
-        turned = f' transform="rotate({number(turn)} {number(x)} {number(y)})"' if turn else ""
         self.parts.append(
-            f'<text x="{number(x)}" y="{number(y)}" class="{kind}" text-anchor="{anchor}"{turned}>'
+            f'<text x="{number(x)}" y="{number(y)}" class="{kind}" text-anchor="{anchor}">'
             f"{escape(visible(text))}</text>"
         )
 

@@ -12,14 +12,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like
-from mobilecal_cli.report.numbers import (
-    DEG,
-    parameters_of,
-    percent_text,
-    reference_std,
-    std_text,
-    value_text,
-)
+from mobilecal_cli.report.numbers import DEG, parameters_of, percent_text, reference_std, std_text, value_text
 from mobilecal_cli.report.verdict import Case
 
 _Make: TypeAlias = Callable[[Case], Table | None]

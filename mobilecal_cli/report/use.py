@@ -198,22 +198,20 @@ class Cure(NamedTuple):
 def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[Cure, ...]:
     """What improves an error by 5 % or more, the cheapest first."""
     of = {name: share for share, name in error.shares}
-    kinds = {kind.name: kind for kind in nuisance.KINDS}
     cures = []
     scale, measured = solution.constants.get("baseline_scale"), {"baseline_length", "square_size"}
     unstated = extraction.board.square_m is None and scale is not None and scale.std > 0
     if unstated and scale is not None:
-        ratio = kinds["square_size"].sigma / scale.std
+        ratio = nuisance.kind("square_size").sigma / scale.std
         removed = sum(of.get(name, 0.0) for name in measured) / (1 + ratio**2)
         cures.append(Cure("Measure the squares, and state board.square_m in rig.yaml", removed))
-    other = [name for name in of if name in kinds and not (unstated and name in measured)]
+    other = [name for name in of if name in STATED and not (unstated and name in measured)]
     if other:
         stated = max(other, key=lambda name: of[name])
-        command = source(stated).advice
-        command = f"{command[0].upper()}{command[1:]}, and state half of `priors: {stated}` in rig.yaml"
+        command = f"{STATED[stated].advice}, and state half of `priors: {stated}` in rig.yaml"
         cures.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
     noise = sum(
-        share for share, name in error.shares if name not in kinds and source(name).family not in _NOT_NOISE
+        share for share, name in error.shares if name not in STATED and family_of(name) not in _NOT_NOISE
     )
     alone = (error.limit / error.value) ** 2 - (1 - noise) if error.value > 0 else 1.0
     with_others = alone + sum(cure.removed for cure in cures)
@@ -274,139 +272,128 @@ def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """A source of errors: a noise level, or a kind of constants of the robot description.
+class Stated:
+    """A kind of constants of the robot description: its words.
 
     Attributes:
-        label: as in a list.
-        family: its group, a key of `FAMILIES`.
-        advice: what reduces it, as a command without a full stop.
-        stated: of constants, the stated value, after "differs from".
-        cure: of constants, what to do where the data contradict that value; in whole sentences.
+        family: its group of sources of errors, a key of `FAMILIES`.
+        advice: what makes the stated value better, as a command, without a full stop.
+        value: the stated value, after "differs from".
+        cure: what to do where the data contradict it; in whole sentences.
     """
 
-    label: str
     family: str
     advice: str
-    stated: str = ""
-    cure: str = ""
+    value: str
+    cure: str
 
 
 # fmt: off
-_CAMERA = (
-    "camera_info", "calibrate the cameras again with more images", "camera_info",
+_CAMERA = Stated(
+    "camera_info", "Calibrate the cameras again with more images", "camera_info",
     "Check that camera_info belongs to these images (resolution, crop), and cameras.rectified. Calibrate the camera "
     "again, or use the exported camera_info.",
 )
-_PAIR = (
-    "camera_info", "calibrate the stereo pair again with more images", "camera_info",
+_PAIR = Stated(
+    "camera_info", "Calibrate the stereo pair again with more images", "camera_info",
     "Recalibrate the stereo pair, or use the exported camera_info.",
 )
-_AMONG = (
-    "camera_info", "calibrate the cameras together", "the robot description",
+_AMONG = Stated(
+    "camera_info", "Calibrate the cameras together", "the robot description",
     "Correct the pose of this camera in the URDF or in the transforms, or use the exported camchain.",
 )
 _URDF = ("the URDF", "Correct the URDF, or use the exported URDF.")
-_HEAD = ("head geometry", "measure the geometry of the head", *_URDF)
-SOURCES: dict[str, Source] = {
-    "pixel_px": Source("corner noise", "corners", "record more stops, with the board closer or more images each"),
-    "joint_rad": Source("joint reading noise", "joint readings", "record more stops, and check the head for play"),
-    "floor_rad": Source("the uneven floor", "floor", "record on a flat floor, or record more stops"),
-    "floor_m": Source("the uneven floor (height)", "floor", "record on a flat floor, or record more stops"),
-    "sway_rad": Source("sway of the base", "floor", "stop for images, and let the base come to rest"),
-    "sway_m": Source("sway of the base (height)", "floor", "stop for images, and let the base come to rest"),
-    "wheel_rad_per_sqrt_rad": Source("wheel noise", "wheels", "record more stops with shorter legs, on a firm floor"),
-    "wheel_share": Source("wheel noise in proportion to the distance", "wheels", "record more legs, on a firm floor"),
-    "encoder_rad": Source("encoder steps", "encoder steps", "record more legs, or use finer encoders"),
-    "stamp_s": Source("jitter of the image time stamps", "time stamps", "stop for images, or use hardware time stamps"),
-    "pose_scale": Source("the measured poses", "poses", "measure more poses, or measure them more exactly"),
-    "clock": Source("the stated clock offset", "time stamps", "synchronize the clocks", "equal clocks",
+_HEAD = Stated("head geometry", "Measure the geometry of the head", *_URDF)
+STATED: dict[str, Stated] = {
+    "clock": Stated("time stamps", "Synchronize the clocks", "equal clocks",
                     "Synchronize the clocks (NTP or PTP) and record again."),
-    "focal_length": Source("the stated focal length", *_CAMERA),
-    "focal_aspect": Source("the stated ratio of the focal lengths", *_CAMERA),
-    "stereo_clock": Source("the delay between the cameras", "time stamps", "stop for images, or trigger them together",
-                           "simultaneous images",
+    "focal_length": _CAMERA,
+    "focal_aspect": _CAMERA,
+    "stereo_clock": Stated("time stamps", "Stop for images, or trigger them together", "simultaneous images",
                            "Trigger both cameras together, or stop for images, and record again."),
-    "readout": Source("the read-out time of the images", "time stamps", "stop for images, or use a global shutter",
-                      "a global shutter",
+    "readout": Stated("time stamps", "Stop for images, or use a global shutter", "a global shutter",
                       "State priors.readout in rig.yaml (in ms), or stop for images, and record again."),
-    "principal_point": Source("the stated principal point", *_CAMERA),
-    "distortion": Source("the stated lens distortion", *_CAMERA),
-    "lens_waves": Source("what the lenses do beside their distortion models", "camera_info",
-                         "calibrate the cameras with a richer distortion model", "no more than the distortion model",
+    "principal_point": _CAMERA,
+    "distortion": _CAMERA,
+    "lens_waves": Stated("camera_info", "Calibrate the cameras with a richer distortion model",
+                         "no more than the distortion model",
                          "Calibrate the cameras with a richer distortion model (rational_polynomial)."),
-    "stereo_rotation": Source("the stated rotation between the cameras", *_PAIR),
-    "baseline_direction": Source("the stated direction of the stereo baseline", *_PAIR),
-    "baseline_length": Source("the stated length of the stereo baseline", *_PAIR),
-    "camera_rotation": Source("the stated rotations of the cameras", *_AMONG),
-    "camera_position": Source("the stated positions of the cameras", *_AMONG),
-    "square_size": Source("the stated size of the squares", "board", "measure the board (ten squares, with a caliper)",
-                          "the stated size",
+    "stereo_rotation": _PAIR,
+    "baseline_direction": _PAIR,
+    "baseline_length": _PAIR,
+    "camera_rotation": _AMONG,
+    "camera_position": _AMONG,
+    "square_size": Stated("board", "Measure the board (ten squares, with a caliper)", "the stated size",
                           "Measure ten squares with a ruler, and correct board.square_m in rig.yaml."),
-    "square_aspect": Source("the stated aspect of the squares", "board", "measure the board in both directions",
-                            "square", "Print the board again without scaling, and measure it in both directions."),
-    "board_bend": Source("the flatness of the board", "board", "mount the board on a flat plate", "a flat board",
+    "square_aspect": Stated("board", "Measure the board in both directions", "square",
+                            "Print the board again without scaling, and measure it in both directions."),
+    "board_bend": Stated("board", "Mount the board on a flat plate", "a flat board",
                          "Mount the board on a flat plate and record again."),
-    "board_shear": Source("the right angle of the board", "board", "measure the diagonals of the board",
-                          "a right angle", "Print the board again on a printer that does not skew, and measure it."),
-    "board_corners": Source("the places of the board's corners", "board", "use a board that is printed more exactly",
-                            "corners in their places", "Print the board again, and mount it on a flat plate."),
-    "lean": Source("the lean of the base", "floor", "check that the base stands upright", "an upright base",
+    "board_shear": Stated("board", "Measure the diagonals of the board", "a right angle",
+                          "Print the board again on a printer that does not skew, and measure it."),
+    "board_corners": Stated("board", "Use a board that is printed more exactly", "corners in their places",
+                            "Print the board again, and mount it on a flat plate."),
+    "lean": Stated("floor", "Check that the base stands upright", "an upright base",
                    "Check tires and casters for size and wear, and the axes of the base in the URDF."),
-    "floor_shape": Source("the shape of the floor", "floor", "record on a flat floor", "a plane floor",
+    "floor_shape": Stated("floor", "Record on a flat floor", "a plane floor",
                           "Record on a floor that is more even, or over less of it."),
-    "joint_zero": Source("the stated zero of a head joint", "head geometry", "measure the zeros of the head joints",
-                         *_URDF),
-    "joint_scale": Source("the stated scale of a head joint", "head geometry", "check the scale of the joint readings",
-                          "the reading",
+    "joint_zero": Stated("head geometry", "Measure the zeros of the head joints", *_URDF),
+    "joint_scale": Stated("head geometry", "Check the scale of the joint readings", "the reading",
                           "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."),
-    "joint_axis": Source("the stated axes of the head joints", *_HEAD),
-    "joint_position": Source("the stated positions of the head joints", *_HEAD),
-    "turn_slip": Source("slip in turns", "wheels", "turn at one rate", "no slip in turns",
+    "joint_axis": _HEAD,
+    "joint_position": _HEAD,
+    "turn_slip": Stated("wheels", "Turn at one rate", "no slip in turns",
                         "Turn more slowly, or on a floor with more grip."),
-    "backlash": Source("backlash of the head joints", "head geometry", "approach each head pose from both sides",
-                       "no backlash", "Repair the joint, or approach each head pose from the same side."),
-    "nominal": Source("the uncertainty of the nominal values", "nominal values", "record more varied motion"),
-    "recordings": Source("the spread between recordings", "recordings",
-                         "check what differs between the recordings, or calibrate each of them alone"),
-    "unobservable": Source("the missing motion", "nominal values", "record the missing motion"),
-    "user priors": Source("the stated priors", "nominal values", "state more accurate priors"),
-    "other": Source("other errors", "other", "record more stops"),
+    "backlash": Stated("head geometry", "Approach each head pose from both sides", "no backlash",
+                       "Repair the joint, or approach each head pose from the same side."),
 }
 # fmt: on
 class Family(NamedTuple):
-    """A group of sources: what it does in a sentence, and its style in the chart of the error budget."""
+    """A group of sources of errors.
+
+    Attributes:
+        limits: what it does in a sentence.
+        style: in the chart of the error budget.
+        sources: of a `Budget`, beside the constants of the robot description: noise levels, and what remains.
+    """
 
     limits: str
     style: str
+    sources: tuple[str, ...] = ()
 
 
 #: Groups of sources in the chart's order: dark shades for measurements, light ones for the robot description.
 FAMILIES = {
-    "corners": Family("Corner noise limits", "blue dark"),
-    "joint readings": Family("Joint reading noise limits", "orange dark"),
-    "floor": Family("The uneven floor limits", "green dark"),
-    "wheels": Family("Wheel noise limits", "red dark"),
-    "encoder steps": Family("Encoder steps limit", "ink half"),
-    "poses": Family("The measured poses limit", "faint dark"),
-    "time stamps": Family("Errors of the image time stamps limit", "ink light"),
+    "corners": Family("Corner noise limits", "blue dark", ("pixel_px",)),
+    "joint readings": Family("Joint reading noise limits", "orange dark", ("joint_rad",)),
+    "floor": Family("The uneven floor limits", "green dark", ("floor_rad", "floor_m", "sway_rad", "sway_m")),
+    "wheels": Family("Wheel noise limits", "red dark", ("wheel_rad_per_sqrt_rad", "wheel_share")),
+    "encoder steps": Family("Encoder steps limit", "ink half", ("encoder_rad",)),
+    "poses": Family("The measured poses limit", "faint dark", ("pose_scale",)),
+    "time stamps": Family("Errors of the image time stamps limit", "ink light", ("stamp_s",)),
     "camera_info": Family("The stated camera calibration (camera_info) limits", "blue light"),
     "board": Family("The stated geometry of the board limits", "green light"),
     "head geometry": Family("The stated geometry of the head limits", "orange light"),
-    "nominal values": Family("The uncertainty of the nominal values limits", "red light"),
-    "recordings": Family("The differences between the recordings limit", "ink dark"),
+    "nominal values": Family(
+        "The uncertainty of the nominal values limits",
+        "red light",
+        ("nominal", "unobservable", "user priors"),
+    ),
+    "recordings": Family("The differences between the recordings limit", "ink dark", ("recordings",)),
     "other": Family("Other errors limit", "faint half"),
 }
+_FAMILY_OF = {name: family for family, group in FAMILIES.items() for name in group.sources}
+_FAMILY_OF |= {kind: stated.family for kind, stated in STATED.items()}
 
 
-def source(name: str) -> Source:
-    """The words for a source of a `Budget`."""
-    return SOURCES.get(name, SOURCES["other"])
+def family_of(source: str) -> str:
+    """The group of a source of a `Budget`."""
+    return _FAMILY_OF.get(source, "other")
 
 
 def family_shares(shares: Sequence[tuple[float, str]]) -> list[tuple[float, str]]:
     """(share, group of sources) of an expected error with these (share, source), largest first; none is zero."""
     sums = dict.fromkeys(FAMILIES, 0.0)
     for share, name in shares:
-        sums[source(name).family] += share
+        sums[family_of(name)] += share
     return sorted(((share, name) for name, share in sums.items() if share), key=lambda pair: -pair[0])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -19,16 +18,16 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     NINE,
     AtWork,
-    CameraRig,
     Evidence,
     Extraction,
+    FloatArray,
     NoiseLevels,
     Outlier,
     Parameters,
     Provenance,
     Rejection,
-    Rig,
     Solution,
+    Uncertainty,
 )
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.evaluation import EvaluationData
@@ -89,6 +88,26 @@ class ParametersData(JsonValue):
     separation_mm: Number
 
 
+def _nine(case: Case, parameters: Parameters) -> ParametersData:
+    """Parameters with the pose of the reference camera; with odometry alone nobody measured the wheels."""
+    T, wheels = reference_pose(parameters, case.solution.cameras), parameters.wheels
+    odometry = case.extraction.rig.sources.assumed_wheels is not None
+    lock_deg, (x_mm, y_mm, z_mm) = se3.gimbal_margin_deg(T[:3, :3]), (T[:3, 3] * 1e3).tolist()
+    return ParametersData(
+        rotation_vector_deg=np.degrees(se3.log_so3(T[:3, :3])),
+        quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]),
+        euler_zyx_deg=np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= se3.NEAR_LOCK_DEG else None,
+        gimbal_margin_deg=lock_deg,
+        translation_m=T[:3, 3],
+        translation_x_mm=x_mm,
+        translation_y_mm=y_mm,
+        translation_z_mm=z_mm,
+        radius_right_mm=None if odometry else wheels.radius_right_m * 1e3,
+        radius_left_mm=None if odometry else wheels.radius_left_m * 1e3,
+        separation_mm=None if odometry else wheels.separation_m * 1e3,
+    )
+
+
 class FactorData(JsonValue):
     """A factor of odometry."""
 
@@ -104,20 +123,27 @@ class OdometryData(JsonValue):
 
     topic: str
     factors: Mapping[str, FactorData]
-    assumed_radius_m: float
-    assumed_separation_m: float
+    assumed_radius_m: float = by(lambda assumed: assumed.wheels.radius_right_m)
+    assumed_separation_m: float = by(lambda assumed: assumed.wheels.separation_m)
+
+
+def _odometry(case: Case) -> OdometryData | None:
+    assumed = case.extraction.rig.sources.assumed_odometry
+    values = odometry_factors(case.extraction.rig, case.solution).items()
+    factors = {name: FactorData(value=value, std=std) for name, (value, std) in values}
+    return None if assumed is None else like(OdometryData, assumed, factors=factors)
 
 
 class ResultData(ParametersData):
     """The result, with the standard deviations of the numbers that are written."""
 
-    rotation_vector_std_deg: Three | None
-    euler_zyx_std_deg: Three | None
-    parent_frame: str
-    child_frame: str
-    camera: str
+    rotation_vector_std_deg: Three | None = by(lambda case: rotation_std_deg(case.solution)[0])
+    euler_zyx_std_deg: Three | None = by(lambda case: rotation_std_deg(case.solution)[1])
+    parent_frame: str = by(lambda case: case.extraction.rig.chain.head_frame)
+    child_frame: str = by(lambda case: case.solution.cameras.of_reference.frame_id)
+    camera: str = by(lambda case: case.solution.cameras.reference)
     rectified: bool
-    odometry: OdometryData | None
+    odometry: OdometryData | None = by(_odometry)
 
     @property
     def orientation(self) -> str:
@@ -148,6 +174,12 @@ class LinearData(ParametersData):
     history: tuple[ParametersData, ...]
 
 
+def _linear(case: Case) -> LinearData:
+    linear = case.solution.linear
+    history = tuple(_nine(case, each) for each in linear.history)
+    return like(LinearData, linear, _nine(case, linear.parameters), history=history)
+
+
 class RefinementData(ParametersData):
     """The refined solution."""
 
@@ -155,6 +187,11 @@ class RefinementData(ParametersData):
     point_rms_mm: float
     point_rms_history_mm: Row
     evaluations: int
+
+
+def _refinement(case: Case) -> RefinementData | None:
+    refined = case.solution.refinement
+    return None if refined is None else like(RefinementData, refined, _nine(case, refined.parameters))
 
 
 class QualityData(JsonValue):
@@ -185,17 +222,36 @@ class LegData(JsonValue):
     reprojection_px: float
 
 
+def _legs(case: Case) -> tuple[LegData, ...]:
+    residuals = case.solution.residuals
+    errors = residuals.leg_point_rms_m * 1e3, residuals.leg_reprojection_px
+    return tuple(
+        LegData(from_observation=i, to_observation=j, point_rms_mm=mm, reprojection_px=px)
+        for (i, j), mm, px in zip(*(each.tolist() for each in (residuals.legs, *errors)), strict=True)
+    )
+
+
 def _by_parameter(name: str) -> Any:  # noqa: ANN401
     return by(lambda uncertainty: dict(zip(NINE, getattr(uncertainty, name).tolist(), strict=True)))
+
+
+def _std(uncertainty: Uncertainty) -> FloatArray:
+    return np.asarray(np.sqrt(np.diag(uncertainty.reference_covariance)))
+
+
+def _correlation(uncertainty: Uncertainty) -> FloatArray:
+    std = _std(uncertainty)
+    known = np.where(std > 0, std, 1.0)
+    return np.asarray(uncertainty.reference_covariance / np.outer(known, known))
 
 
 class UncertaintyData(JsonValue):
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
-    order: tuple[str, ...]
-    std: ByName
+    order: tuple[str, ...] = by(lambda _: NINE)
+    std: ByName = by(lambda uncertainty: dict(zip(NINE, _std(uncertainty).tolist(), strict=True)))
     covariance: Matrix = by(lambda uncertainty: uncertainty.reference_covariance)
-    correlation: Matrix
+    correlation: Matrix = by(_correlation)
     observable: Mapping[str, bool] = _by_parameter("observable")
     described: Mapping[str, bool] = _by_parameter("described")
     unobservable_directions: Matrix = by(lambda uncertainty: uncertainty.unobservable)
@@ -221,6 +277,19 @@ class ConstantData(JsonValue):
     used_prior: Number = by(lambda constant: constant.prior)
 
 
+def _constants(case: Case) -> dict[str, ConstantData]:
+    solution = case.solution
+    stated = {  # before the priors of contradicted constants were widened
+        name: each.prior
+        for evidence in reversed(solution.contradictions)
+        for name, each in evidence.values.items()
+    }
+    return {
+        name: like(ConstantData, constant, prior=stated.get(name, constant.prior))
+        for name, constant in solution.constants.items()
+    }
+
+
 class BudgetData(JsonValue):
     """Share of each source in each variance."""
 
@@ -230,11 +299,31 @@ class BudgetData(JsonValue):
     limiting: str
 
 
+def _budget(case: Case) -> BudgetData | None:
+    solution = case.solution
+    if solution.uncertainty is None:
+        return None
+    error, budget = worst_error(solution, case.gates), solution.uncertainty.budget
+    nine, at_work = (
+        {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
+        for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
+    )
+    return like(BudgetData, budget, nine=nine, at_work=at_work, limiting=error.limiting if error else "")
+
+
 class ContradictionData(Evidence, JsonValue):
     """Evidence beyond its limit."""
 
     text: str
     cure: str
+
+
+def _contradictions(case: Case) -> tuple[ContradictionData, ...]:
+    return tuple(
+        like(ContradictionData, evidence, text=text, cure=cure)
+        for evidence in case.solution.contradictions
+        for text, cure in [contradiction_sentences(evidence, case.solution, case.extraction)]
+    )
 
 
 class ScaleData(JsonValue):
@@ -245,6 +334,12 @@ class ScaleData(JsonValue):
     square_m: float
     baseline_m: float
     consistent: bool
+
+
+def _scale(case: Case) -> ScaleData | None:
+    scale, wrong = case.solution.scale, {evidence.kind for evidence in case.solution.contradictions}
+    apart = scale is not None and (scale.apart or SCALES & wrong)
+    return None if scale is None else like(ScaleData, scale, consistent=not apart)
 
 
 class LogsData(JsonValue):
@@ -270,6 +365,14 @@ class SuggestionData(JsonValue):
     text: str
 
 
+def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
+    joints, sentences = extraction.rig.chain.joints, suggestion_sentences(solution, extraction)
+    return tuple(
+        like(SuggestionData, s, joints=dict(zip(joints, s.joints.tolist(), strict=True)), text=text)
+        for s, text in zip(solution.suggestions, sentences, strict=True)
+    )
+
+
 class StationData(JsonValue):
     """One station; transforms are three rows, and the world is the base at the recording's first station."""
 
@@ -291,6 +394,30 @@ class StationData(JsonValue):
     T_world_board: Matrix
 
 
+def _stations(case: Case) -> tuple[StationData, ...]:
+    rig, residuals = case.extraction.rig, case.solution.residuals
+    joints, cameras = rig.chain.joints, rig.cameras.names
+    each = zip(case.extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
+    return tuple(
+        like(
+            StationData,
+            o,
+            joints=dict(zip(joints, o.joints.tolist(), strict=True)),
+            images={name: view.pictures for name, view in zip(cameras, o.views, strict=True)},
+            corner_sigma_px={
+                name: view.sigma_px for name, view in zip(cameras, o.views, strict=True) if view.pictures
+            },
+            base_x_m=float(T_w_v[0, 3]),
+            base_y_m=float(T_w_v[1, 3]),
+            base_heading_deg=math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
+            T_world_base=np.round(T_w_v[:3], 6),
+            T_world_camera=np.round((T_w_k @ se3.inverse(o.T_c_k))[:3], 6),
+            T_world_board=np.round(T_w_k[:3], 6),
+        )
+        for o, T_w_v, T_w_k in each
+    )
+
+
 class FrameData(JsonValue):
     """A frame of the head in the one before, three rows; it turns (or moves) by the reading times `axis`."""
 
@@ -300,13 +427,29 @@ class FrameData(JsonValue):
     prismatic: bool
 
 
+def _frames(case: Case) -> tuple[FrameData, ...]:
+    chain = case.extraction.rig.chain
+    joints, T_head = joint_frames(chain)
+    frames = [(link.joint, T, link.multiplier * link.axis, link.kind == "prismatic") for link, T in joints]
+    frames.append((chain.head_frame, T_head, np.zeros(3), False))
+    return tuple(
+        FrameData(name=name, T_parent_frame=T[:3], axis=axis, prismatic=prismatic)
+        for name, T, axis, prismatic in frames
+    )
+
+
+def _nominal_camera(case: Case) -> FloatArray | None:
+    T = case.extraction.rig.nominal.T_h_reference
+    return None if T is None else T[:3]
+
+
 class RobotData(JsonValue):
     """Frames from the base to the head, and the poses of the reference camera in the head, three rows each."""
 
-    base_frame: str
-    frames: tuple[FrameData, ...]
-    camera: Matrix
-    nominal_camera: Matrix | None
+    base_frame: str = by(lambda case: case.extraction.rig.chain.base_frame)
+    frames: tuple[FrameData, ...] = by(_frames)
+    camera: Matrix = by(lambda case: reference_pose(case.solution.parameters, case.solution.cameras)[:3])
+    nominal_camera: Matrix | None = by(_nominal_camera)
 
 
 class PathData(JsonValue):
@@ -314,6 +457,13 @@ class PathData(JsonValue):
 
     log: int
     points_m: Matrix
+
+
+def _paths(case: Case) -> tuple[PathData, ...]:
+    logs, wheels = {o.log for o in case.extraction.observations}, case.solution.parameters.wheels
+    return tuple(
+        PathData(log=log, points_m=np.round(trail(case.extraction, log, wheels), 4)) for log in sorted(logs)
+    )
 
 
 class BoardData(JsonValue):
@@ -335,56 +485,84 @@ class RejectionCount(JsonValue):
     count: int
 
 
+def _counts(extraction: Extraction) -> tuple[RejectionCount, ...]:
+    return tuple(
+        RejectionCount(stage=stage, reason=reason, count=count)
+        for (stage, reason), count in rejection_counts(extraction).items()
+    )
+
+
 class RejectionsData(JsonValue):
     """What was rejected before the solve."""
 
-    counts: tuple[RejectionCount, ...]
-    items: tuple[Rejection, ...]
+    counts: tuple[RejectionCount, ...] = by(_counts)
+    items: tuple[Rejection, ...] = by(lambda extraction: extraction.rejections)
 
 
 class ProvenanceData(Provenance, JsonValue):
     """Version, time, recordings and settings."""
 
-    tool: Literal["mobilecal"]
+    tool: Literal["mobilecal"] = by(lambda _: "mobilecal")
     config: Mapping[str, Any]
+
+
+def _image_coverage(case: Case) -> dict[str, float]:
+    names = case.extraction.rig.cameras.names
+    return {name: image_coverage(case.extraction, k) for k, name in enumerate(names)}
+
+
+def _image_counts(case: Case) -> dict[str, int]:
+    counts = case.extraction.counts
+    return {"images" if name == "pictures" else name: count for name, count in counts.items()}
 
 
 class ReportData(JsonValue):
     """All numbers, sentences and tables of a report."""
 
-    schema_version: Literal[7]
+    schema_version: Literal[7] = by(lambda _: 7)
     verdict: Verdict
-    numbers: tuple[NumberData, ...]
-    metrics: Mapping[str, Number]
-    parameters: ResultData
-    quality: QualityData
-    linear: LinearData
-    refinement: RefinementData | None
-    legs: tuple[LegData, ...]
-    uncertainty: UncertaintyData | None
+    numbers: tuple[NumberData, ...] = by(lambda case: numbers_of(case.solution, case.extraction.rig))
+    metrics: Mapping[str, Number] = by(figures_of)
+    parameters: ResultData = by(
+        lambda case: like(ResultData, case, _nine(case, case.solution.parameters), case.solution.cameras)
+    )
+    quality: QualityData = by(lambda case: like(QualityData, case, case.solution, case.extraction))
+    linear: LinearData = by(_linear)
+    refinement: RefinementData | None = by(_refinement)
+    legs: tuple[LegData, ...] = by(_legs)
+    uncertainty: UncertaintyData | None = by(
+        lambda case: case.solution.uncertainty and like(UncertaintyData, case.solution.uncertainty)
+    )
     outliers: tuple[Outlier, ...]
-    outliers_text: tuple[str, ...]
-    constants: Mapping[str, ConstantData]
-    error_budget: BudgetData | None
+    outliers_text: tuple[str, ...] = by(
+        lambda case: tuple(outlier_sentences(case.solution.outliers, case.extraction))
+    )
+    constants: Mapping[str, ConstantData] = by(_constants)
+    error_budget: BudgetData | None = by(_budget)
     evidence: tuple[Evidence, ...]
-    contradictions: tuple[ContradictionData, ...]
-    scale: ScaleData | None
-    logs: LogsData | None
-    suggestions: tuple[SuggestionData, ...]
-    hold_out: EvaluationData | None
+    contradictions: tuple[ContradictionData, ...] = by(_contradictions)
+    scale: ScaleData | None = by(_scale)
+    logs: LogsData | None = by(lambda case: case.solution.between and like(LogsData, case.solution.between))
+    suggestions: tuple[SuggestionData, ...] = by(lambda case: _suggestions(case.solution, case.extraction))
+    hold_out: EvaluationData | None = by(lambda case: case.trial and like(EvaluationData, case.trial))
     change: Change | None
-    stations: tuple[StationData, ...]
-    robot: RobotData
-    paths: tuple[PathData, ...]
+    stations: tuple[StationData, ...] = by(_stations)
+    robot: RobotData = by(lambda case: like(RobotData, case))
+    paths: tuple[PathData, ...] = by(_paths)
     motion: ByName
-    image_coverage: ByName
-    board: BoardData
-    rejections: RejectionsData
-    counts: Mapping[str, int]
+    image_coverage: ByName = by(_image_coverage)
+    board: BoardData = by(lambda case: like(BoardData, case.extraction, case.extraction.board))
+    rejections: RejectionsData = by(lambda case: like(RejectionsData, case.extraction))
+    counts: Mapping[str, int] = by(_image_counts)
     notes: tuple[str, ...]
-    setting_sources: Mapping[str, str]
-    provenance: ProvenanceData
-    tables: tuple[Table, ...]
+    setting_sources: Mapping[str, str] = by(lambda case: case.extraction.rig.setting_sources)
+    provenance: ProvenanceData = by(lambda case: like(ProvenanceData, case.provenance))
+    tables: tuple[Table, ...] = by(tables)
+
+
+def build_report(case: Case) -> ReportData:
+    """All numbers, sentences and tables of a report."""
+    return like(ReportData, case, case.solution, case.extraction)
 
 
 class Advice(JsonValue):
@@ -411,201 +589,4 @@ def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, f
         limiting="" if error is None else error.limiting,
         cures=() if error is None else tuple(c.text(error) for c in cures_of(error, solution, extraction)),
         stops=tuple(stop for stop in _suggestions(solution, extraction) if stop.gain >= LEAST_GAIN),
-    )
-
-
-def build_report(case: Case) -> ReportData:
-    """All numbers, sentences and tables of a report."""
-    solution, extraction, cameras = case.solution, case.extraction, case.solution.cameras
-    linear, refinement, residuals = solution.linear, solution.refinement, solution.residuals
-    scale, between, counts = solution.scale, solution.between, extraction.counts
-    contradicted = {evidence.kind for evidence in solution.contradictions}
-    vector_std_deg, euler_std_deg = rotation_std_deg(solution)
-    errors = residuals.leg_point_rms_m * 1e3, residuals.leg_reprojection_px
-    legs = zip(*(each.tolist() for each in (residuals.legs, *errors)), strict=True)
-    alone = extraction.rig.sources.assumed_wheels is not None
-    nine = partial(_nine, cameras=cameras, odometry=alone)
-    return like(
-        ReportData,
-        case,
-        solution,
-        extraction,
-        schema_version=7,
-        numbers=numbers_of(solution, extraction.rig),
-        metrics=figures_of(case),
-        parameters=like(
-            ResultData,
-            nine(solution.parameters),
-            cameras,
-            rotation_vector_std_deg=vector_std_deg,
-            euler_zyx_std_deg=euler_std_deg,
-            parent_frame=extraction.rig.chain.head_frame,
-            child_frame=cameras.of_reference.frame_id,
-            camera=cameras.reference,
-            odometry=_odometry(solution, extraction),
-        ),
-        quality=like(QualityData, case, solution, extraction),
-        linear=like(LinearData, linear, nine(linear.parameters), history=tuple(map(nine, linear.history))),
-        refinement=refinement and like(RefinementData, refinement, nine(refinement.parameters)),
-        legs=tuple(
-            LegData(from_observation=i, to_observation=j, point_rms_mm=mm, reprojection_px=px)
-            for (i, j), mm, px in legs
-        ),
-        uncertainty=_uncertainty(solution),
-        outliers_text=tuple(outlier_sentences(solution.outliers, extraction)),
-        constants=_constants(solution),
-        error_budget=_budget(case),
-        contradictions=tuple(
-            like(ContradictionData, evidence, text=text, cure=cure)
-            for evidence in solution.contradictions
-            for text, cure in [contradiction_sentences(evidence, solution, extraction)]
-        ),
-        scale=scale and like(ScaleData, scale, consistent=not (scale.apart or SCALES & contradicted)),
-        logs=between and like(LogsData, between),
-        suggestions=_suggestions(solution, extraction),
-        hold_out=case.trial and like(EvaluationData, case.trial),
-        stations=_stations(solution, extraction),
-        robot=_robot(solution, extraction.rig),
-        paths=tuple(
-            PathData(log=log, points_m=np.round(trail(extraction, log, solution.parameters.wheels), 4))
-            for log in sorted({o.log for o in extraction.observations})
-        ),
-        image_coverage={
-            name: image_coverage(extraction, k) for k, name in enumerate(extraction.rig.cameras.names)
-        },
-        board=like(BoardData, extraction, extraction.board),
-        rejections=RejectionsData(
-            counts=tuple(
-                RejectionCount(stage=stage, reason=reason, count=count)
-                for (stage, reason), count in rejection_counts(extraction).items()
-            ),
-            items=extraction.rejections,
-        ),
-        counts={"images" if name == "pictures" else name: count for name, count in counts.items()},
-        setting_sources=extraction.rig.setting_sources,
-        provenance=like(ProvenanceData, case.provenance, tool="mobilecal"),
-        tables=tables(case),
-    )
-
-
-def _nine(parameters: Parameters, cameras: CameraRig, odometry: bool) -> ParametersData:
-    """Parameters with the pose of the reference camera; with odometry alone nobody measured the wheels."""
-    T, wheels = reference_pose(parameters, cameras), parameters.wheels
-    lock_deg, (x_mm, y_mm, z_mm) = se3.gimbal_margin_deg(T[:3, :3]), (T[:3, 3] * 1e3).tolist()
-    return ParametersData(
-        rotation_vector_deg=np.degrees(se3.log_so3(T[:3, :3])),
-        quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]),
-        euler_zyx_deg=np.array(se3.euler_zyx_deg(T[:3, :3])) if lock_deg >= se3.NEAR_LOCK_DEG else None,
-        gimbal_margin_deg=lock_deg,
-        translation_m=T[:3, 3],
-        translation_x_mm=x_mm,
-        translation_y_mm=y_mm,
-        translation_z_mm=z_mm,
-        radius_right_mm=None if odometry else wheels.radius_right_m * 1e3,
-        radius_left_mm=None if odometry else wheels.radius_left_m * 1e3,
-        separation_mm=None if odometry else wheels.separation_m * 1e3,
-    )
-
-
-def _odometry(solution: Solution, extraction: Extraction) -> OdometryData | None:
-    assumed = extraction.rig.sources.assumed_odometry
-    if assumed is None:
-        return None
-    factors = odometry_factors(extraction.rig, solution)
-    return OdometryData(
-        topic=assumed.topic,
-        factors={name: FactorData(value=value, std=std) for name, (value, std) in factors.items()},
-        assumed_radius_m=assumed.wheels.radius_right_m,
-        assumed_separation_m=assumed.wheels.separation_m,
-    )
-
-
-def _uncertainty(solution: Solution) -> UncertaintyData | None:
-    uncertainty = solution.uncertainty
-    if uncertainty is None:
-        return None
-    std = np.sqrt(np.diag(uncertainty.reference_covariance))
-    known = np.where(std > 0, std, 1.0)
-    return like(
-        UncertaintyData,
-        uncertainty,
-        order=NINE,
-        std=dict(zip(NINE, std.tolist(), strict=True)),
-        correlation=uncertainty.reference_covariance / np.outer(known, known),
-    )
-
-
-def _constants(solution: Solution) -> dict[str, ConstantData]:
-    stated = {  # before the priors of contradicted constants were widened
-        name: each.prior
-        for evidence in reversed(solution.contradictions)
-        for name, each in evidence.values.items()
-    }
-    return {
-        name: like(ConstantData, constant, prior=stated.get(name, constant.prior))
-        for name, constant in solution.constants.items()
-    }
-
-
-def _budget(case: Case) -> BudgetData | None:
-    solution = case.solution
-    if solution.uncertainty is None:
-        return None
-    error, budget = worst_error(solution, case.gates), solution.uncertainty.budget
-    nine, at_work = (
-        {name: dict(zip(budget.sources, shares.tolist(), strict=True)) for name, shares in columns}
-        for columns in (zip(NINE, budget.nine.T, strict=True), budget.at_work.items())
-    )
-    return BudgetData(
-        sources=budget.sources,
-        nine=nine,
-        at_work=at_work,
-        limiting="" if error is None else error.limiting,
-    )
-
-
-def _suggestions(solution: Solution, extraction: Extraction) -> tuple[SuggestionData, ...]:
-    joints, sentences = extraction.rig.chain.joints, suggestion_sentences(solution, extraction)
-    return tuple(
-        like(SuggestionData, s, joints=dict(zip(joints, s.joints.tolist(), strict=True)), text=text)
-        for s, text in zip(solution.suggestions, sentences, strict=True)
-    )
-
-
-def _stations(solution: Solution, extraction: Extraction) -> tuple[StationData, ...]:
-    joints, residuals = extraction.rig.chain.joints, solution.residuals
-    cameras = extraction.rig.cameras.names
-    return tuple(
-        like(
-            StationData,
-            o,
-            joints=dict(zip(joints, o.joints.tolist(), strict=True)),
-            images={name: view.pictures for name, view in zip(cameras, o.views, strict=True)},
-            corner_sigma_px={
-                name: view.sigma_px for name, view in zip(cameras, o.views, strict=True) if view.pictures
-            },
-            base_x_m=float(T_w_v[0, 3]),
-            base_y_m=float(T_w_v[1, 3]),
-            base_heading_deg=math.degrees(math.atan2(T_w_v[1, 0], T_w_v[0, 0])),
-            T_world_base=np.round(T_w_v[:3], 6),
-            T_world_camera=np.round((T_w_k @ se3.inverse(o.T_c_k))[:3], 6),
-            T_world_board=np.round(T_w_k[:3], 6),
-        )
-        for o, T_w_v, T_w_k in zip(extraction.observations, residuals.T_w_v, residuals.T_w_k, strict=True)
-    )
-
-
-def _robot(solution: Solution, rig: Rig) -> RobotData:
-    joints, T_head = joint_frames(rig.chain)
-    nominal = rig.nominal.T_h_reference
-    frames = [(link.joint, T, link.multiplier * link.axis, link.kind == "prismatic") for link, T in joints]
-    frames.append((rig.chain.head_frame, T_head, np.zeros(3), False))
-    return RobotData(
-        base_frame=rig.chain.base_frame,
-        frames=tuple(
-            FrameData(name=name, T_parent_frame=T[:3], axis=axis, prismatic=prismatic)
-            for name, T, axis, prismatic in frames
-        ),
-        camera=reference_pose(solution.parameters, solution.cameras)[:3],
-        nominal_camera=None if nominal is None else nominal[:3],
     )

@@ -14,10 +14,9 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
+from mobilecal_cli.model import Evaluation, Provenance
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
-from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, reference_std
@@ -49,17 +48,6 @@ class Case(Calibration):
     def verdict(self) -> Verdict:
         """See `verdict_of`."""
         return verdict_of(self)
-
-
-def judge(
-    solution: Solution,
-    extraction: Extraction,
-    gates: Mapping[str, float] | None = None,
-    trial: Evaluation | None = None,
-    change: Change | None = None,
-) -> Verdict:
-    """The verdict on a solution; see `Calibration`."""
-    return verdict_of(Calibration(solution, extraction, gates or {}, trial, change))
 
 
 def verdict_of(made: Calibration) -> Verdict:
@@ -195,7 +183,7 @@ def gate_checks(
 ) -> Iterator[Check]:
     """Each gate as a criterion of the verdict, with its cure; an unknown figure fails.
 
-    Known expected errors in use are left out: `judge` compares them with the limits of their gates.
+    Known expected errors in use are left out: `verdict_of` compares them with the limits of their gates.
     """
     metrics = gate_metrics() | gate_metrics(evaluating=True)
     for name, limit in gates.items():

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.errors import ConfigError, MobilecalError
 from mobilecal_cli.model import Board, Extraction, WheelGeometry
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Motion, Route, plan_route
 from mobilecal_cli.solvers import solve
@@ -37,6 +36,7 @@ from tests.bench.imperfect import (
 from tests.bench.study import Study, head, line, results_of
 from tests.extractions import Imperfection, imperfect_extraction
 from tests.hostile.meaning import both, joint, joints, late, same, times, wheels
+from tests.judging import judge
 from tests.robots import one_that_pans
 
 RUNS = 110

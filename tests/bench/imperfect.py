@@ -31,7 +31,6 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.wheels import rotations
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.messages import driver_odometry
 from mobilecal_cli.simulate.robot import (
     SimulatedRobot,
@@ -51,6 +50,7 @@ from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE
 from tests.bench.study import Study, head, line, results_of, rms
 from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
+from tests.judging import judge
 from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
 from tests.truth import errors, parameters_of
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, Case
 from tests.bench.study import Study, head, line, measured
 from tests.extractions import joined
+from tests.judging import judge
 from tests.pairs import with_views
 
 #: Cases, times of the priors that constants are drawn from, and number of recordings.

@@ -46,6 +46,20 @@ def test_every_command_teaches_with_an_example():
         assert "Example: mobilecal" in command.callback.__doc__, command.callback.__name__
 
 
+def test_every_parameter_has_a_help_text():
+    from typer.main import get_command
+
+    from mobilecal_cli.commands import app
+
+    commands = get_command(app).commands
+    assert [f"{name} {p.name}" for name, c in commands.items() for p in c.params if not p.help] == []
+    assert all("Args:" not in command.help for command in commands.values())
+
+
+def test_the_commands_need_no_docstrings():
+    assert python("-OO", "-m", "mobilecal_cli", "compare", "--help").returncode == 0
+
+
 @pytest.mark.parametrize(
     "arguments",
     [["calibrate", "a"], ["board", "--corners", "8x5", "--square", "0.08"]],

@@ -8,7 +8,7 @@ import pypdfium2
 import pytest
 
 from mobilecal_cli.calibrate.extract import board_of
-from mobilecal_cli.commands.board import print_board
+from mobilecal_cli.commands.board import board
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.board_print import board_pdf
 from mobilecal_cli.files.reading import load_yaml
@@ -153,35 +153,44 @@ def test_the_board_is_found_in_a_photograph(name):
         assert len(opencv_corners(photo, board)) == board.corners
 
 
-def test_the_file_and_its_default_dictionary():
+def test_the_file():
     made = board_pdf(*PRINTS["checkerboard"])
     assert b"/PrintScaling /None" in made.content
     document = pypdfium2.PdfDocument(made.content)
     assert document.get_metadata_dict()["Title"].startswith("Checkerboard, 9 x 6 inner corners")
     assert len(document) == 1
-    assert "DICT_5X5_50," in print_board(8, 5, 0.02, charuco=True).config
-    assert "DICT_5X5_250," in print_board(14, 14, 0.015, charuco=True).config
+
+
+def test_the_default_dictionary_is_large_enough(tmp_path, capsys):
+    for number, (corners, square, dictionary) in enumerate(
+        [("8x5", 0.02, "DICT_5X5_50,"), ("14x14", 0.015, "DICT_5X5_250,")]
+    ):
+        board(corners, square, charuco=True, output=tmp_path / f"{number}.pdf")
+        assert dictionary in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
     ("arguments", "message", "hint"),
     [
-        ((9, 6, 0.03, False, None, None, "a4"), r"300 x 210 mm does not fit on a4", "--paper a3"),
-        ((9, 6, 0.2), r"2000 x 1400 mm does not fit on a0", "--paper exact"),
-        ((50, 50, 0.2, False, None, None, "exact"), r"limit of a PDF: 5080 mm", "smaller or fewer"),
-        ((9, 8, 0.02, True, "DICT_4X4_50"), None, None),
-        ((11, 8, 0.02, True, "DICT_4X4_50"), r"needs 54 markers, and DICT_4X4_50 has 50", "larger dictionary"),
-        ((8, 5, 0.02, False, "DICT_4X4_50"), r"apply only to ChArUco", "--charuco"),
-        ((8, 5, 0.02, True, "DICT_9X9"), r"board\.dictionary", ""),
-        ((2, 5, 0.02), r"3 or more", ""),
-        ((8, 5, -0.02), r"square_m", ""),
-        ((8, 5, 0.02, True, None, 1.2), r"marker_share", ""),
+        (("9x6", 0.03, False, None, None, "a4"), r"300 x 210 mm does not fit on a4", "--paper a3"),
+        (("9x6", 0.2), r"2000 x 1400 mm does not fit on a0", "--paper exact"),
+        (("50x50", 0.2, False, None, None, "exact"), r"limit of a PDF: 5080 mm", "smaller or fewer"),
+        (("9x8", 0.02, True, "DICT_4X4_50"), None, None),
+        (("11x8", 0.02, True, "DICT_4X4_50"), r"needs 54 markers, and DICT_4X4_50 has 50", "larger dictionary"),
+        (("8x5", 0.02, False, "DICT_4X4_50"), r"apply only to ChArUco", "--charuco"),
+        (("8x5", 0.02, True, "DICT_9X9"), r"board\.dictionary", ""),
+        (("2x5", 0.02), r"3 or more", ""),
+        (("8x5", -0.02), r"square_m", ""),
+        (("8x5", 0.02, True, None, 1.2), r"marker_share", ""),
     ],
 )  # fmt: skip
-def test_refusals(arguments, message, hint):
+def test_refusals(arguments, message, hint, tmp_path):
+    output = tmp_path / "board.pdf"
     if message is None:
-        assert print_board(*arguments)
+        board(*arguments, output=output)
+        assert output.is_file()
         return
     with pytest.raises(ConfigError, match=message) as refused:
-        print_board(*arguments)
+        board(*arguments, output=output)
+    assert not output.exists()
     assert hint in (refused.value.hint or "")

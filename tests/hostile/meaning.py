@@ -28,11 +28,11 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.rig.cameras import BASELINE
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, joined, simulated
+from tests.judging import judge
 from tests.pairs import measured_anew, with_pair
 from tests.robots import in_cameras
 from tests.truth import errors

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import solve
 from tests.extractions import STATION_NOISE, simulated
 from tests.hostile.meaning import OUTCOMES, WRONG, outcome, recorded
+from tests.judging import judge
 from tests.truth import parameters_of
 
 

@@ -9,7 +9,6 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.model import Evidence, EvidenceValue, WheelTrack
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import findings, solve
@@ -32,6 +31,7 @@ from tests.extractions import (
     simulated,
     slipped,
 )
+from tests.judging import judge
 from tests.pairs import with_views
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8

@@ -11,7 +11,6 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
@@ -20,6 +19,7 @@ from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.uncertainty import uncertainty_of
 from tests.extractions import ideal_extraction
+from tests.judging import judge
 from tests.report.example import drawn, made, make_extraction, make_solution, solved
 
 

@@ -25,13 +25,13 @@ from mobilecal_cli.report.verdict import (
     gate_checks,
     gate_metrics,
     gates_of,
-    judge,
 )
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.conftest import REPOSITORY
 from tests.extractions import Noise, ideal_extraction
+from tests.judging import judge
 from tests.report.example import made, make_extraction, make_solution
 
 EVALUATION = Evaluation(

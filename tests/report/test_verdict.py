@@ -20,8 +20,8 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.criteria import Checks, Metric
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
+from tests.judging import judge
 from tests.report.example import (
     ROBOT,
     WHEELS,

@@ -10,11 +10,11 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.decomposition import error_parts
 from tests import extractions
 from tests.bench import imperfect
+from tests.judging import judge
 from tests.report.example import drawn, made, recorded
 
 QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import linear_estimate
 from tests.bench.imperfect import ROBOTS, USUAL, Case, true_robot
 from tests.extractions import slipped
+from tests.judging import judge
 from tests.truth import errors
 
 SEED = 50

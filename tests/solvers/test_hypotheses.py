@@ -10,7 +10,6 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Track
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _noise_at_rest
@@ -19,6 +18,7 @@ from mobilecal_cli.solvers.search import Search, other_focal_lengths
 from tests.extractions import Noise, joined, simulated
 from tests.hostile import meaning
 from tests.hostile.meaning import PAN, WRONG, both, from_middle, joints, late, late_joints, same, wheels
+from tests.judging import judge
 
 ROBOT = tick_robot()
 

@@ -11,7 +11,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, Board, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
-from mobilecal_cli.report.verdict import Case, judge
+from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
@@ -23,6 +23,7 @@ from tests.actual import ActualRobot
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import STATION_NOISE, Imperfection, Noise, imperfect_extraction, simulated, slipped
+from tests.judging import judge
 from tests.pairs import measured_anew, with_views
 from tests.report.example import made, make_provenance, rows_of
 from tests.robots import true_nominal

@@ -15,7 +15,6 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, WheelGeometry, WheelTrack
 from mobilecal_cli.model.signals import sampled
 from mobilecal_cli.report.formats import json_text
-from mobilecal_cli.report.verdict import judge
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
@@ -27,6 +26,7 @@ from tests.extractions import (
     joined,
     simulated,
 )
+from tests.judging import judge
 from tests.pairs import with_views
 from tests.report.example import made, rows_of
 from tests.robots import true_nominal
