@@ -154,14 +154,9 @@ def _extracted(
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
-        if lost and not any(station.found[name_of_camera] for station in stations):
+        if lost and not any(camera == name_of_camera for station in stations for camera, _ in station.found):
             raise undecodable(lost)
-    any_board = any(
-        isinstance(d, Detection)
-        for station in stations
-        for of_camera in station.found.values()
-        for d in of_camera.values()
-    )
+    any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
@@ -310,9 +305,7 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     counts = {
         "stations": sum(len(log.plan.stations) for log in logs),
         "stations_at_rest": sum(s.at_rest for log in logs for s in log.plan.stations),
-        "pictures": sum(
-            len(of_side) for log in logs for station in log.detections for of_side in station.found.values()
-        ),
+        "pictures": sum(len(station.found) for log in logs for station in log.detections),
         "observations": len(observations),
     }
     return Extraction(

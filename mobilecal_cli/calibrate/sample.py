@@ -10,15 +10,7 @@ import numpy as np
 from mobilecal_cli.calibrate.detect import check_picture
 from mobilecal_cli.calibrate.extract import board_of, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
-from mobilecal_cli.model import (
-    Board,
-    BoardView,
-    CameraRig,
-    GrayImage,
-    Rejection,
-    Sources,
-    Station,
-)
+from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
 from mobilecal_cli.readers import Recording, pictures_near
 from mobilecal_cli.report.inspection import Finding
 from mobilecal_cli.rig.resolve import Survey

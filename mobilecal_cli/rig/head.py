@@ -10,13 +10,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import (
-    Urdf,
-    UrdfJoint,
-    chain_links,
-    parse_urdf,
-    vehicle_frame,
-)
+from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, chain_links, parse_urdf, vehicle_frame
 from mobilecal_cli.model import (
     TRANSFORMS,
     FixedLink,
@@ -33,14 +27,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
-from mobilecal_cli.rig.names import (
-    HEAD_WORDS,
-    PAN_WORDS,
-    TILT_WORDS,
-    joint_state_names,
-    require_topic,
-    words,
-)
+from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, require_topic, words
 from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.

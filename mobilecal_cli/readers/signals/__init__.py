@@ -9,15 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    SIDES,
-    IntArray,
-    JointField,
-    PictureIndex,
-    Signals,
-    Sources,
-    Track,
-)
+from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
