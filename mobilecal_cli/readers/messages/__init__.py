@@ -129,14 +129,7 @@ def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     try:
         stored = definition.encode() if isinstance(definition, str) else definition
         pool = descriptor_pool.DescriptorPool()
-        waiting = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
-        while waiting:
-            ready = [file for file in waiting.values() if not waiting.keys() & set(file.dependency)]
-            if not ready:
-                raise ValueError(f"circular dependencies between files: {', '.join(waiting)}")
-            for file in ready:
-                pool.Add(file)
-                del waiting[file.name]
+        message_factory.GetMessages(descriptor_pb2.FileDescriptorSet.FromString(stored).file, pool)
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(type_name))
     except MemoryError:
         raise
