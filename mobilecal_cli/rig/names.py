@@ -180,7 +180,11 @@ def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
     return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
 
 
-def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField, ...]]]:
+#: Numbers of the wheels of each side.
+Counters = dict[Side, tuple[NumberField, ...]]
+
+
+def counters(fields: Iterable[NumberField]) -> list[Counters]:
     """Sets of whole numbers, or of other numbers, that are named as counters of the left and the right wheels.
 
     Fields named as counters are preferred to those that are only named as something of a wheel.
@@ -200,15 +204,11 @@ def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField
     return []
 
 
-def tick_counters(
-    sets: Iterable[dict[Side, tuple[NumberField, ...]]],
-) -> list[dict[Side, tuple[NumberField, ...]]]:
-    """Those sets of `counters` that are whole numbers without jumps of another size than a counter's."""
-    return [
-        by_side
-        for by_side in sets
-        if all(n.integer and n.jump is None for side in SIDES for n in by_side[side])
-    ]
+def tick_counters(sets: Sequence[Counters]) -> Counters | None:
+    """The only one of the sets of `counters`, if its numbers are whole and jump as a counter does at its end."""
+    numbers = [number for by_side in sets for side in SIDES for number in by_side[side]]
+    whole = all(number.integer and number.jump is None for number in numbers)
+    return sets[0] if len(sets) == 1 and whole else None
 
 
 def named_as(joint: str, fields: Sequence[NumberField]) -> list[NumberField]:

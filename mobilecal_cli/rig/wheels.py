@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
 from mobilecal_cli.rig.names import (
     COUNTER_WORDS,
+    Counters,
     counters,
     is_wheel,
     joint_state_names,
@@ -184,14 +185,14 @@ def _refuse_other_drives(description: RobotDescription) -> None:
 def _with_counters(
     wheels: Mapping[Side, WheelConfig],
     description: RobotDescription,
-    sets: Sequence[dict[Side, tuple[NumberField, ...]]],
+    sets: Sequence[Counters],
 ) -> dict[Side, WheelConfig]:
     """The wheels as tick counters found by name, with the steps per turn of the configuration or of a known driver."""
     types = {topic.name: topic.type for topic in description.topics}
     shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
-    whole = tick_counters(sets)
+    counted = tick_counters(sets)
     instead = "; or set wheels.odometry" if ODOMETRY in types.values() else ""
-    if len(sets) > 1 or not whole:
+    if counted is None:
         raise RecordingError(
             f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
             if len(sets) > 1
@@ -200,7 +201,7 @@ def _with_counters(
         )
     completed: dict[Side, WheelConfig] = {}
     for side, wheel in wheels.items():
-        numbers = whole[0][side]
+        numbers = counted[side]
         ticks, bits = KNOWN_COUNTERS.get(types.get(numbers[0].topic, ""), (None, None))
         ticks = wheel.ticks_per_revolution or ticks
         if ticks is None:
