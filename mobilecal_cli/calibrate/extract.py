@@ -57,7 +57,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import needs_numbers
-from mobilecal_cli.stations import Plan
+from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
     Detection,
     Measured,
@@ -245,16 +245,10 @@ def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Sna
     places = [s for s, each in enumerate(snapshots) if each.thumbnail]
     rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
     others = [s for s in places if s not in set(rejected)]
-    few = _spread(rejected, THUMBNAILS // 2)
-    kept = {*few, *_spread(others, THUMBNAILS - len(few))}
+    few = spread(rejected, THUMBNAILS // 2)
+    kept = {*few, *spread(others, THUMBNAILS - len(few))}
     bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
     return tuple(each for each in bounded if each.jpegs or each.thumbnail)
-
-
-def _spread(items: Sequence[int], most: int) -> list[int]:
-    """At most so many of the items, evenly spread."""
-    chosen = np.linspace(0, len(items) - 1, most) if len(items) > most else np.arange(len(items))
-    return [items[k] for k in np.round(chosen).astype(int)]
 
 
 @contextmanager
