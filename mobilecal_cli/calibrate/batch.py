@@ -15,9 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
@@ -68,10 +68,14 @@ class FleetJob:
     force: bool = False
 
 
+#: A path; in a manifest, relative to its directory.
+_Beside = Annotated[Path, AfterValidator(lambda path, given: (given.context or Path()) / path)]
+
+
 class _Robot(BaseModel, frozen=True, extra="forbid"):
     name: str
-    logs: tuple[Path, ...] = Field(min_length=1)
-    config: Path | None = None
+    logs: tuple[_Beside, ...] = Field(min_length=1)
+    config: _Beside | None = None
 
 
 class _Manifest(BaseModel, frozen=True, extra="forbid"):
@@ -159,7 +163,7 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
             )
 
 
-def _of_directory(folder: Path) -> list[_Robot]:
+def _of_directory(folder: Path) -> Sequence[_Robot]:
     robots = []
     for path in sorted(folder.iterdir()):
         if looks_recorded(path) and not path.name.startswith("."):
@@ -175,35 +179,21 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
     """The entries of a directory that are no recordings; none for a manifest."""
     if not source.is_dir():
         return ()
-    rows = []
-    for path in sorted(source.iterdir()):
-        known = (
-            path.name.startswith(".")
-            or path.name.endswith(".rig.yaml")
-            or path.absolute() == output.absolute()
-        )
-        if not known and not looks_recorded(path):
-            why = f"{path.name} is not a recording"
-            rows.append(FleetRow(path.name, "SKIPPED", 0, why, skipped=NO_RECORDING))
-    return tuple(rows)
+    return tuple(
+        FleetRow(path.name, "SKIPPED", 0, f"{path.name} is not a recording", skipped=NO_RECORDING)
+        for path in sorted(source.iterdir())
+        if not (path.name.startswith(".") or path.name.endswith(".rig.yaml") or looks_recorded(path))
+        and path.absolute() != output.absolute()
+    )
 
 
-def _of_manifest(path: Path) -> list[_Robot]:
+def _of_manifest(path: Path) -> Sequence[_Robot]:
     hint = "robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
     try:
-        manifest = _Manifest.model_validate(mapping_of(read_text(path, LARGEST_BYTES), str(path), hint))
+        stated = mapping_of(read_text(path, LARGEST_BYTES), str(path), hint)
+        return _Manifest.model_validate(stated, context=path.parent).robots
     except ValidationError as error:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
-    folder = path.parent
-    return [
-        robot.model_copy(
-            update={
-                "logs": tuple(folder / log for log in robot.logs),
-                "config": folder / robot.config if robot.config else None,
-            }
-        )
-        for robot in manifest.robots
-    ]
 
 
 _ATTEMPTS = 3  # at a job whose process dies
