@@ -86,11 +86,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     detected = sum(
         isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
     )
-    pairs = (
-        ()
-        if cameras is None or not cameras.calibrated or findings
-        else _stereo_pairs(cameras, board, detections)
-    )
+    pairs = () if cameras is None or findings else _stereo_pairs(cameras, board, detections)
     squares_m = tuple(pair.square_m for pair in pairs)
     square_m = float(np.median(squares_m)) if squares_m else None
     findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
@@ -121,7 +117,7 @@ def _stereo_pairs(
     cameras: CameraRig, board: Board, detections: Mapping[str, Sequence[Detection | Miss | None]]
 ) -> tuple[Measured, ...]:
     """The board in each stereo pair that shows it."""
-    if len(detections["left"]) != len(detections["right"]):
+    if not cameras.calibrated or len(detections["left"]) != len(detections["right"]):
         return ()  # the images cannot be paired without their stamps
     pairs = []
     station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))

@@ -322,13 +322,9 @@ def _check_configured(config: RigConfig, chain: HeadChain) -> None:
 
 def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
     """Joints in the joint states that are named pan or tilt, where the chain has no joint of this name."""
-    return [
-        name
-        for word in ("pan", "tilt")
-        if not any(word in words(joint) for joint in chain.joints)
-        for name in joint_state_names(description)
-        if word in words(name)
-    ]
+    of_chain = {word for joint in chain.joints for word in words(joint)}
+    missing = [word for word in ("pan", "tilt") if word not in of_chain]
+    return [name for word in missing for name in joint_state_names(description) if word in words(name)]
 
 
 def joint_sources(

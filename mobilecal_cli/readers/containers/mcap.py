@@ -198,12 +198,11 @@ class McapStorage(BlockStorage):
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return end, block
 
-    def rest_of_chunk(self, at: int) -> Block | None:
+    def rest_of_chunk(self, at: int) -> int | None:
         body = at + _HEAD.size + _CHUNK.size + 12
         if self.read_at(at, 1)[0] != Opcode.CHUNK or body >= self.size:
             return None
-        stored_uncompressed = self.read_at(body - 12, 4) == bytes(4)
-        return Block(body, self.size - body, False, LATEST_NS, 0, None) if stored_uncompressed else None
+        return body if self.read_at(body - 12, 4) == bytes(4) else None  # no name of a compression
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""

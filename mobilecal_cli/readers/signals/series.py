@@ -207,14 +207,12 @@ class Clock:
         """Sentences on missing and zero stamps."""
         if not self.unstamped:
             return []
+        fact = f"{self.unstamped} of {self.messages} header stamps are zero; the log time is used for those"
         if not self.has_header:
-            return [f"{self.topic}: messages have no header stamp; the log time is used"]
-        if self.unstamped == self.messages:
-            return [f"{self.topic}: all {self.messages} header stamps are zero; the log time is used"]
-        return [
-            f"{self.topic}: {self.unstamped} of {self.messages} header stamps are zero; "
-            "the log time is used for those"
-        ]
+            fact = "messages have no header stamp; the log time is used"
+        elif self.unstamped == self.messages:
+            fact = f"all {self.messages} header stamps are zero; the log time is used"
+        return [f"{self.topic}: {fact}"]
 
 
 def clock_notes(clocks: Collection[Clock]) -> list[str]:
