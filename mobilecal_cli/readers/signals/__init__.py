@@ -47,7 +47,7 @@ def read_signals(
             type, a camera has no images, or a joint or wheel has no finite reading.
     """
     read = Subscriptions(recording)
-    images = {name: read.add(Images(name, topic)) for name, topic in sources.image.items()}
+    images = {name: read.add(Images(topic)) for name, topic in sources.image.items()}
     stated: dict[str, list[StatedJoint]] = {name: [] for name in joints if name not in sources.elsewhere}
     for topic in sources.joints:
         for name, on_topics in stated.items():
