@@ -15,9 +15,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
@@ -33,7 +33,7 @@ from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, 
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
-from mobilecal_cli.rig.config import load_rig, read_urdf
+from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
 RECORDS = ".mobilecal_batch"
@@ -68,14 +68,10 @@ class FleetJob:
     force: bool = False
 
 
-#: A path; in a manifest, relative to its directory.
-_Beside = Annotated[Path, AfterValidator(lambda path, given: (given.context or Path()) / path)]
-
-
 class _Robot(BaseModel, frozen=True, extra="forbid"):
     name: str
-    logs: tuple[_Beside, ...] = Field(min_length=1)
-    config: _Beside | None = None
+    logs: tuple[Beside, ...] = Field(min_length=1)
+    config: Beside | None = None
 
 
 class _Manifest(BaseModel, frozen=True, extra="forbid"):
