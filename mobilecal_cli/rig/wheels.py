@@ -84,13 +84,11 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.sources}
-    sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
+    found = None if len(stated) == len(SIDES) else _wheels_by_name(config, description)
+    wheels = (found or {}) | stated
+    sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
     if len(sources) < len(SIDES):
-        by_name = _wheels_by_name(config, description)
-        if by_name is None:
-            sources = _odometry(config, description, _odometry_topic(description)) | sources
-        else:
-            sources = {side: _source(side, wheel, description) for side, wheel in by_name.items()} | sources
+        sources = _odometry(config, description, _odometry_topic(description)) | sources
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)

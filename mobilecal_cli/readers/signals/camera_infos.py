@@ -99,21 +99,11 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
 
     roi = message.roi
     width, height = int(roi.width) or int(message.width), int(roi.height) or int(message.height)
+    binned_x, binned_y = max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     for matrix in (K, P):
-        matrix[0] -= float(roi.x_offset) * matrix[2]
-        matrix[1] -= float(roi.y_offset) * matrix[2]
-        matrix[0] /= max(int(message.binning_x), 1)
-        matrix[1] /= max(int(message.binning_y), 1)
-    return CameraInfo(
-        frame_id=frame_id,
-        width=width // max(int(message.binning_x), 1),
-        height=height // max(int(message.binning_y), 1),
-        K=K,
-        D=D,
-        distortion=distortion,
-        R=R,
-        P=P,
-    )
+        matrix[:2] -= np.outer([float(roi.x_offset), float(roi.y_offset)], matrix[2])
+        matrix[:2] /= [[binned_x], [binned_y]]
+    return CameraInfo(frame_id, width // binned_x, height // binned_y, K, D, distortion, R, P)
 
 
 def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
