@@ -116,8 +116,7 @@ def plan_recording(
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
     plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
-    noted = (*(signals.notes for signals in logs), *(plan.notes for plan in plans))
-    notes = [note for each in noted for note in each]
+    notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
     return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
 
@@ -207,7 +206,7 @@ def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
 
 
 def detect_segment(
-    recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], None] | None = None
+    recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], object] = int
 ) -> list[StationDetections]:
     """The board at each station of a segment, in one pass over its part of the recording.
 
@@ -247,8 +246,7 @@ def detect_segment(
         place.found[name, stamp] = followers[name].find(picture, stamp)
         for earlier_ns, detection in followers[name].earlier.items():
             detections[where[name, earlier_ns]].found[name, earlier_ns] = detection
-        if count is not None:
-            count(1)
+        count(1)
     for searched, place in zip(stations, detections, strict=True):
         if shots := place.of_shots(searched.shots, rig.cameras):
             place.measured = measure(segment.log, searched, shots, rig.cameras, board)

@@ -101,18 +101,14 @@ def of_one_robot(
     nearest: dict[str, tuple[bool, int]] = {}
     for topic, joints in description.joint_names.items():
         nearest |= {joint: max(nearness(topic), nearest.get(joint, (False, 0))) for joint in joints}
-    kept = {
-        topic: tuple(j for j in joints if topic in configured or nearness(topic) == nearest[j])
-        for topic, joints in description.joint_names.items()
-    }
+    joint_names: dict[str, tuple[str, ...]] = {}
+    for topic, joints in description.joint_names.items():
+        own = tuple(j for j in joints if topic in configured or nearness(topic) == nearest[j])
+        if own or not joints:
+            joint_names[topic] = own
     best = max(map(nearness, description.urdfs), default=None)
-    return replace(
-        description,
-        joint_names={
-            topic: joints for topic, joints in kept.items() if joints or not description.joint_names[topic]
-        },
-        urdfs={topic: text for topic, text in description.urdfs.items() if nearness(topic) == best},
-    )
+    urdfs = {topic: text for topic, text in description.urdfs.items() if nearness(topic) == best}
+    return replace(description, joint_names=joint_names, urdfs=urdfs)
 
 
 _HEAD_JOINT_WORDS = PAN_WORDS | TILT_WORDS
