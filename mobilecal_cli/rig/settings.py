@@ -282,8 +282,7 @@ def _rescaled(
     scaled = []
     for track in tracks:
         own: Track = getattr(track, side)
-        turned = Track(own.time_ns, own.value * (after / before))
-        scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
+        scaled.append(replace(track, **{side: replace(own, value=own.value * (after / before))}))
     name = f"{side} wheel {old.topic} {old.where}"
     sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
     return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)

@@ -193,9 +193,8 @@ class SqliteStorage(Storage):
                 channel = self.channels[number]
                 data = payload if isinstance(payload, bytes) else str(payload).encode()
                 if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
-                    with suppress(
-                        Exception
-                    ):  # a damaged frame; the message is reported as undecodable on use
+                    # A damaged frame: the message is reported as undecodable on use.
+                    with suppress(Exception):
                         data = message_payload(data)
                 if (
                     self._log is not None
