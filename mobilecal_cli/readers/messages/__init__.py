@@ -230,21 +230,25 @@ class FieldPath:
         Raises:
             RecordingError: a step is missing, or the value is not a number; the message lists the fields present.
         """
-        value, problem, cause = message, "", None
-        try:
-            for step in self.steps:
+        value = message
+        for step in self.steps:
+            try:
                 value = value[step] if isinstance(step, int) else getattr(value, step)
-        except (AttributeError, IndexError, TypeError, KeyError) as error:
-            value, problem, cause = None, f"no field {self.text} ({step!r} is missing)", error
+            except (AttributeError, IndexError, TypeError, KeyError) as error:
+                raise RecordingError(
+                    f"{topic}: no field {self.text} ({step!r} is missing); "
+                    f"fields present: {listed(_field_names(message))}",
+                    f"correct {setting} in rig.yaml",
+                ) from error
         if isinstance(value, (bool, int, np.integer)):
             return int(value)
         if isinstance(value, (float, np.floating)):
             return float(value)
         raise RecordingError(
-            f"{topic}: {problem or f'field {self.text} is a {type(value).__name__}, not a number'}; "
+            f"{topic}: field {self.text} is a {type(value).__name__}, not a number; "
             f"fields present: {listed(_field_names(message))}",
             f"correct {setting} in rig.yaml",
-        ) from cause
+        )
 
 
 def _field_names(message: Any) -> list[str]:  # noqa: ANN401
