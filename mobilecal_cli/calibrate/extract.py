@@ -118,11 +118,7 @@ class ExtractedLog:
 
 
 def _extracted(
-    earlier: Sequence[ExtractedLog],
-    recording: Recording,
-    config: RigConfig,
-    progress: Progress,
-    jobs: int,
+    earlier: Sequence[ExtractedLog], recording: Recording, config: RigConfig, progress: Progress, jobs: int
 ) -> list[ExtractedLog]:
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
@@ -215,10 +211,7 @@ def extract(
     sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
     refuse_equal_files(sources)
     for parts in recordings:
-        with (
-            _named(parts[0], several=len(recordings) > 1),
-            open_recording(parts) as recording,
-        ):
+        with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:
             pieces = _extracted(extracted, recording, config, progress, jobs)
         first, new = (extracted or pieces)[0], pieces[0]
         if new.rig.chain.joints != first.rig.chain.joints:

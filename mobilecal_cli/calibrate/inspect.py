@@ -244,11 +244,7 @@ def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> 
 
 
 def _motion(
-    recording: Recording,
-    rig: Rig,
-    times: Mapping[str, IntArray],
-    findings: list[Finding],
-    notes: list[str],
+    recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: list[Finding], notes: list[str]
 ) -> MotionView | None:
     """Motion of the robot; adds what is unobservable from it, and notes."""
     extent = Extent(MOTION_BYTES)

@@ -145,13 +145,7 @@ def _base_of(config: RigConfig, urdf: Urdf) -> str:
 
 
 def _head_link_of(
-    config: RigConfig,
-    urdf: Urdf,
-    base: str,
-    pan: str,
-    tilt: str,
-    camera_frame: str,
-    read: Collection[str],
+    config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str, camera_frame: str, read: Collection[str]
 ) -> str:
     """Head link of a URDF: as configured, or the last link that a joint moves on the way to the camera.
 

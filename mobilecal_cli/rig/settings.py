@@ -38,10 +38,7 @@ def _floats(array: FloatArray) -> list[float]:
 
 def pose_settings(T: FloatArray) -> dict[str, Any]:
     """A pose as rig.yaml states it."""
-    return {
-        "translation_m": _floats(T[:3, 3]),
-        "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3])),
-    }
+    return {"translation_m": _floats(T[:3, 3]), "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3]))}
 
 
 def link_settings(link: FixedLink | JointLink) -> dict[str, Any]:

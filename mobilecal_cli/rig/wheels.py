@@ -181,9 +181,7 @@ def _refuse_other_drives(description: RobotDescription) -> None:
 
 
 def _with_counters(
-    wheels: Mapping[Side, WheelConfig],
-    description: RobotDescription,
-    sets: Sequence[Counters],
+    wheels: Mapping[Side, WheelConfig], description: RobotDescription, sets: Sequence[Counters]
 ) -> dict[Side, WheelConfig]:
     """The wheels as tick counters found by name, with the steps per turn of the configuration or of a known driver."""
     types = {topic.name: topic.type for topic in description.topics}

@@ -135,12 +135,7 @@ class SqliteStorage(Storage):
                 continue
             language, text = definitions.get(str(name), ("", ""))
             self.channels[number] = Channel(
-                number,
-                str(topic),
-                ros2_spelling(str(name)),
-                str(encoding),
-                text,
-                LANGUAGES.get(language, ""),
+                number, str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
             )
 
     def _scan(self) -> None:

@@ -21,10 +21,7 @@ from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
 def read_signals(
-    recording: Recording,
-    sources: Sources,
-    joints: Sequence[str],
-    extent: Extent = EVERYTHING,
+    recording: Recording, sources: Sources, joints: Sequence[str], extent: Extent = EVERYTHING
 ) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 

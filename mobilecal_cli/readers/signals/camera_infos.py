@@ -33,18 +33,11 @@ _LENGTHS: dict[Distortion, tuple[int, ...]] = {
     "equidistant": (4,),
 }
 _NAMES: dict[str, Distortion] = {
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "radial_tangential": "plumb_bob",
-    "brown_conrady": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "rational": "rational_polynomial",
-    "thin_prism": "rational_polynomial",
-    "equidistant": "equidistant",
-    "fisheye": "equidistant",
-    "kannala_brandt": "equidistant",
-    "kannala_brandt4": "equidistant",
-    "opencv_fisheye": "equidistant",
+    **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "brown_conrady"), "plumb_bob"),
+    **dict.fromkeys(("rational_polynomial", "rational", "thin_prism"), "rational_polynomial"),
+    **dict.fromkeys(
+        ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye"), "equidistant"
+    ),
     "none": "none",
 }
 #: Of the focal lengths fx / fy, and of those in P / those in K.
