@@ -191,9 +191,7 @@ class SqliteStorage(Storage):
                     # A damaged frame: the message is reported as undecodable on use.
                     with suppress(Exception):
                         data = message_payload(data)
-                if (
-                    self._log is not None
-                ):  # where the clock of the recorder steps, it is not the one of the row
+                if self._log is not None:  # with the steps of the recorder's clock undone
                     time_ns = int(self._log.log_ns[np.searchsorted(self._log.row, row)])
                 yield Message(channel, time_ns, data)
         if damaged:
