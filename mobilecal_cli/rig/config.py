@@ -263,10 +263,8 @@ class WheelConfig(_Section):
         """The wheels of the side, each by itself, with a `joint` or a `field`; a topic that is not stated is ""."""
         joints = (self.joint,) if self.joint else self.joints
         names = joints or ((self.field,) if self.field else self.fields)
-        topics, signs = (
-            self.topics or (self.topic or "",) * len(names),
-            self.signs or (self.sign,) * len(names),
-        )
+        topics = self.topics or (self.topic or "",) * len(names)
+        signs = self.signs or (self.sign,) * len(names)
         count = self.ticks_per_revolution, self.bits
         return tuple(
             WheelSource(topic, name, None, *count, sign)
