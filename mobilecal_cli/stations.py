@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -52,6 +53,7 @@ _NOT_USED = {
     _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }
 _NS = 1_000_000_000
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,11 +269,10 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
     return [pairs[i] for i in picked]
 
 
-def _fewer(pairs: list[Shot]) -> list[Shot]:
-    """At most `SHOTS_PER_REST` of a rest's pairs, evenly spread."""
-    if len(pairs) <= SHOTS_PER_REST:
-        return pairs
-    return [pairs[i] for i in np.linspace(0, len(pairs) - 1, SHOTS_PER_REST).round().astype(int)]
+def spread(items: Sequence[T], most: int) -> list[T]:
+    """At most so many of the items, evenly spread."""
+    chosen = np.linspace(0, len(items) - 1, most) if len(items) > most else np.arange(len(items))
+    return [items[k] for k in np.round(chosen).astype(int)]
 
 
 def _station(index: int, pairs: list[Shot], at_rest: bool, tracks: Sequence[Track]) -> Station:
@@ -313,6 +314,7 @@ class _Pairs:
 
     Attributes:
         signals: of the log.
+        wheels: both wheels.
         channels: its joints and wheels.
         rests: the shots with readings of all of them and new images, in which nothing moves, by rest.
         moving: those taken in motion, in order of time; where the images are too far apart for it, in parts.
@@ -321,6 +323,7 @@ class _Pairs:
     """
 
     signals: Signals
+    wheels: WheelTrack
     channels: list[_Channel]
     rests: list[list[Shot]]
     moving: list[Shot]
@@ -330,6 +333,7 @@ class _Pairs:
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     """Find the shots of a log, and its rests."""
+    wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
     channels = _channels(signals, prismatic)
     pairs, what = list(shots_of(signals.images, PAIR_AT_REST_S)), shots_words(len(signals.images))
     times = np.array([pair.time_ns for pair in pairs])
@@ -372,7 +376,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     parts = [pair.split(PAIR_MOVING_S * _NS) for pair in new]
     moving = sorted((shot for part in parts for shot in part), key=lambda shot: shot.time_ns)
     split = sum(len(part) > 1 for part in parts)
-    return _Pairs(signals, channels, rests, moving, split, [*rejections, *frozen])
+    return _Pairs(signals, wheels, channels, rests, moving, split, [*rejections, *frozen])
 
 
 class _Shown:
@@ -478,36 +482,35 @@ def plan_stations(
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
-    paired: list[tuple[_Pairs, WheelTrack]] = []
+    paired: list[_Pairs] = []
     problems: list[RecordingError] = []
     for signals in logs:
         try:
-            wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
-            paired.append((_paired(signals, prismatic), wheels))
+            paired.append(_paired(signals, prismatic))
         except RecordingError as error:
             problems.append(error)
     if not paired:
         raise problems[0]
-    rests = sum(len(log.rests) for log, _ in paired)
+    rests = sum(len(log.rests) for log in paired)
     plans, moving, picked = [], 0, 0
-    for log, wheels in paired:
+    for log in paired:
         moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
             chosen = log.moving if everything else _keyframes(log.moving, log.channels)
             moments += [([pair], False) for pair in chosen]
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
-            moments = [(_fewer(run), at_rest) for run, at_rest in moments]
+            moments = [(spread(run, SHOTS_PER_REST), at_rest) for run, at_rest in moments]
         tracks = tuple(log.signals.joints[name] for name in joints)
         moments.sort(key=lambda moment: moment[0][0].time_ns)
         stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
-        plans.append(Plan(stations, wheels, tracks, images, tuple(log.rejections), ()))
+        plans.append(Plan(stations, log.wheels, tracks, images, tuple(log.rejections), ()))
     notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
-    notes += (note for log, _ in paired for note in _silences(log.signals.recorded_ns))
-    notes += (note for log, _ in paired for note in _blind(log.signals.recorded_ns, log.channels))
-    notes += (note for log, _ in paired for note in _not_used(log))
-    notes += dict.fromkeys(note for log, _ in paired for note in _slow_wheels(log.channels[len(joints) :]))
+    notes += (note for log in paired for note in _silences(log.signals.recorded_ns))
+    notes += (note for log in paired for note in _blind(log.signals.recorded_ns, log.channels))
+    notes += (note for log in paired for note in _not_used(log))
+    notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(joints) :]))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(
@@ -515,7 +518,7 @@ def plan_stations(
             "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
             "and lm)."
         )
-        split = sum(log.split for log, _ in paired)
+        split = sum(log.split for log in paired)
         if split:
             notes.append(
                 f"In motion, the images of {split} {shots_words(len(logs[0].images))} are more than "

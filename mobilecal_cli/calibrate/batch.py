@@ -33,7 +33,7 @@ from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, 
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
-from mobilecal_cli.rig.config import load_rig, read_urdf
+from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
 RECORDS = ".mobilecal_batch"
@@ -70,8 +70,8 @@ class FleetJob:
 
 class _Robot(BaseModel, frozen=True, extra="forbid"):
     name: str
-    logs: tuple[Path, ...] = Field(min_length=1)
-    config: Path | None = None
+    logs: tuple[Beside, ...] = Field(min_length=1)
+    config: Beside | None = None
 
 
 class _Manifest(BaseModel, frozen=True, extra="forbid"):
@@ -159,7 +159,7 @@ def _refuse_shared(source: Path, robots: Iterable[_Robot]) -> None:
             )
 
 
-def _of_directory(folder: Path) -> list[_Robot]:
+def _of_directory(folder: Path) -> Sequence[_Robot]:
     robots = []
     for path in sorted(folder.iterdir()):
         if looks_recorded(path) and not path.name.startswith("."):
@@ -175,35 +175,21 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
     """The entries of a directory that are no recordings; none for a manifest."""
     if not source.is_dir():
         return ()
-    rows = []
-    for path in sorted(source.iterdir()):
-        known = (
-            path.name.startswith(".")
-            or path.name.endswith(".rig.yaml")
-            or path.absolute() == output.absolute()
-        )
-        if not known and not looks_recorded(path):
-            why = f"{path.name} is not a recording"
-            rows.append(FleetRow(path.name, "SKIPPED", 0, why, skipped=NO_RECORDING))
-    return tuple(rows)
+    return tuple(
+        FleetRow(path.name, "SKIPPED", 0, f"{path.name} is not a recording", skipped=NO_RECORDING)
+        for path in sorted(source.iterdir())
+        if not (path.name.startswith(".") or path.name.endswith(".rig.yaml") or looks_recorded(path))
+        and path.absolute() != output.absolute()
+    )
 
 
-def _of_manifest(path: Path) -> list[_Robot]:
+def _of_manifest(path: Path) -> Sequence[_Robot]:
     hint = "robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
     try:
-        manifest = _Manifest.model_validate(mapping_of(read_text(path, LARGEST_BYTES), str(path), hint))
+        stated = mapping_of(read_text(path, LARGEST_BYTES), str(path), hint)
+        return _Manifest.model_validate(stated, context=path.parent).robots
     except ValidationError as error:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
-    folder = path.parent
-    return [
-        robot.model_copy(
-            update={
-                "logs": tuple(folder / log for log in robot.logs),
-                "config": folder / robot.config if robot.config else None,
-            }
-        )
-        for robot in manifest.robots
-    ]
 
 
 _ATTEMPTS = 3  # at a job whose process dies

@@ -56,35 +56,29 @@ class StationDetections:
 
     Attributes:
         measured: the board, or why it cannot be measured; of the detections of all images.
-        found: camera → time → detection or miss.
+        thumbnails: camera → small JPEG of the first image; empty without one.
+        found: camera and time of an image (never None) → detection or miss.
         pictures: camera → JPEG of the first image, for the report.
-        thumbnails: camera → small JPEG of the first image.
         rejections: images that cannot be decoded.
     """
 
     measured: Measured | Rejection
-    found: dict[str, dict[int, Detection | Miss]]
+    thumbnails: dict[str, bytes]
+    found: dict[tuple[str, int | None], Detection | Miss] = field(default_factory=dict)
     pictures: dict[str, bytes] = field(default_factory=dict)
-    thumbnails: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
 
     def of_shots(self, shots: Sequence[Shot], rig: CameraRig) -> list[list[Detection | Miss | None]]:
         """Results of each camera for the shots with decoded images; None for an image that is missing."""
-        of_each = [
-            [
-                None if time_ns is None else self.found.get(name, {}).get(time_ns)
-                for name, time_ns in zip(rig.names, shot.times_ns, strict=True)
-            ]
-            for shot in shots
-        ]
-        return [shot for shot in of_each if any(item is not None for item in shot)]
+        each = [[self.found.get(image) for image in zip(rig.names, s.times_ns, strict=True)] for s in shots]
+        return [shot for shot in each if any(item is not None for item in shot)]
 
     @property
     def thumbnail(self) -> bytes:
         """The small image of the first camera that missed the board, otherwise of the first one; empty for none."""
-        missed = {name for name, of_camera in self.found.items() if Miss in map(type, of_camera.values())}
-        images = {name: self.thumbnails[name] for name in self.found if name in self.thumbnails}
-        return next((images[name] for name in images if name in missed), next(iter(images.values()), b""))
+        missed = {name for (name, _), found in self.found.items() if isinstance(found, Miss)}
+        best = min(self.thumbnails, key=lambda name: (not self.thumbnails[name], name not in missed))
+        return self.thumbnails[best]
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +116,7 @@ def plan_recording(
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
     plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
-    noted = (*(signals.notes for signals in logs), *(plan.notes for plan in plans))
-    notes = [note for each in noted for note in each]
+    notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
     return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
 
@@ -213,7 +206,7 @@ def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
 
 
 def detect_segment(
-    recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], None] | None = None
+    recording: Recording, rig: Rig, board: Board, segment: Segment, count: Callable[[int], object] = int
 ) -> list[StationDetections]:
     """The board at each station of a segment, in one pass over its part of the recording.
 
@@ -221,26 +214,26 @@ def detect_segment(
     """
     stations = segment.stations
     names = rig.cameras.names
-    where: dict[str, dict[int, int]] = {name: {} for name in names}
-    for i, searched in enumerate(stations):
-        for shot in searched.shots:
-            for name, time_ns in zip(names, shot.times_ns, strict=True):
-                if time_ns is not None:
-                    where[name][time_ns] = i
+    where = {
+        image: i
+        for i, searched in enumerate(stations)
+        for shot in searched.shots
+        for image in zip(names, shot.times_ns, strict=True)
+    }
     absent = "the recording does not contain the images"
     detections = [
         StationDetections(
             Rejection(
                 "readers", "images cannot be decoded", absent, station.time_ns, station.index, segment.log
             ),
-            {name: {} for name in names},
+            dict.fromkeys(names, b""),
         )
         for station in stations
     ]
     followers = {name: BoardFollower(board, segment.thorough) for name in names}
     sources = rig.sources
     for name, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
-        station = where[name][stamp]
+        station = where[name, stamp]
         place = detections[station]
         if isinstance(picture, Rejection):
             place.rejections.append(picture)
@@ -248,13 +241,12 @@ def detect_segment(
         check_picture(picture, name, rig.cameras)
         if station in segment.shown and name not in place.pictures:
             place.pictures[name] = snapshot_jpeg(picture)
-        if name not in place.thumbnails:
+        if not place.thumbnails[name]:
             place.thumbnails[name] = thumbnail_jpeg(picture)
-        place.found[name][stamp] = followers[name].find(picture, stamp)
+        place.found[name, stamp] = followers[name].find(picture, stamp)
         for earlier_ns, detection in followers[name].earlier.items():
-            detections[where[name][earlier_ns]].found[name][earlier_ns] = detection
-        if count is not None:
-            count(1)
+            detections[where[name, earlier_ns]].found[name, earlier_ns] = detection
+        count(1)
     for searched, place in zip(stations, detections, strict=True):
         if shots := place.of_shots(searched.shots, rig.cameras):
             place.measured = measure(segment.log, searched, shots, rig.cameras, board)
@@ -353,7 +345,7 @@ def detect_all(
                 break
             for note in damage:
                 recording.note(note)
-            count(sum(len(of_camera) for station in detected for of_camera in station.found.values()))
+            count(sum(len(station.found) for station in detected))
             detections += detected
             done += 1
         for segment in segments[done:]:

@@ -57,7 +57,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import needs_numbers
-from mobilecal_cli.stations import Plan
+from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
     Detection,
     Measured,
@@ -119,11 +119,7 @@ class ExtractedLog:
 
 
 def _extracted(
-    earlier: Sequence[ExtractedLog],
-    recording: Recording,
-    config: RigConfig,
-    progress: Progress,
-    jobs: int,
+    earlier: Sequence[ExtractedLog], recording: Recording, config: RigConfig, progress: Progress, jobs: int
 ) -> list[ExtractedLog]:
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
@@ -155,14 +151,9 @@ def _extracted(
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
-        if lost and not any(station.found[name_of_camera] for station in stations):
+        if lost and not any(camera == name_of_camera for station in stations for camera, _ in station.found):
             raise undecodable(lost)
-    any_board = any(
-        isinstance(d, Detection)
-        for station in stations
-        for of_camera in station.found.values()
-        for d in of_camera.values()
-    )
+    any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)
         if size is not None and set(size) != {board.columns, board.rows}:
@@ -221,10 +212,7 @@ def extract(
     sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
     refuse_equal_files(sources)
     for parts in recordings:
-        with (
-            _named(parts[0], several=len(recordings) > 1),
-            open_recording(parts) as recording,
-        ):
+        with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:
             pieces = _extracted(extracted, recording, config, progress, jobs)
         first, new = (extracted or pieces)[0], pieces[0]
         if new.rig.chain.joints != first.rig.chain.joints:
@@ -251,16 +239,10 @@ def _bounded(snapshots: Sequence[Snapshot], extraction: Extraction) -> tuple[Sna
     places = [s for s, each in enumerate(snapshots) if each.thumbnail]
     rejected = [s for s in places if (snapshots[s].log, snapshots[s].station) not in used]
     others = [s for s in places if s not in set(rejected)]
-    few = _spread(rejected, THUMBNAILS // 2)
-    kept = {*few, *_spread(others, THUMBNAILS - len(few))}
+    few = spread(rejected, THUMBNAILS // 2)
+    kept = {*few, *spread(others, THUMBNAILS - len(few))}
     bounded = (each if s in kept else replace(each, thumbnail=b"") for s, each in enumerate(snapshots))
     return tuple(each for each in bounded if each.jpegs or each.thumbnail)
-
-
-def _spread(items: Sequence[int], most: int) -> list[int]:
-    """At most so many of the items, evenly spread."""
-    chosen = np.linspace(0, len(items) - 1, most) if len(items) > most else np.arange(len(items))
-    return [items[k] for k in np.round(chosen).astype(int)]
 
 
 @contextmanager
@@ -311,9 +293,7 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     counts = {
         "stations": sum(len(log.plan.stations) for log in logs),
         "stations_at_rest": sum(s.at_rest for log in logs for s in log.plan.stations),
-        "pictures": sum(
-            len(of_side) for log in logs for station in log.detections for of_side in station.found.values()
-        ),
+        "pictures": sum(len(station.found) for log in logs for station in log.detections),
         "observations": len(observations),
     }
     return Extraction(

@@ -15,7 +15,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
-from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
@@ -34,7 +34,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
-from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, State, TopicView
+from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain
@@ -58,8 +58,8 @@ def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> It
         of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
         nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
         what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        state: State = "problem" if nominal is None and not unread else "limit"
-        yield Finding(about, state, what, gap.cure, SolveError.exit_code)
+        of = Finding.of if nominal is None and not unread else _limit
+        yield of(about, SolveError(what, gap.cure))
 
 
 def inspect(
@@ -159,25 +159,23 @@ def check(
         return Inspection(str(logs[0]), findings=(Finding.of(about, error),))
 
 
+def _limit(about: str, error: MobilecalError) -> Finding:
+    """An error that limits a calibration, but does not prevent it."""
+    return replace(Finding.of(about, error), state="limit")
+
+
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
     """Joints that the head chain probably has twice, or not at all."""
     links = Counter(link.joint for link in config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
-        yield Finding(
-            "head chain",
-            "limit",
-            f"joint {name!r} is in head.chain {links[name]} times",
-            "delete the repeated link, unless the mechanism moves both by the same reading",
-            SolveError.exit_code,
-        )
+        what = f"joint {name!r} is in head.chain {links[name]} times"
+        cure = "delete the repeated link, unless the mechanism moves both by the same reading"
+        yield _limit("head chain", SolveError(what, cure))
     for name in outside_chain(rig.chain, description):
-        yield Finding(
-            "head chain",
-            "limit",
-            f"{name!r} was recorded, but is not a joint between {rig.chain.base_frame} and {rig.chain.head_frame}",
-            "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras",
-            SolveError.exit_code,
-        )
+        ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
+        what = f"{name!r} was recorded, but is not a joint between {ends}"
+        cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
+        yield _limit("head chain", SolveError(what, cure))
 
 
 def _without_height(rig: Rig) -> list[Finding]:
@@ -186,7 +184,7 @@ def _without_height(rig: Rig) -> list[Finding]:
         return []
     what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
     cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
-    return [Finding("head chain", "problem", what, cure, SolveError.exit_code)]
+    return [Finding.of("head chain", SolveError(what, cure))]
 
 
 def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
@@ -223,14 +221,11 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -
     others_words = "".join(f"{other} images, " for other in other_names)
     cameras_words = {0: "the camera", 1: "both cameras"}.get(len(others), "all cameras")
     if count < _LEAST_COVERED * total:
-        finding = Finding(
-            "time",
-            "limit" if count else "problem",
+        error = RecordingError(
             f"{count} of {total} {name} images were recorded while {others_words}joints and wheels were",
             f"record {cameras_words}, joint states and wheels at the same time",
-            RecordingError.exit_code,
         )
-        findings.append(finding)
+        findings.append((_limit if count else Finding.of)("time", error))
     return count, total
 
 
@@ -249,11 +244,7 @@ def _topic(recording: Recording, info: TopicInfo, times_ns: IntArray | None) -> 
 
 
 def _motion(
-    recording: Recording,
-    rig: Rig,
-    times: Mapping[str, IntArray],
-    findings: list[Finding],
-    notes: list[str],
+    recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: list[Finding], notes: list[str]
 ) -> MotionView | None:
     """Motion of the robot; adds what is unobservable from it, and notes."""
     extent = Extent(MOTION_BYTES)
@@ -276,7 +267,7 @@ def _motion(
                 f"the readings look like {like}, and {expected} are expected"
             )
             cure = "set its unit in joints.fields, or correct the driver"
-            findings.append(Finding("joints", "limit", what, cure, SolveError.exit_code))
+            findings.append(_limit("joints", SolveError(what, cure)))
     alone = rig.sources.assumed_wheels is not None  # odometry has no wheels
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
@@ -327,19 +318,16 @@ def _rests(
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
     try:
         (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
-    except RecordingError as error:
-        findings.append(Finding.of("motion", error))
+    except RecordingError as unpaired:
+        findings.append(Finding.of("motion", unpaired))
         return None
     if len(plan.stations) < MIN_STATIONS:
-        finding = Finding(
-            "motion",
-            "problem" if len(plan.stations) < FEWEST_STATIONS else "limit",
+        error = ObservationError(
             f"The recording has {len(plan.stations)} possible stations; a calibration needs {FEWEST_STATIONS}, "
             f"and {MIN_STATIONS} to pass.",
             "record at least ten rests of two seconds, and move head and base in between",
-            ObservationError.exit_code,
         )
-        findings.append(finding)
+        findings.append((Finding.of if len(plan.stations) < FEWEST_STATIONS else _limit)("motion", error))
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         stops = np.stack([station.joints for station in plan.stations])

@@ -10,15 +10,7 @@ import numpy as np
 from mobilecal_cli.calibrate.detect import check_picture
 from mobilecal_cli.calibrate.extract import board_of, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
-from mobilecal_cli.model import (
-    Board,
-    BoardView,
-    CameraRig,
-    GrayImage,
-    Rejection,
-    Sources,
-    Station,
-)
+from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
 from mobilecal_cli.readers import Recording, pictures_near
 from mobilecal_cli.report.inspection import Finding
 from mobilecal_cli.rig.resolve import Survey
@@ -95,11 +87,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     detected = sum(
         isinstance(detection, Detection) for of_camera in detections.values() for detection in of_camera
     )
-    pairs = (
-        ()
-        if cameras is None or not cameras.calibrated or findings
-        else _stereo_pairs(cameras, board, detections)
-    )
+    pairs = () if cameras is None or findings else _stereo_pairs(cameras, board, detections)
     squares_m = tuple(pair.square_m for pair in pairs)
     square_m = float(np.median(squares_m)) if squares_m else None
     findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
@@ -130,7 +118,7 @@ def _stereo_pairs(
     cameras: CameraRig, board: Board, detections: Mapping[str, Sequence[Detection | Miss | None]]
 ) -> tuple[Measured, ...]:
     """The board in each stereo pair that shows it."""
-    if len(detections["left"]) != len(detections["right"]):
+    if not cameras.calibrated or len(detections["left"]) != len(detections["right"]):
         return ()  # the images cannot be paired without their stamps
     pairs = []
     station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))

@@ -81,7 +81,7 @@ def _read(
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
         for name, time_ns in wanted:
-            yield name, time_ns, picture if isinstance(picture, Rejection) else _part(picture, name, layout)
+            yield name, time_ns, _part(picture, name, layout)
         if not any(missing.values()):
             return
 
@@ -111,8 +111,7 @@ def pictures_near(
             extent = Extent(at_ns=own[first[first < len(own)]])
         for picture in _first_after(recording.messages([topic], extent), times_ns):
             for name in cameras:
-                shown = picture if isinstance(picture, Rejection) else _part(picture, name, sources.layout)
-                yield name, shown
+                yield name, _part(picture, name, sources.layout)
 
 
 def _is_video(recording: Recording, topic: str) -> bool:
@@ -155,9 +154,9 @@ def _decoder(videos: dict[str, Video], topic: str, message: Any) -> Callable[[An
     return videos[topic].picture
 
 
-def _part(picture: GrayImage, name: str, layout: StereoLayout) -> GrayImage:
-    """One camera's part of an image."""
-    if layout == "separate":
+def _part(picture: GrayImage | Rejection, name: str, layout: StereoLayout) -> GrayImage | Rejection:
+    """One camera's part of an image, if there is one."""
+    if layout == "separate" or isinstance(picture, Rejection):
         return picture
     first, second = np.array_split(picture, 2, axis=1 if layout == "side_by_side" else 0)
     return np.ascontiguousarray(first if name == "left" else second)

@@ -358,9 +358,8 @@ def camera_rig(
     if names == SIDES and not posed:
         return stereo_rig(infos["left"], infos["right"], rectified, reference)
     if config.board.square_m is None:
-        what = (
-            "one camera does" if len(names) == 1 else f"{len(names)} cameras without a calibrated baseline do"
-        )
+        uncalibrated = f"{len(names)} cameras without a calibrated baseline do"
+        what = "one camera does" if len(names) == 1 else uncalibrated
         raise ConfigError(
             f"{what} not show the size of the board's squares, which gives the scale; it is not stated",
             "measure ten squares with a ruler and add to rig.yaml: board: {square_m: 0.08} "

@@ -45,6 +45,8 @@ Length = Annotated[Number, AfterValidator(ranges.POSITION.validated)]
 Angle = Annotated[Number, AfterValidator(ranges.ANGLE.validated)]
 Position = tuple[Length, Length, Length]
 Text = Annotated[str, Field(min_length=1)]
+#: A path; that in a file is relative to the directory of the file, which is the context of the check.
+Beside = Annotated[Path, AfterValidator(lambda path, given: (given.context or Path()) / path)]
 
 
 class _Section(BaseModel):
@@ -261,10 +263,8 @@ class WheelConfig(_Section):
         """The wheels of the side, each by itself, with a `joint` or a `field`; a topic that is not stated is ""."""
         joints = (self.joint,) if self.joint else self.joints
         names = joints or ((self.field,) if self.field else self.fields)
-        topics, signs = (
-            self.topics or (self.topic or "",) * len(names),
-            self.signs or (self.sign,) * len(names),
-        )
+        topics = self.topics or (self.topic or "",) * len(names)
+        signs = self.signs or (self.sign,) * len(names)
         count = self.ticks_per_revolution, self.bits
         return tuple(
             WheelSource(topic, name, None, *count, sign)
@@ -329,7 +329,7 @@ chain:
   - {joint: head_tilt_joint, axis: [0, 1, 0]}"""
     base_frame: Text | None = None
     head_frame: Text | None = None
-    urdf: Path | None = None
+    urdf: Beside | None = None
     chain: tuple[ChainLink, ...] | None = None
 
     @model_validator(mode="after")
@@ -467,10 +467,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
             f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
             f"replace each {TODO} by its value; the comments of the draft explain them",
         )
-    rig = _validated(data, "" if path is None else f"{path}: ", given)
-    if path is not None and rig.head.urdf is not None and not rig.head.urdf.is_absolute():
-        head = rig.head.model_copy(update={"urdf": path.parent / rig.head.urdf})
-        rig = rig.model_copy(update={"head": head})
+    rig = _validated(data, "" if path is None else f"{path}: ", given, path and path.parent)
     rig._path, rig._flags = path, tuple(given)
     return rig
 
@@ -591,15 +588,17 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
 _NOT_A_SECTION = ("model_type", "dict_type")
 
 
-def _validated(data: Mapping[str, Any], where: str, given: Collection[str] = ()) -> RigConfig:
-    """The configuration.
+def _validated(
+    data: Mapping[str, Any], where: str, given: Collection[str] = (), folder: Path | None = None
+) -> RigConfig:
+    """The configuration, with paths relative to a folder.
 
     Raises:
         ConfigError: with the keys in question and what to write; `where` comes first, unless all of them are given as
             options.
     """
     try:
-        return RigConfig.model_validate(data)
+        return RigConfig.model_validate(data, context=folder)
     except ValidationError as error:
         items, cause = error.errors(), error
     problems, hints = [], []

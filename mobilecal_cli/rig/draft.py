@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.kinematics.urdf import Urdf, parse_urdf
+from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import (
     IMAGES,
@@ -21,7 +21,6 @@ from mobilecal_cli.model import (
     JointLink,
     Nominal,
     NumberField,
-    RobotDescription,
     WheelSource,
 )
 from mobilecal_cli.model.text import listed, visible
@@ -90,6 +89,8 @@ class Draft:
 
     Attributes:
         survey: what is known of the robot.
+        urdf_path: of the URDF in use, as it is written to the file; None: that of the recording.
+        board: the board in some images.
         notes: complete sentences.
         lines: the file.
         filled: what was filled in, in the order of the file.
@@ -97,6 +98,8 @@ class Draft:
     """
 
     survey: Survey
+    urdf_path: str | None
+    board: BoardView | None
     notes: tuple[str, ...]
     lines: list[str] = field(default_factory=list)
     filled: list[Filled] = field(default_factory=list)
@@ -195,26 +198,16 @@ def draft_rig(
         urdf_path: path of that URDF, as it is written to the file.
         board: the board in some images.
     """
-    description = survey.description
-    draft = Draft(survey, () if survey.head is None else survey.head.notes)
+    draft = Draft(survey, urdf_path, board, () if survey.head is None else survey.head.notes)
     draft.lines += [
         f"# rig.yaml for mobilecal, drafted from {_quoted(log_name)}.",
         "# The comment of a value says where it comes from. Fill in or delete what is marked TODO, then test the file",
         "# with mobilecal check. Every key is optional if the recording contains the information.",
         "schema_version: 1",
     ]
-    draft.lines.append("")
-    _board(draft, board)
-    draft.lines.append("")
-    _cameras(draft, description)
-    draft.lines.append("")
-    _wheels(draft, description)
-    draft.lines.append("")
-    _joints(draft, description)
-    draft.lines.append("")
-    _head(draft, urdf_path)
-    draft.lines.append("")
-    _nominal(draft, description)
+    for section in (_board, _cameras, _wheels, _joints, _head, _nominal):
+        draft.lines.append("")
+        section(draft)
     kinds = [(f"#   {kind.name}: {kind.sigma * kind.shown:.4g}", kind) for kind in KINDS]
     width = max(len(entry) for entry, _ in kinds)
     draft.lines += [
@@ -235,7 +228,8 @@ def draft_rig(
     return draft
 
 
-def _board(draft: Draft, board: BoardView | None) -> None:
+def _board(draft: Draft) -> None:
+    board = draft.board
     if board is None:
         draft.lines += ["# inner corners and squares of the board; no images to find it in"]
         draft.lines += ["# board:", *(f"#   {line}" for line in BoardConfig.example.splitlines())]
@@ -273,8 +267,8 @@ def _square(draft: Draft, board: BoardView) -> None:
     draft.ask("board.square_m", why, f"square_m: {suggested_m:g}")
 
 
-def _cameras(draft: Draft, description: RobotDescription) -> None:
-    images, infos = draft.survey.images, draft.survey.infos
+def _cameras(draft: Draft) -> None:
+    images, infos, description = draft.survey.images, draft.survey.infos, draft.survey.description
     present = (topic.name for topic in description.topics if topic.type in IMAGES)
     draft.lines.append(_listing("image topics in the recording", present))
     if images is None:
@@ -290,12 +284,13 @@ def _cameras(draft: Draft, description: RobotDescription) -> None:
     draft.fill("cameras.rectified", draft.survey.rectified, "name of the image topic")
 
 
-def _wheels(draft: Draft, description: RobotDescription) -> None:
+def _wheels(draft: Draft) -> None:
     draft.lines.append(
         "# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it"
     )
-    sources, counted = draft.survey.wheels, counters(description.numbers)
-    whole = tick_counters(counted)
+    sources, description = draft.survey.wheels, draft.survey.description
+    counted = counters(description.numbers)
+    ticks = tick_counters(counted)
     if sources is not None and sources["left"].assumed:
         why = "recording: no wheels, and the only odometry that is named as theirs"
         draft.fill("wheels.odometry", sources["left"].topic, why)
@@ -307,9 +302,9 @@ def _wheels(draft: Draft, description: RobotDescription) -> None:
         for side in SIDES:
             kind = "counters of a known driver" if sources[side].field else "the only joints named as wheels"
             draft.fill(f"wheels.{side}", wheel_settings(sources[side]), f"recording: {kind}")
-    elif len(counted) == 1 and whole:
+    elif ticks is not None:
         for side in SIDES:
-            _counters(draft, f"wheels.{side}", whole[0][side])
+            _counters(draft, f"wheels.{side}", ticks[side])
         draft.ask(
             "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
             "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
@@ -341,8 +336,8 @@ def _candidate(number: NumberField) -> str:
     return f"candidate: topic {_quoted(number.topic)}, field {_quoted(number.path)} ({kind}{jumps})"
 
 
-def _joints(draft: Draft, description: RobotDescription) -> None:
-    survey, names = draft.survey, joint_state_names(description)
+def _joints(draft: Draft) -> None:
+    survey, names = draft.survey, joint_state_names(draft.survey.description)
     draft.lines.append(_listing("joints in the recording's joint states", names))
     chain = None if survey.head is None else survey.head.chain
     if survey.joints and len(survey.joints) == 1 and not survey.elsewhere:
@@ -353,12 +348,12 @@ def _joints(draft: Draft, description: RobotDescription) -> None:
             draft.fill(f"joints.{role}", name, "name of the joint")
     missing = () if chain is None else [name for name in chain.joints if name not in names]
     template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
-    candidates = [_candidate(n) for name in missing for n in named_as(name, description.numbers)]
+    candidates = [_candidate(n) for name in missing for n in named_as(name, survey.description.numbers)]
     draft.ask_for("joints", "joints.fields", "\n".join(template), candidates)
 
 
-def _head(draft: Draft, urdf_path: str | None) -> None:
-    head = draft.survey.head
+def _head(draft: Draft) -> None:
+    head, urdf_path = draft.survey.head, draft.urdf_path
     if head is not None:
         chain, source = head.chain, "the given URDF" if urdf_path else head.origin
         if urdf_path is not None:
@@ -378,9 +373,12 @@ def _head(draft: Draft, urdf_path: str | None) -> None:
     draft.ask_for("head chain", "head", "" if head else HeadConfig.example)
 
 
-def _nominal(draft: Draft, description: RobotDescription) -> None:
+def _nominal(draft: Draft) -> None:
     survey = draft.survey
-    drawn, urdf = Nominal() if survey.head is None else survey.head.drawn, _urdf(survey, description)
+    drawn = Nominal() if survey.head is None else survey.head.drawn
+    texts = [read_urdf(survey.config), *(text for _, text in sorted(survey.description.urdfs.items()))]
+    text = next(filter(None, texts), None)
+    urdf = None if text is None else _tried(lambda: parse_urdf(text))  # the given one, or a recorded one
     if urdf is not None and drawn.wheels is None:
         drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
     draft.lines.append(
@@ -401,9 +399,3 @@ def _nominal(draft: Draft, description: RobotDescription) -> None:
     if drawn.T_h_reference is None:
         why = "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not "
         draft.ask("nominal.head_eye", f"{why}show it", f"head_eye: {HeadEyeNominal.example}")
-
-
-def _urdf(survey: Survey, description: RobotDescription) -> Urdf | None:
-    """The given or recorded URDF, if it can be read."""
-    text = read_urdf(survey.config) or next((text for _, text in sorted(description.urdfs.items())), None)
-    return None if text is None else _tried(lambda: parse_urdf(text))

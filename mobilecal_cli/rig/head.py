@@ -10,13 +10,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.kinematics.urdf import (
-    Urdf,
-    UrdfJoint,
-    chain_links,
-    parse_urdf,
-    vehicle_frame,
-)
+from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, chain_links, parse_urdf, vehicle_frame
 from mobilecal_cli.model import (
     TRANSFORMS,
     FixedLink,
@@ -33,14 +27,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
-from mobilecal_cli.rig.names import (
-    HEAD_WORDS,
-    PAN_WORDS,
-    TILT_WORDS,
-    joint_state_names,
-    require_topic,
-    words,
-)
+from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, require_topic, words
 from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
@@ -158,13 +145,7 @@ def _base_of(config: RigConfig, urdf: Urdf) -> str:
 
 
 def _head_link_of(
-    config: RigConfig,
-    urdf: Urdf,
-    base: str,
-    pan: str,
-    tilt: str,
-    camera_frame: str,
-    read: Collection[str],
+    config: RigConfig, urdf: Urdf, base: str, pan: str, tilt: str, camera_frame: str, read: Collection[str]
 ) -> str:
     """Head link of a URDF: as configured, or the last link that a joint moves on the way to the camera.
 
@@ -335,13 +316,9 @@ def _check_configured(config: RigConfig, chain: HeadChain) -> None:
 
 def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
     """Joints in the joint states that are named pan or tilt, where the chain has no joint of this name."""
-    return [
-        name
-        for word in ("pan", "tilt")
-        if not any(word in words(joint) for joint in chain.joints)
-        for name in joint_state_names(description)
-        if word in words(name)
-    ]
+    of_chain = {word for joint in chain.joints for word in words(joint)}
+    missing = [word for word in ("pan", "tilt") if word not in of_chain]
+    return [name for word in missing for name in joint_state_names(description) if word in words(name)]
 
 
 def joint_sources(

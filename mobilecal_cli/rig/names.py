@@ -101,18 +101,14 @@ def of_one_robot(
     nearest: dict[str, tuple[bool, int]] = {}
     for topic, joints in description.joint_names.items():
         nearest |= {joint: max(nearness(topic), nearest.get(joint, (False, 0))) for joint in joints}
-    kept = {
-        topic: tuple(j for j in joints if topic in configured or nearness(topic) == nearest[j])
-        for topic, joints in description.joint_names.items()
-    }
+    joint_names: dict[str, tuple[str, ...]] = {}
+    for topic, joints in description.joint_names.items():
+        own = tuple(j for j in joints if topic in configured or nearness(topic) == nearest[j])
+        if own or not joints:
+            joint_names[topic] = own
     best = max(map(nearness, description.urdfs), default=None)
-    return replace(
-        description,
-        joint_names={
-            topic: joints for topic, joints in kept.items() if joints or not description.joint_names[topic]
-        },
-        urdfs={topic: text for topic, text in description.urdfs.items() if nearness(topic) == best},
-    )
+    urdfs = {topic: text for topic, text in description.urdfs.items() if nearness(topic) == best}
+    return replace(description, joint_names=joint_names, urdfs=urdfs)
 
 
 _HEAD_JOINT_WORDS = PAN_WORDS | TILT_WORDS
@@ -180,7 +176,11 @@ def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
     return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
 
 
-def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField, ...]]]:
+#: Numbers of the wheels of each side.
+Counters = dict[Side, tuple[NumberField, ...]]
+
+
+def counters(fields: Iterable[NumberField]) -> list[Counters]:
     """Sets of whole numbers, or of other numbers, that are named as counters of the left and the right wheels.
 
     Fields named as counters are preferred to those that are only named as something of a wheel.
@@ -200,15 +200,11 @@ def counters(fields: Iterable[NumberField]) -> list[dict[Side, tuple[NumberField
     return []
 
 
-def tick_counters(
-    sets: Iterable[dict[Side, tuple[NumberField, ...]]],
-) -> list[dict[Side, tuple[NumberField, ...]]]:
-    """Those sets of `counters` that are whole numbers without jumps of another size than a counter's."""
-    return [
-        by_side
-        for by_side in sets
-        if all(n.integer and n.jump is None for side in SIDES for n in by_side[side])
-    ]
+def tick_counters(sets: Sequence[Counters]) -> Counters | None:
+    """The only one of the sets of `counters`, if its numbers are whole and jump as a counter does at its end."""
+    numbers = [number for by_side in sets for side in SIDES for number in by_side[side]]
+    whole = all(number.integer and number.jump is None for number in numbers)
+    return sets[0] if len(sets) == 1 and whole else None
 
 
 def named_as(joint: str, fields: Sequence[NumberField]) -> list[NumberField]:

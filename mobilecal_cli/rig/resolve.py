@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeVar
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import (
+    CameraInfo,
     CameraRig,
     JointField,
     JointTransform,
@@ -20,13 +21,7 @@ from mobilecal_cli.model import (
     WheelSource,
     camera_words,
 )
-from mobilecal_cli.rig.cameras import (
-    camera_rig,
-    image_topics,
-    info_topic,
-    is_rectified,
-    optical_frame,
-)
+from mobilecal_cli.rig.cameras import camera_rig, image_topics, info_topic, is_rectified, optical_frame
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
@@ -39,9 +34,11 @@ _Lack = RecordingError | ConfigError
 Part = Literal["cameras", "camera infos", "wheels", "head chain", "joints", "priors"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Survey:
     """The parts of a rig that configuration and recording determine, and why the others are unknown.
+
+    `survey_rig` fills it in.
 
     Attributes:
         config, description: of the configuration and the recording.
@@ -58,16 +55,16 @@ class Survey:
 
     config: RigConfig
     description: RobotDescription
-    images: dict[str, str] | None
-    infos: dict[str, str]
-    rectified: bool
-    cameras: CameraRig | None
-    wheels: dict[Side, WheelSource] | None
-    head: Head | None
-    joints: tuple[str, ...] | None
-    elsewhere: Mapping[str, JointField | JointTransform]
-    notes: tuple[str, ...]
-    lacks: tuple[tuple[Part, _Lack], ...]
+    images: dict[str, str] | None = None
+    infos: dict[str, str] = field(default_factory=dict)
+    rectified: bool = False
+    cameras: CameraRig | None = None
+    wheels: dict[Side, WheelSource] | None = None
+    head: Head | None = None
+    joints: tuple[str, ...] | None = None
+    elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    lacks: list[tuple[Part, _Lack]] = field(default_factory=list)
 
 
 def complete_rig(survey: Survey) -> Rig:
@@ -132,10 +129,10 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     Raises:
         ConfigError: the URDF that the configuration names cannot be read.
     """
-    lacks: list[tuple[Part, _Lack]] = []
+    survey = Survey(config, description)
     lacks_of_head: list[tuple[Part, _Lack]] = []
 
-    def tried(part: Part, step: Callable[[], T], errors: list[tuple[Part, _Lack]] = lacks) -> T | None:
+    def tried(part: Part, step: Callable[[], T], errors: list[tuple[Part, _Lack]] = survey.lacks) -> T | None:
         try:
             return step()
         except (RecordingError, ConfigError) as error:
@@ -143,63 +140,46 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             return None
 
     urdf_text = read_urdf(config)
-    images = tried("cameras", lambda: image_topics(config, description))
+    survey.images = tried("cameras", lambda: image_topics(config, description))
+    images = survey.images or {}
     configured = (config.joints.topic, config.wheels.left.topic, config.wheels.right.topic)
-    of_robot = of_one_robot(description, (images or {}).values(), filter(None, configured))
-    topics: dict[str, str] = {}
-    rectified, cameras = False, None
-    notes: tuple[str, ...] = ()
-    if images is not None:
-        for name, image in images.items():
-            topic = tried("camera infos", partial(info_topic, name, image, config, of_robot))
-            topics |= {name: topic} if topic is not None else {}
-        told = config.cameras.rectified
-        rectified = is_rectified(next(iter(images.values()))) if told is None else told
-    infos = {name: of_robot.infos[topic] for name, topic in topics.items()}
-    infos = {
-        # Some drivers name the optical frame in the images only.
-        name: replace(info, frame_id=info.frame_id or of_robot.image_frames.get((images or {})[name], ""))
-        for name, info in infos.items()
-    }
-    notes += tuple(
+    of_robot = of_one_robot(description, images.values(), filter(None, configured))
+    infos: dict[str, CameraInfo] = {}
+    for name, image in images.items():
+        topic = tried("camera infos", partial(info_topic, name, image, config, of_robot))
+        if topic is not None:
+            survey.infos[name], info = topic, of_robot.infos[topic]
+            # Some drivers name the optical frame in the images only.
+            infos[name] = replace(info, frame_id=info.frame_id or of_robot.image_frames.get(image, ""))
+    survey.notes = tuple(
         f"Neither the images nor the camera info of the {camera_words(name)} name its optical frame. "
         f"The outputs call it {optical_frame(name, info)}."
         for name, info in infos.items()
         if not info.frame_id
     )
+    first = next(iter(images), "")
+    told = config.cameras.rectified
+    survey.rectified = bool(images) and (is_rectified(images[first]) if told is None else told)
     wheels = tried("wheels", lambda: wheel_sources(config, of_robot))
-    reference = config.cameras.reference or next(iter(images or {}), "")
+    reference = config.cameras.reference or first
     frame = infos[reference].frame_id if reference in infos else ""
-    head = tried(
+    head = survey.head = tried(
         "head chain", lambda: head_of(config, of_robot, urdf_text, wheels or {}, frame), lacks_of_head
     )
     # Which link carries a camera without a frame is no error of its own.
-    if images is not None and not frame:
+    if images and not frame:
         lacks_of_head = [lack for lack in lacks_of_head if isinstance(lack[1], RecordingError)]
-    if images is not None and len(infos) == len(images):
+    if images and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)
-        cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
-    lacks += lacks_of_head
+        survey.cameras = tried("camera infos", lambda: camera_rig(infos, survey.rectified, config, drawn))
+    survey.lacks += lacks_of_head
     if wheels is not None and head is not None and head.urdf is not None:
         wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
-    read: tuple[tuple[str, ...], dict[str, JointField | JointTransform]] | None = None
+    survey.wheels = wheels
     if head is not None:
-        notes += head.notes
+        survey.notes += head.notes
         read = tried("joints", lambda: joint_sources(config, of_robot, head.chain, head.urdf))
-        if cameras is not None:
+        survey.joints, survey.elsewhere = read or (None, {})
+        if (cameras := survey.cameras) is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
-    joints, elsewhere = (None, {}) if read is None else read
-    return Survey(
-        config,
-        description,
-        images,
-        topics,
-        rectified,
-        cameras,
-        wheels,
-        head,
-        joints,
-        elsewhere,
-        notes,
-        tuple(lacks),
-    )
+    return survey

@@ -38,10 +38,7 @@ def _floats(array: FloatArray) -> list[float]:
 
 def pose_settings(T: FloatArray) -> dict[str, Any]:
     """A pose as rig.yaml states it."""
-    return {
-        "translation_m": _floats(T[:3, 3]),
-        "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3])),
-    }
+    return {"translation_m": _floats(T[:3, 3]), "quaternion_xyzw": _floats(se3.quaternion_xyzw(T[:3, :3]))}
 
 
 def link_settings(link: FixedLink | JointLink) -> dict[str, Any]:
@@ -282,8 +279,7 @@ def _rescaled(
     scaled = []
     for track in tracks:
         own: Track = getattr(track, side)
-        turned = Track(own.time_ns, own.value * (after / before))
-        scaled.append(WheelTrack(turned, track.left) if side == "right" else WheelTrack(track.right, turned))
+        scaled.append(replace(track, **{side: replace(own, value=own.value * (after / before))}))
     name = f"{side} wheel {old.topic} {old.where}"
     sources = replace(rig.sources, wheels={**rig.sources.wheels, side: new})
     return replace(rig, sources=sources, setting_sources={**rig.setting_sources, name: "flag"}), tuple(scaled)

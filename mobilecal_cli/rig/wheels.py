@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
 from mobilecal_cli.rig.names import (
     COUNTER_WORDS,
+    Counters,
     counters,
     is_wheel,
     joint_state_names,
@@ -83,13 +84,11 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.sources}
-    sources = {side: _source(side, wheel, description) for side, wheel in stated.items()}
+    found = None if len(stated) == len(SIDES) else _wheels_by_name(config, description)
+    wheels = (found or {}) | stated
+    sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
     if len(sources) < len(SIDES):
-        by_name = _wheels_by_name(config, description)
-        if by_name is None:
-            sources = _odometry(config, description, _odometry_topic(description)) | sources
-        else:
-            sources = {side: _source(side, wheel, description) for side, wheel in by_name.items()} | sources
+        sources = _odometry(config, description, _odometry_topic(description)) | sources
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
@@ -182,16 +181,14 @@ def _refuse_other_drives(description: RobotDescription) -> None:
 
 
 def _with_counters(
-    wheels: Mapping[Side, WheelConfig],
-    description: RobotDescription,
-    sets: Sequence[dict[Side, tuple[NumberField, ...]]],
+    wheels: Mapping[Side, WheelConfig], description: RobotDescription, sets: Sequence[Counters]
 ) -> dict[Side, WheelConfig]:
     """The wheels as tick counters found by name, with the steps per turn of the configuration or of a known driver."""
     types = {topic.name: topic.type for topic in description.topics}
     shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
-    whole = tick_counters(sets)
+    counted = tick_counters(sets)
     instead = "; or set wheels.odometry" if ODOMETRY in types.values() else ""
-    if len(sets) > 1 or not whole:
+    if counted is None:
         raise RecordingError(
             f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
             if len(sets) > 1
@@ -200,7 +197,7 @@ def _with_counters(
         )
     completed: dict[Side, WheelConfig] = {}
     for side, wheel in wheels.items():
-        numbers = whole[0][side]
+        numbers = counted[side]
         ticks, bits = KNOWN_COUNTERS.get(types.get(numbers[0].topic, ""), (None, None))
         ticks = wheel.ticks_per_revolution or ticks
         if ticks is None:

@@ -61,7 +61,7 @@ def read_and_see(path: str, jobs: str) -> dict[str, float]:
         (plan,), *_ = plan_recording(recording, rig, True)
         (detections,) = detect_all(recording, rig, board, [plan], False, int(jobs))
     seconds = time.perf_counter() - start
-    each = (d for one in detections for side in one.found.values() for d in side.values())
+    each = (d for one in detections for d in one.found.values())
     found = sum(isinstance(d, Detection) for d in each)
     start = time.perf_counter()
     for station, place in zip(plan.stations[:_MEASURED], detections, strict=False):

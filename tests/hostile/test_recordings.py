@@ -16,6 +16,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from google.protobuf import descriptor_pb2
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording, read_description, sha256_of
@@ -272,6 +273,17 @@ def test_message_definitions_without_end(definition, payload, encoding):
         # A definition that is harmless by itself: the payload does not fit it.
         with suppress(RecordingError):
             channel.decode(head + payload)
+
+
+def test_a_protobuf_definition_in_a_chain_of_files():
+    """Sorting them took time that grew with the square of their number."""
+    definition = descriptor_pb2.FileDescriptorSet()
+    for k in range(20_000):
+        file = definition.file.add(name=f"f{k}", package=f"p{k}", syntax="proto3")
+        file.message_type.add(name="M")
+        file.dependency.extend([f"f{k - 1}"] if k else [])
+    with bounded():
+        Channel(1, "/t", "p7.M", "protobuf", definition.SerializeToString(), "protobuf").check()
 
 
 def test_json_that_is_deeper_than_the_stack(tmp_path):

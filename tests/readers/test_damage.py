@@ -192,7 +192,7 @@ def test_write_ahead_log_of_a_killed_recorder_is_read_and_nothing_is_written(ori
         (b"timestamp,left,right\n1,2,3\n", "not a recording"),
         (b"#ROSBAG V1.2\n" + bytes(50), "format 1.2, only 2.0 is supported"),
         (b"#ROSBAG V2.0\n", "damaged and unreadable"),
-        (b"\x89MCAP0\r\n", "damaged and unreadable"),
+        (b"\x89MCAP0\r\n", "nothing usable is left"),
         (b"SQLite format 3\x00", "damaged and unreadable"),
         (b"\x28\xb5\x2f\xfd", "empty"),
     ],

@@ -116,8 +116,8 @@ class BlockStorage(Storage):
         """Whether a complete record begins at a byte."""
 
     @abstractmethod
-    def rest_of_chunk(self, at: int) -> Block | None:
-        """The rest of the file if an uncompressed chunk begins at a byte: its first messages are intact."""
+    def rest_of_chunk(self, at: int) -> int | None:
+        """Where the records of an uncompressed chunk begin, if one begins at a byte: its first messages are intact."""
 
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block."""
@@ -363,7 +363,8 @@ class Reindex:
                 rest = storage.rest_of_chunk(at)
                 if rest is not None and self._next_record(at + 1, chunks=True) is None:
                     self._close()
-                    self._last, following = rest, None
+                    self._last = Block(rest, storage.size - rest, False, LATEST_NS, 0, None)
+                    following = None
                 else:
                     following = self._next_record(at + 1)
                 if following is None:

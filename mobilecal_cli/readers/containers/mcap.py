@@ -52,17 +52,10 @@ class McapStorage(BlockStorage):
 
     def __init__(self, path: Path) -> None:
         self._schemas: dict[int, records.Schema] = {}
-        self._profile = ""
-        #: Channels whose messages rosbag2 may have compressed separately.
-        self._packable: set[int] = set()
         super().__init__(path)
 
     def find_blocks(self) -> None:
         """Use the summary if it is complete, otherwise scan the file."""
-        opcode, length = _HEAD.unpack(self.read_at(len(MAGIC), _HEAD.size))
-        if opcode == Opcode.HEADER:
-            header = records.Header.read(_stream(self.read_at(len(MAGIC) + _HEAD.size, length)))
-            self._profile = str(header.profile)
         summary = self._complete_summary()
         if summary is not None:
             self._use(summary)
@@ -133,7 +126,8 @@ class McapStorage(BlockStorage):
             if opcode == _MESSAGE_RECORD:
                 number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
                 payload: Payload = view[at + _MESSAGE.size : end]
-                if number in self._packable and data.startswith(ZSTD_MAGIC, at + _MESSAGE.size):
+                # rosbag2 may have compressed messages separately.
+                if data.startswith(ZSTD_MAGIC, at + _MESSAGE.size) and self._is_cdr(number):
                     payload = message_payload(payload)
                 yield number, time_ns, payload
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
@@ -163,6 +157,9 @@ class McapStorage(BlockStorage):
         else:
             self._register(records.Channel.read(_stream(body)))
 
+    def _is_cdr(self, number: int) -> bool:
+        return number in self.channels and self.channels[number].encoding == "cdr"
+
     def _register(self, channel: records.Channel) -> None:
         if channel.id in self.channels:
             return
@@ -171,11 +168,10 @@ class McapStorage(BlockStorage):
         definition: str | bytes = schema.data if schema else ""
         if isinstance(definition, bytes) and kind != "protobuf":
             definition = definition.decode(errors="replace")
-        encoding = channel.message_encoding or {"ros2": "cdr", "ros1": "ros1"}.get(self._profile, "")
-        if encoding == "cdr":
-            self._packable.add(channel.id)
         name = ros2_spelling(schema.name) if schema else ""
-        self.channels[channel.id] = Channel(channel.id, channel.topic, name, encoding, definition, kind)
+        self.channels[channel.id] = Channel(
+            channel.id, channel.topic, name, channel.message_encoding, definition, kind
+        )
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
@@ -198,12 +194,11 @@ class McapStorage(BlockStorage):
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return end, block
 
-    def rest_of_chunk(self, at: int) -> Block | None:
+    def rest_of_chunk(self, at: int) -> int | None:
         body = at + _HEAD.size + _CHUNK.size + 12
         if self.read_at(at, 1)[0] != Opcode.CHUNK or body >= self.size:
             return None
-        stored_uncompressed = self.read_at(body - 12, 4) == bytes(4)
-        return Block(body, self.size - body, False, LATEST_NS, 0, None) if stored_uncompressed else None
+        return body if self.read_at(body - 12, 4) == bytes(4) else None  # no name of a compression
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""

@@ -93,12 +93,10 @@ class BagStorage(BlockStorage):
                 f"{self.path}: the bag is encrypted ({fields[b'encryptor'].decode(errors='replace')})",
                 "decrypt it with rosbag decrypt first",
             )
-        stated = (
-            _U64.unpack(fields[b"index_pos"])[0] if len(fields.get(b"index_pos", b"")) == _U64.size else 0
-        )
+        stated = int.from_bytes(fields.get(b"index_pos", b"")[: _U64.size], "little")
         if stated > self.size:
             self.note_share(stated)
-        if not self._read_index(fields):
+        if not (stated and self._read_index(fields, stated)):
             self.channels.clear()
             self.blocks.clear()
             self.counts = None
@@ -116,12 +114,9 @@ class BagStorage(BlockStorage):
         (size,) = _U32.unpack(self.read_at(body - _U32.size, _U32.size))
         return _fields(memoryview(header)), body, body + size
 
-    def _read_index(self, bag: Fields) -> bool:
-        """Use the index at the end of the bag; False if it is missing or any of it is wrong."""
+    def _read_index(self, bag: Fields, at: int) -> bool:
+        """Use the index that begins at byte `at`; False if any of it is missing or wrong."""
         try:
-            at = int(_U64.unpack(bag[b"index_pos"])[0])
-            if at == 0:
-                return False
             for _ in range(_u32(bag, b"conn_count")):
                 fields, body, end = self._head(at)
                 self._define(fields, self.read_at(body, end - body))
@@ -230,11 +225,10 @@ class BagStorage(BlockStorage):
         except Exception:  # arbitrary bytes may raise anything
             return False
 
-    def rest_of_chunk(self, at: int) -> Block | None:
+    def rest_of_chunk(self, at: int) -> int | None:
         try:
             fields, body, _ = self._head(at)
         except Exception:  # arbitrary bytes may raise anything
             return None
-        if fields.get(b"op") != bytes([_CHUNK]) or fields.get(b"compression") != b"none":
-            return None
-        return Block(body, self.size - body, False, LATEST_NS, 0, None)
+        plain = fields.get(b"op") == bytes([_CHUNK]) and fields.get(b"compression") == b"none"
+        return body if plain else None

@@ -66,8 +66,6 @@ class SqliteStorage(Storage):
         self._copies = ExitStack()
         #: None if the table is damaged.
         self._log: _Log | None = None
-        #: First row after each step of the recorder's clock, and the size of the step.
-        self._steps: list[tuple[int, int]] = []
         try:
             self._connection = self._connect(path)
             self._copies.callback(self._connection.close)
@@ -137,12 +135,7 @@ class SqliteStorage(Storage):
                 continue
             language, text = definitions.get(str(name), ("", ""))
             self.channels[number] = Channel(
-                number,
-                str(topic),
-                ros2_spelling(str(name)),
-                str(encoding),
-                text,
-                LANGUAGES.get(language, ""),
+                number, str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
             )
 
     def _scan(self) -> None:
@@ -166,7 +159,6 @@ class SqliteStorage(Storage):
         steps = steps_back(log.channel, log.log_ns)
         for first, size_ns in steps:
             log.log_ns[first:] += size_ns
-            self._steps.append((int(log.row[first]), size_ns))
             self.shift_ns += size_ns
         self.note_steps([size_ns for _, size_ns in steps])
         self._log = log
@@ -174,8 +166,6 @@ class SqliteStorage(Storage):
 
     def delay(self, shift_ns: int) -> None:
         if self._log is not None and len(self._log.row):
-            if shift_ns:
-                self._steps.append((int(self._log.row[0]), shift_ns))
             self._log.log_ns[:] += shift_ns
             self.shift_ns += shift_ns
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
@@ -198,11 +188,11 @@ class SqliteStorage(Storage):
                 channel = self.channels[number]
                 data = payload if isinstance(payload, bytes) else str(payload).encode()
                 if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
-                    with suppress(
-                        Exception
-                    ):  # a damaged frame; the message is reported as undecodable on use
+                    # A damaged frame: the message is reported as undecodable on use.
+                    with suppress(Exception):
                         data = message_payload(data)
-                time_ns += sum(size_ns for first, size_ns in self._steps if first <= row)
+                if self._log is not None:  # with the steps of the recorder's clock undone
+                    time_ns = int(self._log.log_ns[np.searchsorted(self._log.row, row)])
                 yield Message(channel, time_ns, data)
         if damaged:
             self.note(

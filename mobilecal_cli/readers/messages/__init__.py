@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from graphlib import TopologicalSorter
 from types import SimpleNamespace
 from typing import Any
 
@@ -129,14 +130,10 @@ def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     try:
         stored = definition.encode() if isinstance(definition, str) else definition
         pool = descriptor_pool.DescriptorPool()
-        waiting = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
-        while waiting:
-            ready = [file for file in waiting.values() if not waiting.keys() & set(file.dependency)]
-            if not ready:
-                raise ValueError(f"circular dependencies between files: {', '.join(waiting)}")
-            for file in ready:
-                pool.Add(file)
-                del waiting[file.name]
+        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
+        needed = {name: files.keys() & set(file.dependency) for name, file in files.items()}
+        for name in TopologicalSorter(needed).static_order():
+            pool.Add(files[name])
         kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(type_name))
     except MemoryError:
         raise

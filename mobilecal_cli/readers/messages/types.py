@@ -271,13 +271,13 @@ def _check_growth(types: Mapping[str, Any]) -> None:
         RecordingError: a type contains millions of others, or a list of messages that occupy no bytes.
         RecursionError: a type contains itself.
     """
-    sizes: dict[str, tuple[int, bool]] = {}
+    sizes: dict[str, tuple[float, bool]] = {}
 
-    def size(name: str) -> tuple[int, bool]:
+    def size(name: str) -> tuple[float, bool]:
         """Number of messages inside, itself included, and whether the type occupies any bytes."""
         if name not in types or name in sizes:
-            return sizes.get(name, (1, True))
-        inside, weighs = 1, False
+            return sizes.get(name, (1.0, True))
+        inside, weighs = 1.0, False
         for _, (kind, what) in types[name][1]:
             length, (inner_kind, inner) = 1, (kind, what)
             if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -287,25 +287,19 @@ def _check_growth(types: Mapping[str, Any]) -> None:
                 continue
             count, heavy = size(inner)
             if kind == Nodetype.SEQUENCE:
-                if not heavy:
-                    raise _endless(name)
-                weighs = True
+                inside, weighs = inside if heavy else math.inf, True
                 continue
             inside, weighs = inside + count * length, weighs or heavy
         if inside > _MOST_INSIDE:
-            raise _endless(name)
+            raise RecordingError(
+                f"the definition of the message type {name} expands a few bytes to millions of messages",
+                "record the topic with its original definition, or do not record it",
+            )
         sizes[name] = inside, weighs
         return sizes[name]
 
     for name in types:
         size(name)
-
-
-def _endless(name: str) -> RecordingError:
-    return RecordingError(
-        f"the definition of the message type {name} expands a few bytes to millions of messages",
-        "record the topic with its original definition, or do not record it",
-    )
 
 
 def agrees(store: Typestore, encoding: str) -> bool:

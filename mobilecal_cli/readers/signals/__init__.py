@@ -9,15 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    SIDES,
-    IntArray,
-    JointField,
-    PictureIndex,
-    Signals,
-    Sources,
-    Track,
-)
+from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
@@ -29,10 +21,7 @@ from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
 def read_signals(
-    recording: Recording,
-    sources: Sources,
-    joints: Sequence[str],
-    extent: Extent = EVERYTHING,
+    recording: Recording, sources: Sources, joints: Sequence[str], extent: Extent = EVERYTHING
 ) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
@@ -55,7 +44,7 @@ def read_signals(
             type, a camera has no images, or a joint or wheel has no finite reading.
     """
     read = Subscriptions(recording)
-    images = {name: read.add(Images(name, topic)) for name, topic in sources.image.items()}
+    images = {name: read.add(Images(topic)) for name, topic in sources.image.items()}
     stated: dict[str, list[StatedJoint]] = {name: [] for name in joints if name not in sources.elsewhere}
     for topic in sources.joints:
         for name, on_topics in stated.items():

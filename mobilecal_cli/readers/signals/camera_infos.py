@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
@@ -32,18 +33,11 @@ _LENGTHS: dict[Distortion, tuple[int, ...]] = {
     "equidistant": (4,),
 }
 _NAMES: dict[str, Distortion] = {
-    "plumb_bob": "plumb_bob",
-    "radtan": "plumb_bob",
-    "radial_tangential": "plumb_bob",
-    "brown_conrady": "plumb_bob",
-    "rational_polynomial": "rational_polynomial",
-    "rational": "rational_polynomial",
-    "thin_prism": "rational_polynomial",
-    "equidistant": "equidistant",
-    "fisheye": "equidistant",
-    "kannala_brandt": "equidistant",
-    "kannala_brandt4": "equidistant",
-    "opencv_fisheye": "equidistant",
+    **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "brown_conrady"), "plumb_bob"),
+    **dict.fromkeys(("rational_polynomial", "rational", "thin_prism"), "rational_polynomial"),
+    **dict.fromkeys(
+        ("equidistant", "fisheye", "kannala_brandt", "kannala_brandt4", "opencv_fisheye"), "equidistant"
+    ),
     "none": "none",
 }
 #: Of the focal lengths fx / fy, and of those in P / those in K.
@@ -98,21 +92,11 @@ def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
 
     roi = message.roi
     width, height = int(roi.width) or int(message.width), int(roi.height) or int(message.height)
+    binned_x, binned_y = max(int(message.binning_x), 1), max(int(message.binning_y), 1)
     for matrix in (K, P):
-        matrix[0] -= float(roi.x_offset) * matrix[2]
-        matrix[1] -= float(roi.y_offset) * matrix[2]
-        matrix[0] /= max(int(message.binning_x), 1)
-        matrix[1] /= max(int(message.binning_y), 1)
-    return CameraInfo(
-        frame_id=frame_id,
-        width=width // max(int(message.binning_x), 1),
-        height=height // max(int(message.binning_y), 1),
-        K=K,
-        D=D,
-        distortion=distortion,
-        R=R,
-        P=P,
-    )
+        matrix[:2] -= np.outer([float(roi.x_offset), float(roi.y_offset)], matrix[2])
+        matrix[:2] /= [[binned_x], [binned_y]]
+    return CameraInfo(frame_id, width // binned_x, height // binned_y, K, D, distortion, R, P)
 
 
 def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
@@ -206,20 +190,19 @@ class _Stated:
 
     Attributes:
         infos: the different calibrations, in order of appearance.
-        counts: number of messages with each.
-        runs: log time of each change, and the calibration from there on.
+        which, log_ns: calibration in each message, and the log time.
         last: bytes of the last message after its stamp.
     """
 
     infos: list[CameraInfo] = field(default_factory=list)
-    counts: list[int] = field(default_factory=list)
-    runs: list[tuple[int, int]] = field(default_factory=list)
+    which: array[int] = field(default_factory=lambda: array("q"))
+    log_ns: array[int] = field(default_factory=lambda: array("q"))
     last: bytes = b""
 
     @property
     def usual(self) -> int:
         """The calibration in most messages."""
-        return int(np.argmax(self.counts))
+        return int(np.argmax(np.bincount(self.which)))
 
 
 class InfoChanges:
@@ -238,24 +221,21 @@ class InfoChanges:
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Take one message. Only one that differs from the one before is decoded."""
         stated, own = self._stated[channel.topic], bytes(payload[_STAMP_BYTES:])
-        if stated.last == own and stated.runs:
-            stated.counts[stated.runs[-1][1]] += 1
-            return
-        try:
-            decoded = camera_info(channel.decode(payload), channel.topic)
-        except (RecordingError, *NOT_ITS_TYPE):
-            return
-        known = (k for k, info in enumerate(stated.infos) if not _difference(info, decoded))
-        which = next(known, len(stated.infos))
-        if which == len(stated.infos):
+        if stated.last != own or not stated.which:
+            try:
+                decoded = camera_info(channel.decode(payload), channel.topic)
+            except (RecordingError, *NOT_ITS_TYPE):
+                return
+            known = (k for k, info in enumerate(stated.infos) if not _difference(info, decoded))
+            which = next(known, len(stated.infos))
             if which == _MOST_KEPT:
                 return
-            stated.infos.append(decoded)
-            stated.counts.append(0)
-        stated.last = own
-        stated.counts[which] += 1
-        if not stated.runs or stated.runs[-1][1] != which:
-            stated.runs.append((log_ns, which))
+            stated.infos += [decoded] if which == len(stated.infos) else []
+            stated.last = own
+        else:
+            which = stated.which[-1]
+        stated.which.append(which)
+        stated.log_ns.append(log_ns)
 
     @property
     def corrected(self) -> dict[str, CameraInfo]:
@@ -269,25 +249,24 @@ class InfoChanges:
     def usual_at(self, topic: str, log_ns: IntArray) -> IntArray:
         """(n,) indices of those of some log times at which the topic states its usual calibration."""
         stated = self._stated.get(topic)
-        if stated is None or len(stated.runs) < 2:
+        if stated is None or len(stated.infos) < 2:
             return np.arange(len(log_ns))
-        starts, which = np.array(stated.runs, dtype=np.int64).T
-        run = np.maximum(np.searchsorted(starts, log_ns, side="right") - 1, 0)
-        return np.flatnonzero(which[run] == stated.usual)
+        last = np.maximum(np.searchsorted(stated.log_ns, log_ns, side="right") - 1, 0)
+        return np.flatnonzero(np.array(stated.which)[last] == stated.usual)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """One sentence for each topic whose calibration changes."""
         notes = []
         for topic, stated in self._stated.items():
-            if len(stated.runs) < 2:
+            if len(stated.infos) < 2:
                 continue
-            at_ns = stated.runs[1][0]
+            at_ns, total = stated.log_ns[stated.which.index(1)], len(stated.which)
             since_s = (at_ns - (self._recording.start_ns or at_ns)) * 1e-9
-            others = sum(stated.counts) - stated.counts[stated.usual]
+            others = total - stated.which.count(stated.usual)
             notes.append(
                 f"{topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: "
-                f"{_difference(stated.infos[0], stated.infos[1])}; {others} of {sum(stated.counts)} messages differ "
+                f"{_difference(stated.infos[0], stated.infos[1])}; {others} of {total} messages differ "
                 "from the others, which are used; images recorded while it differs are left out"
             )
         return tuple(notes)

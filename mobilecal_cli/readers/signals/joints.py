@@ -33,7 +33,6 @@ class StatedJoint(Source):
     """
 
     types = (JOINT_STATE,)
-    hint = "set a JointState topic in rig.yaml (a wheel may use a field)"
 
     def __init__(self, topic: str, name: str, field: str = "position") -> None:
         of_field = "" if field == "position" else f"{field} of "

@@ -207,14 +207,12 @@ class Clock:
         """Sentences on missing and zero stamps."""
         if not self.unstamped:
             return []
+        fact = f"{self.unstamped} of {self.messages} header stamps are zero; the log time is used for those"
         if not self.has_header:
-            return [f"{self.topic}: messages have no header stamp; the log time is used"]
-        if self.unstamped == self.messages:
-            return [f"{self.topic}: all {self.messages} header stamps are zero; the log time is used"]
-        return [
-            f"{self.topic}: {self.unstamped} of {self.messages} header stamps are zero; "
-            "the log time is used for those"
-        ]
+            fact = "messages have no header stamp; the log time is used"
+        elif self.unstamped == self.messages:
+            fact = f"all {self.messages} header stamps are zero; the log time is used"
+        return [f"{self.topic}: {fact}"]
 
 
 def clock_notes(clocks: Collection[Clock]) -> list[str]:
@@ -299,23 +297,19 @@ def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
 
 def _longest_increasing(values: IntArray) -> IntArray:
     """Indices of the longest strictly increasing subsequence (patience sorting)."""
-    tails: list[int] = []
+    tails: list[int] = []  # of the runs of each length, the smallest last value, and its index
     ends: list[int] = []
-    before = np.full(len(values), -1, dtype=np.int64)
+    before: list[int] = []
     for index, value in enumerate(values.tolist()):
         place = bisect_left(tails, value)
-        before[index] = ends[place - 1] if place else -1
-        if place == len(tails):
-            tails.append(value)
-            ends.append(index)
-        else:
-            tails[place] = value
-            ends[place] = index
+        before.append(ends[place - 1] if place else -1)
+        tails[place : place + 1] = [value]
+        ends[place : place + 1] = [index]
     chain = []
     index = ends[-1] if ends else -1
     while index >= 0:
         chain.append(index)
-        index = int(before[index])
+        index = before[index]
     return np.array(chain[::-1], dtype=np.int64)
 
 

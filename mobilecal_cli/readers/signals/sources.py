@@ -23,11 +23,9 @@ class Source:
     Attributes:
         series: the readings; after `check`, those in use.
         types: types that the topic may have; () for any.
-        hint: what to do about another type.
     """
 
     types: Sequence[str] = ()
-    hint = ""
 
     def __init__(self, series: Series) -> None:
         self.series = series
@@ -101,9 +99,8 @@ class Images(Source):
 
     types = IMAGES
 
-    def __init__(self, name: str, topic: str) -> None:
+    def __init__(self, topic: str) -> None:
         super().__init__(Series(topic, topic))
-        self.hint = f"correct cameras.{name}.image in rig.yaml"
         self.sequential = False
         self._before = b""
 
@@ -153,7 +150,8 @@ class Subscriptions:
         if source.types and info.type not in source.types:
             wanted = " or ".join(source.types)
             raise RecordingError(
-                f"{self.recording.name}: {topic} has the type {info.type}, expected {wanted}", source.hint
+                f"{self.recording.name}: {topic} has the type {info.type}, expected {wanted}",
+                "set a topic of this type in rig.yaml",
             )
         self.clocks.setdefault(topic, Clock(topic))
         self._takers.setdefault(topic, []).append(source.take)
