@@ -1,96 +1,14 @@
-"""The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays."""
+"""The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays.
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
-from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, Knowledge, Parameters
-from mobilecal_cli.model.findings import (
-    CONTRADICTION_SIGMAS,
-    MATERIAL_SIGMAS,
-    WHEEL_NOISE,
-    AtWork,
-    BetweenLogs,
-    Budget,
-    Diagnosis,
-    EstimatedConstant,
-    Evidence,
-    EvidenceValue,
-    Jump,
-    ScaleCheck,
-    Suggestion,
-)
-from mobilecal_cli.model.observations import (
-    Corners,
-    Extraction,
-    LogSource,
-    Observation,
-    SensorMotion,
-    Snapshot,
-    WheelTrack,
-)
-from mobilecal_cli.model.rig import (
-    FACTORS,
-    SIDES,
-    AssumedOdometry,
-    Board,
-    Camera,
-    CameraInfo,
-    CameraRig,
-    Distortion,
-    FixedLink,
-    HeadChain,
-    JointField,
-    JointLink,
-    JointTransform,
-    LensCorrection,
-    Markers,
-    Nominal,
-    Rig,
-    Side,
-    Sources,
-    StereoLayout,
-    WheelGeometry,
-    WheelSource,
-    camera_words,
-    shots_words,
-)
-from mobilecal_cli.model.robot_description import (
-    CAMERA_INFO,
-    CAMERA_INFO_CHANGES,
-    IMAGES,
-    JOINT_STATE,
-    ODOMETRY,
-    STRING,
-    TRANSFORMS,
-    BoardView,
-    NumberField,
-    RobotDescription,
-    TopicInfo,
-)
-from mobilecal_cli.model.signals import (
-    FEW_READINGS,
-    NO_IMAGES,
-    PictureIndex,
-    Rejection,
-    Shot,
-    Signals,
-    Station,
-    Track,
-    sampled,
-)
-from mobilecal_cli.model.solution import (
-    EXACT,
-    Drift,
-    ErrorPart,
-    Evaluation,
-    LinearEstimate,
-    Method,
-    Noise,
-    NoiseLevels,
-    Outlier,
-    Provenance,
-    Refinement,
-    Residuals,
-    Setting,
-    Solution,
-    Uncertainty,
-)
-from mobilecal_cli.model.text import listed
+Every public name of these modules is a name of the package.
+"""
+
+from mobilecal_cli.model.arrays import *
+from mobilecal_cli.model.calibration import *
+from mobilecal_cli.model.findings import *
+from mobilecal_cli.model.observations import *
+from mobilecal_cli.model.rig import *
+from mobilecal_cli.model.robot_description import *
+from mobilecal_cli.model.signals import *
+from mobilecal_cli.model.solution import *
+from mobilecal_cli.model.text import *
