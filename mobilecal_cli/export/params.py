@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
-from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -23,7 +21,7 @@ from pydantic import (
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
 from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
@@ -42,11 +40,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     camera_words,
 )
-from mobilecal_cli.model.text import visible
 from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, checked_settings
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
@@ -57,7 +51,6 @@ _OLDEST_READ = 1  # no constants; no verdict up to 2
 _SAME_ROTATION_DEG = 0.01
 _SAME_STD = 1e-3
 _ROUNDING = 1e-6  # of the correlations
-_PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the joint's position
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
@@ -111,7 +104,8 @@ def params_yaml(
             ],
         }
     logs = [{"path": log.path, "sha256": log.sha256} for log in provenance.logs]
-    return _template().render(
+    return rendered(
+        "params.yaml",
         first_line=FIRST_LINE,
         schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
         verdict=verdict,
@@ -128,22 +122,6 @@ def params_yaml(
         sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
         **shown,
     )
-
-
-@cache
-def _template() -> Template:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("mobilecal_cli.export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {each.__name__: each for each in (decimal, decimals, exponential, quoted, visible)}
-    environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
-    return environment.get_template("params.yaml")
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:

@@ -6,15 +6,15 @@ are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Final, Literal
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import (
     SIDES,
     Camera,
@@ -381,51 +381,10 @@ ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
 }
 
 
-def _quoted(values: Iterable[float]) -> str:
-    return quoteattr(" ".join(repr(float(value)) for value in values))
-
-
 def urdf_text(robot: SimulatedRobot) -> str:
     """URDF with the head's joints and the nominal wheels; without a tilt joint, with the nominal camera."""
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>", '  <link name="base_link"/>']
-    parent = robot.base_frame
-    for joint in robot.joints:
-        kind = "revolute" if joint.name else "fixed"
-        lines += [
-            f"  <link name={quoteattr(joint.link)}/>",
-            f"  <joint name={quoteattr(joint.name or joint.link + '_fixed')} type={quoteattr(kind)}>",
-            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(joint.link)}/>",
-            f"    <origin xyz={_quoted(joint.xyz_m)} rpy={_quoted(joint.rpy_rad)}/>",
-        ]
-        if joint.name:
-            limit = _quoted([joint.limit_rad])
-            lines.append(f"    <axis xyz={_quoted(joint.axis)}/>")
-            lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
-        lines.append("  </joint>")
-        parent = joint.link
-    if not robot.tilt:  # no motion shows the height of this camera: a description states it
-        T = robot.T_h_c_nominal
-        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
-        lines += [
-            f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
-            '  <joint name="camera_fixed" type="fixed">',
-            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(robot.infos[0].frame_id)}/>",
-            f"    <origin xyz={_quoted(T[:3, 3])} rpy={_quoted(rpy)}/>",
-            "  </joint>",
-        ]
-    wheels = robot.nominal_wheels
-    for side in SIDES:
-        left, names = side == "left", robot.wheel_joints[side]
-        y = wheels.separation_m / 2 if left else -wheels.separation_m / 2
-        radius = wheels.radius_left_m if left else wheels.radius_right_m
-        for name, x in zip(names, (_WHEELBASE_M / 2, -_WHEELBASE_M / 2), strict=False):
-            link = f"{name.removesuffix('_joint')}_link"
-            lines += [
-                f'  <link name="{link}"><collision><geometry>',
-                f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
-                f'  <joint name="{name}" type="continuous">',
-                f'    <parent link="base_link"/><child link="{link}"/>',
-                f'    <origin xyz={_quoted((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
-                "  </joint>",
-            ]
-    return "\n".join([*lines, "</robot>"]) + "\n"
+    T = robot.T_h_c_nominal
+    # No motion of a robot without tilt shows the height of the camera: the description states it.
+    rpy_rad = [] if robot.tilt else Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
+    values = {"camera_xyz_m": T[:3, 3].tolist(), "camera_rpy_rad": rpy_rad, "wheelbase_m": _WHEELBASE_M}
+    return rendered("robot.urdf", robot=robot, **values)

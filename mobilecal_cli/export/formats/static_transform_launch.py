@@ -7,7 +7,7 @@ import shlex
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import CONVENTION, Exported, Source, frame_note, of_head_eye
-from mobilecal_cli.export.text import attribute, comment, decimal
+from mobilecal_cli.export.text import decimal, rendered
 from mobilecal_cli.model import CalibratedRobot
 
 
@@ -25,16 +25,10 @@ def export(of: Source) -> Exported:
     for frame in (robot.parent_frame, robot.child_frame):
         if "$(" in frame:
             raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
-    words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
-    frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
-    text = "\n".join(
-        [
-            "<launch>",
-            f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
-            '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
-            f"        args={attribute(f'{words} {frames}')}/>",
-            "</launch>",
-            "",
-        ]
-    )
-    return of_head_eye(robot, text)
+    args = [f"--{name} {value}" for name, value in transform_fields(robot).items()]
+    args += [
+        f"--frame-id {shlex.quote(robot.parent_frame)}",
+        f"--child-frame-id {shlex.quote(robot.child_frame)}",
+    ]
+    note = f"{CONVENTION} {frame_note(robot)}"
+    return of_head_eye(robot, rendered("static_transform_launch.xml", note=note, args=" ".join(args)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.formats import CONVENTION, Exported, Source, frame_note, of_head_eye
-from mobilecal_cli.export.text import attribute, comment, decimal
+from mobilecal_cli.export.text import decimal, rendered
 from mobilecal_cli.model import FACTORS
 
 
@@ -26,21 +26,6 @@ def export(of: Source) -> Exported:
             f"odometry_{name}": decimal(value)
             for name, value in zip(FACTORS, robot.factors.tolist(), strict=True)
         }
-    note = comment(
-        f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {CONVENTION} "
-        f"{frame_note(robot)}"
-    )
-    text = "\n".join(
-        [
-            '<?xml version="1.0"?>',
-            '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">',
-            f"  <!-- {note} -->",
-            *(
-                f'  <xacro:property name="mobilecal_{name}" value={attribute(value)}/>'
-                for name, value in values.items()
-            ),
-            "</robot>",
-            "",
-        ]
-    )
-    return of_head_eye(robot, text)
+    note = f"Origin of {robot.child_frame} in {robot.parent_frame}: R = Rz(yaw) Ry(pitch) Rx(roll). {CONVENTION} "
+    note += frame_note(robot)
+    return of_head_eye(robot, rendered("xacro.xml", note=note, properties=values))
