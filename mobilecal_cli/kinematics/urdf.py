@@ -92,12 +92,12 @@ class Urdf:
             link = above[link].parent
         return tuple(reversed(path))
 
-    def position_m(self, base: str, tip: str) -> FloatArray:
-        """Origin of a link in the coordinates of one above it, with all joints at zero, (3,) m; raises as `path`."""
+    def pose(self, base: str, tip: str) -> FloatArray:
+        """Pose of a link in the coordinates of one above it, with all joints at zero, (4, 4) m; raises as `path`."""
         T = np.eye(4)
         for joint in self.path(base, tip):
             T = T @ joint.T_parent_child
-        return T[:3, 3]
+        return T
 
 
 def _checked(joint: UrdfJoint) -> UrdfJoint:

@@ -217,9 +217,7 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
             f"{moving[0] if moving else 'none'!r} is between them",
             "give the URDF of the robot that was calibrated",
         )
-    T_mount_camera = np.eye(4)
-    for joint in path[1:]:
-        T_mount_camera = T_mount_camera @ joint.T_parent_child
+    T_mount_camera = urdf.pose(path[0].child, robot.child_frame)
     T = _where_observable(robot, path[0].T_parent_child @ T_mount_camera)
     return path[0], T @ se3.inverse(T_mount_camera)
 
@@ -328,11 +326,9 @@ def _wheel_origins(
 
 def _wheel_center(urdf: Urdf, name: str) -> tuple[FloatArray, FloatArray]:
     """Frame in which a joint is placed, (4, 4) to the root's coordinates, and the joint's place in the root, (3,) m."""
-    above = urdf.path(urdf.root, _joint(urdf, name).child)
-    T_root_parent = np.eye(4)
-    for joint in above[:-1]:
-        T_root_parent = T_root_parent @ joint.T_parent_child
-    return T_root_parent, (T_root_parent @ above[-1].T_parent_child)[:3, 3]
+    joint = _joint(urdf, name)
+    T_root_parent = urdf.pose(urdf.root, joint.parent)
+    return T_root_parent, (T_root_parent @ joint.T_parent_child)[:3, 3]
 
 
 def _height(
