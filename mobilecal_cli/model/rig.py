@@ -113,21 +113,6 @@ class CameraRig:
                 T.setflags(write=False)
             object.__setattr__(self, name, matrices)
 
-    @classmethod
-    def pair(
-        cls,
-        left: Camera,
-        right: Camera,
-        T_c_r: FloatArray,
-        rectified: bool,
-        R_rect_c: FloatArray,
-        R_rect_r: FloatArray,
-        reference: str = "left",
-    ) -> CameraRig:
-        """A stereo pair; see the attributes."""
-        poses = (np.eye(4), T_c_r)
-        return cls(SIDES, (left, right), poses, rectified, (R_rect_c, R_rect_r), reference, calibrated=True)
-
     @property
     def first(self) -> Camera:
         """The camera whose frame is c."""

@@ -1,25 +1,13 @@
 """Vision: board detection, sub-pixel corners, triangulation and board poses.
 
-Other packages use only the names exported here.
+Every public name of these modules is a name of the package. Other packages use only these.
 """
 
-from mobilecal_cli.vision.agreement import (
-    agreeing,
-    check_arrangement,
-    check_square,
-    square_cure,
-    square_error,
-)
-from mobilecal_cli.vision.detection import detect, find_board, identify_size
-from mobilecal_cli.vision.following import BoardFollower
-from mobilecal_cli.vision.numbering import resolve_numbering
-from mobilecal_cli.vision.observing import SQUARES_UNKNOWN, Measured, measure, resolve_square
-from mobilecal_cli.vision.pose import (
-    absolute_orientation,
-    board_pose,
-    pose_from_one,
-    square_from_points,
-    triangulate,
-)
-from mobilecal_cli.vision.snapshot import snapshot_jpeg, thumbnail_jpeg
-from mobilecal_cli.vision.values import OTHER_BOARDS, Detection, Miss, StereoPoints
+from mobilecal_cli.vision.agreement import *
+from mobilecal_cli.vision.detection import *
+from mobilecal_cli.vision.following import *
+from mobilecal_cli.vision.numbering import *
+from mobilecal_cli.vision.observing import *
+from mobilecal_cli.vision.pose import *
+from mobilecal_cli.vision.snapshot import *
+from mobilecal_cli.vision.values import *
