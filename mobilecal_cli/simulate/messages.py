@@ -249,7 +249,7 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
     scenario, robot, rig = world.scenario, world.robot, world.cameras
     random = np.random.default_rng([scenario.seed, 4])
     renderers = world.renderers(random)
-    times_s = np.array(scenario.picture_times_s(world.route))
+    times_s = scenario.picture_times_s(world.route)
     stamps = nanoseconds(world.stamps_s(times_s)).tolist()
     topics = robot.topics(compressed=scenario.pictures != "mono8")
     for i, T_w_c in enumerate(world.camera_poses(times_s)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Board, Markers
+from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import CHECKERBOARD, Route, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
@@ -71,15 +71,14 @@ class Scenario:
         shift[:3, 3] -= printed.grid().mean(axis=0) * (printed.square_m or 1.0)
         return robot, replace(route, board=printed, T_w_k=route.T_w_k @ shift)
 
-    def picture_times_s(self, route: Route) -> list[float]:
+    def picture_times_s(self, route: Route) -> FloatArray:
         """Times of the stereo pairs, s: inside the rests; without rests, ten per second."""
         if not len(route.rests_s):
-            return [float(t) for t in np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)]
-        return [
-            float(t)
-            for begin, end in route.rests_s
-            for t in np.linspace(begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest)
-        ]
+            return np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)
+        begin, end = route.rests_s.T
+        return np.linspace(
+            begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest, axis=1
+        ).ravel()
 
 
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
