@@ -183,21 +183,19 @@ class _Wheels(WheelsNominal):
 _Row = Annotated[tuple[_Number, ...], Field(min_length=9, max_length=9)]
 
 
+class _Noise(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    __pydantic_extra__: dict[str, Annotated[_Number, AfterValidator(ranges.LEVEL.validated)]]
+    estimated: Any = None
+
+
 class _Uncertainty(_Section):
     order: tuple[str, ...]
     std: dict[str, _Number | None] | None = None
     covariance: Annotated[tuple[_Row, ...], Field(min_length=9, max_length=9)]
     observable: dict[str, bool]
-    noise: dict[str, Any] = {}
-
-    @field_validator("noise")
-    @classmethod
-    def _levels(cls, value: dict[str, Any]) -> dict[str, Any]:
-        for name, level in value.items():
-            number = isinstance(level, int | float) and not isinstance(level, bool)
-            if name != "estimated" and not (number and level in ranges.LEVEL):
-                raise ValueError(f"{name} must be from {ranges.LEVEL} (got {level!r})")
-        return value
+    noise: _Noise = _Noise()
 
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
@@ -303,10 +301,11 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     known = checked.uncertainty
     knowledge = None
     if known is not None:
-        noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in known.order])
         units = np.ones(9) if checked.odometry is None else checked.odometry.assumed.units
-        knowledge = Knowledge(np.array(known.covariance) * np.outer(units, units), observable, noise)
+        knowledge = Knowledge(
+            np.array(known.covariance) * np.outer(units, units), observable, known.noise.model_extra or {}
+        )
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
