@@ -251,7 +251,7 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
     renderers = world.renderers(random)
     times_s = scenario.picture_times_s(world.route)
     stamps = nanoseconds(world.stamps_s(times_s)).tolist()
-    topics = robot.topics(compressed=scenario.pictures != "mono8")
+    ending = "" if scenario.pictures == "mono8" else "/compressed"
     for i, T_w_c in enumerate(world.camera_poses(times_s)):
         stamp = stamps[i]
         for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
@@ -259,8 +259,9 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
             if not scenario.exact:
                 grey = grey + PIXEL_NOISE_GREY * random.normal(size=grey.shape)
             kind, fields = _picture(grey, info.frame_id, stamp, scenario)
-            yield Published(stamp, topics.image[name], kind, fields)
-            yield Published(stamp, topics.info[name], "sensor_msgs/msg/CameraInfo", _camera_info(info, stamp))
+            topic, state = robot.camera_namespace(name), _camera_info(info, stamp)
+            yield Published(stamp, f"{topic}/image_raw{ending}", kind, fields)
+            yield Published(stamp, f"{topic}/camera_info", "sensor_msgs/msg/CameraInfo", state)
         drawn(i + 1, len(stamps))
 
 

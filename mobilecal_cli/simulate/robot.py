@@ -22,9 +22,7 @@ from mobilecal_cli.model import (
     CameraRig,
     FloatArray,
     Side,
-    Sources,
     WheelGeometry,
-    WheelSource,
 )
 
 WIDTH, HEIGHT = 640, 480  # of the images, px
@@ -232,26 +230,11 @@ class SimulatedRobot:
                 T_v_h = T_v_h @ pose((0, 0, 0), Rotation.from_rotvec(next(angles) * np.array(joint.axis)))
         return T_v_h
 
-    def topics(self, compressed: bool = False) -> Sources:
-        """The topics of this robot's recordings."""
-        suffix = "/compressed" if compressed else ""
-        names = self.rig_cameras.names
-        places = {name: "/camera/color" if name == "camera" else f"/{name}" for name in names}
-        places |= {name: f"/stereo/{name}" for name in SIDES}
-        return Sources(
-            image={name: f"{places[name]}/image_raw{suffix}" for name in names},
-            info={name: f"{places[name]}/camera_info" for name in names},
-            joints=("/joint_states",),
-            wheels={side: self._wheel_source(side) for side in SIDES},
-        )
-
-    def _wheel_source(self, side: Side) -> WheelSource:
-        if self.wheel_signal == "ticks":
-            return WheelSource(f"/wheel_ticks/{side}", None, "data", float(TICKS_PER_REVOLUTION), TICK_BITS)
-        if self.wheel_signal == "odometry":
-            return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
-        first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])
-        return replace(first, others=tuple(others))
+    def camera_namespace(self, camera: str) -> str:
+        """Beginning of the topics of a camera."""
+        if camera in SIDES:
+            return f"/stereo/{camera}"
+        return "/camera/color" if camera == "camera" else f"/{camera}"
 
     @property
     def wheel_joints(self) -> dict[Side, tuple[str, ...]]:
