@@ -207,14 +207,8 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
     Args:
         images: (height, width) gray images, some of which show the board.
     """
-    votes: Counter[tuple[int, int]] = Counter()
-    pictures = 0
-    for image in images:
-        pictures += 1
-        size = _size_in(image)
-        if size is not None:
-            votes[size] += 1
-    return SizeVote(votes, pictures)
+    sizes = [_size_in(image) for image in images]
+    return SizeVote(Counter(size for size in sizes if size is not None), len(sizes))
 
 
 def _size_in(image: GrayImage) -> tuple[int, int] | None:

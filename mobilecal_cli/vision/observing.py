@@ -148,7 +148,7 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
-def _best_fit(
+def best_fit(
     rig: CameraRig, views: Sequence[Corners], board: Board
 ) -> tuple[StereoPoints | Miss, tuple[Corners, ...]]:
     """Triangulate the corners that all cameras see, after renumbering the other images to match the first.
@@ -305,7 +305,7 @@ def measure(
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
     own, grid = rig.some(shown), board.grid()[_common(views)]
-    points, views = _best_fit(own, views, board)
+    points, views = best_fit(own, views, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
     rough_m = square_from_points(points.points_c, grid)
