@@ -169,8 +169,8 @@ class _HeadEye(Pose):
         if self.euler_zyx_deg is not None:
             angles = self.euler_zyx_deg
             R = se3.from_rpy(np.radians([angles.x, angles.y, angles.z]))
-            other = se3.from_quaternion_xyzw(np.array(self.quaternion_xyzw))
-            apart_deg = math.degrees(float(np.linalg.norm(se3.log_so3(R.T @ other))))
+            turn = se3.log_so3(R.T @ self.transform[:3, :3])
+            apart_deg = math.degrees(float(np.linalg.norm(turn)))
             if apart_deg > _SAME_ROTATION_DEG:
                 raise ValueError(f"euler_zyx_deg and quaternion_xyzw are {apart_deg:.3g} degrees apart")
         return self
@@ -297,7 +297,6 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     head_eye, verdict, constants = checked.head_eye, checked.verdict, None
     if checked.constants is not None:
         constants = {name: entry.value for name, entry in checked.constants.items()}
-    rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
     known = checked.uncertainty
     knowledge = None
     if known is not None:
@@ -315,7 +314,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
-        T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
+        T_parent_child=head_eye.transform,
         wheels=sizes.geometry,
         knowledge=knowledge,
         created=checked.provenance.created,
