@@ -201,5 +201,5 @@ def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
     else:
         R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
-    of_left, of_right = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
-    return dict(zip(cameras.names, (of_left, of_right), strict=True))
+    of_each = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
+    return dict(zip(cameras.names, of_each, strict=True))
