@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Final, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -179,16 +179,12 @@ class SimulatedRobot:
     wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
     slip: float = 0.0
     mounted: Mapping[str, FloatArray] = field(default_factory=dict)
+    base_frame: ClassVar = "base_link"
 
     @property
     def T_h_c_nominal(self) -> FloatArray:
         """(4, 4) nominal head-eye transform, used in the URDF."""
         return np.asarray(self.T_h_c @ _NOMINAL)
-
-    @property
-    def base_frame(self) -> str:
-        """Name of the base frame."""
-        return "base_link"
 
     @property
     def head_frame(self) -> str:
