@@ -1,4 +1,4 @@
-"""Numbers and strings as text in YAML, which 1.1 and 1.2 loaders read identically, and in XML; files from templates."""
+"""Values as text in YAML, which 1.1 and 1.2 loaders read identically, and in XML; files from templates."""
 
 from __future__ import annotations
 
