@@ -30,19 +30,22 @@ _STILL_M = 1e-9
 
 
 def at_state(
-    extraction: Extraction, data: Dataset, state: State, noise_px: float | None = None
+    extraction: Extraction,
+    data: Dataset,
+    state: State,
+    noise_px: float | None = None,
+    patterns: bool = False,
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
-
-    Pixels are those that the cameras have at the stamps, without the patterns of their lenses.
 
     Args:
         extraction, data: the measurements.
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
+        patterns: whether those of the lenses are applied, too.
     """
     stated, cameras = extraction, cameras_at(data, state)
-    extraction = replace(_as_modeled(stated, data, state), rig=replace(stated.rig, cameras=cameras))
+    extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     extraction = triangulated_again(_posed_again(extraction, stated), factor)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
@@ -54,14 +57,17 @@ def at_state(
     )
 
 
-def _as_modeled(extraction: Extraction, data: Dataset, state: State) -> Extraction:
+def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: bool) -> Extraction:
     """The same with each corner where `cameras_at` has it at the image's stamp.
 
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
-    lens (a few tenths of a pixel, which may be centimeters of a point's depth).
+    lens, which are left in the pixels unless they are asked for.
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    modeled, actual = cameras_at(data, state), change.apply(data.cameras)
+    if not (patterns or change.readout_s.any() or change.delay_s.any()):
+        return extraction
+    modeled = cameras_at(data, state)
+    actual = change.apply(data.cameras) if patterns else modeled
     rates = view_rates(data, state)[:, None]
     points_c = se3.act(data.T_c_k, points_at(data, state))
     velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
