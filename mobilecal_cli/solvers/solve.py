@@ -61,6 +61,9 @@ from mobilecal_cli.solvers.uncertainty import uncertainty_of
 # distance to the board and than the steps of the encoders make it, or where more than this share of the stations of a
 # recording have an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
+_LENS_SIGMAS = (
+    3.0  # rms of the patterns of lenses and board over their priors, beyond which they are no patterns
+)
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
@@ -180,10 +183,14 @@ def _by_likelihood(
 def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str, ErrorPart]:
     """What the lenses do beside their models contributes to the errors: so much less are these without it.
 
-    A few tenths of a pixel there are centimeters of a point's depth.
+    A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: it is
+    a wrong description of the cameras.
     """
-    if not any(row.kind in PATTERNS for row in fit.data.layout.constants):
+    patterns = [row for row in fit.data.layout.constants if row.kind in PATTERNS]
+    if not patterns:
         return {}
+    square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
+    usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
     data, state, rejected = fit.data, fit.lin.state, fit.data.seen & ~fit.inliers.corners
     undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True)
     used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
@@ -192,7 +199,7 @@ def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str
         float(np.mean(getattr(solution.residuals, name) ** 2 - getattr(without, name) ** 2))
         for name in ("leg_reprojection_px", "leg_point_rms_m")
     ]
-    return {"lenses": ErrorPart(*(math.sqrt(max(square, 0.0)) for square in squares))}
+    return {"lenses": ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))}
 
 
 def _linear_start(
