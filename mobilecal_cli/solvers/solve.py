@@ -183,8 +183,8 @@ def _by_likelihood(
 def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str, ErrorPart]:
     """What the lenses do beside their models contributes to the errors: so much less are these without it.
 
-    A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: it is
-    a wrong description of the cameras.
+    A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
+    description of the cameras is wrong.
     """
     patterns = [row for row in fit.data.layout.constants if row.kind in PATTERNS]
     if not patterns:
