@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import (
     Drift,
     Evaluation,
@@ -21,7 +17,7 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.residuals import dead_reckoned, residuals_of
+from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
 
 #: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
@@ -46,6 +42,7 @@ def evaluate(
     *,
     offsets_s: Mapping[str, float] | None = None,
     reference: WheelGeometry | None = None,
+    constants: Mapping[str, float] | None = None,
 ) -> Evaluation:
     """Errors of the camera motion predicted over each leg (eq. 18), and of dead reckoning over all station pairs.
 
@@ -56,9 +53,11 @@ def evaluate(
         offsets_s: clock offsets of the recording, see `clock_offsets`.
         reference: wheels that give path length and rotation, which drift is divided by: an estimate independent of
             the calibration under test. Without them, the cameras give both, from station to station.
+        constants: of the robot description, as the calibration has them, by name; as stated without them.
     """
     offsets = dict(offsets_s or {})
-    pairs = _at_offsets(extraction, offsets)
+    clocks = {f"time_{name}": offset_s for name, offset_s in offsets.items()}
+    extraction, pairs = at_constants(extraction, parameters, {**_without_clocks(constants or {}), **clocks})
     i, j = pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
@@ -78,18 +77,13 @@ def evaluate(
     )
 
 
-def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> MotionPairs:
-    """The motion pairs with joints and wheels read at the corrected time stamps."""
-    data = dataset_of(extraction)
-    if not offsets_s:
-        return data.pairs
-    constants = {f"time_{name}": offset_s for name, offset_s in offsets_s.items()}
-    joints_s, wheels_s = (
-        np.array([clock_s(of, log, constants) for log in range(data.logs)])[data.log]
-        for of in ("joints", "wheels")
-    )
-    joints, steps = data.joints + data.joint_shift(joints_s), data.steps(wheels_s)
-    return replace(data.pairs, T_v_h=head_pose(data.chain, joints), steps=steps)
+def _without_clocks(constants: Mapping[str, float]) -> dict[str, float]:
+    """The constants of the robot: clocks belong to a recording."""
+    return {
+        name: value
+        for name, value in constants.items()
+        if not name.startswith(("time_joints", "time_wheels"))
+    }
 
 
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:

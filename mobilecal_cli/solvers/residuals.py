@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
 from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
-from mobilecal_cli.likelihood.views import view_rates
+from mobilecal_cli.likelihood.views import board_poses, view_rates
 from mobilecal_cli.model import (
     BoolArray,
     Extraction,
@@ -52,6 +52,7 @@ def at_state(
     return extraction, replace(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
+        T_c_k=board_poses(data, state),
         T_v_h=head_at(data, as_read),
         steps=data.steps(clock_s(data, state, "wheels")),
     )
@@ -142,6 +143,8 @@ def at_constants(
     every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
     rows = [row for row in every if constants.get(row.name)]
     data = dataset_of(extraction, rows)
+    if not rows:
+        return extraction, data.pairs
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
     known = {row.name: constants[row.name] for row in rows}
