@@ -24,7 +24,7 @@ from mobilecal_cli.likelihood.effects import (
     Sight,
 )
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
     State,
@@ -37,7 +37,7 @@ from mobilecal_cli.likelihood.state import (
     stance_at,
     standing,
 )
-from mobilecal_cli.model import FloatArray, IntArray, Noise
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise
 
 _BLOCK = 200
 _LEAST_DEPTH_M = 0.01
@@ -191,16 +191,22 @@ def corner_residuals(
     return residual, J
 
 
-def board_poses(data: Dataset, state: State) -> FloatArray:
+def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
     """(N, 4, 4) T_c_k with which the cameras and the board of a state show what was detected at each station.
 
     Measured poses stay.
+
+    Args:
+        data, state: all stations.
+        corners: (N, C, M) those that count, unless they are too few at a station.
     """
-    poses = data.T_c_k.copy()
+    poses, rates = data.T_c_k.copy(), view_rates(data, state)
+    few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
+    counted = np.where(few[:, None, None], data.seen, corners)
     for block in blocks_of(0 if data.posed.any() else data.stations):
-        seen, W, T = data.seen[block], data.whitening[block], poses[block]
+        seen, W, T = counted[block], data.whitening[block], poses[block]
         for _ in range(_POSE_STEPS):
-            residual, J = corner_residuals(data, state, T, block, by_constants=False)
+            residual, J = corner_residuals(data, state, T, block, rates[block], by_constants=False)
             r = np.where(seen[..., None], whitened(W, residual), 0.0).reshape(len(T), -1)
             At = np.where(seen[:, None, ..., None], whitened(W, J), 0.0).reshape(len(T), 6, -1)
             step = np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0]

@@ -272,7 +272,7 @@ class Residuals(ReadOnly):
 
 
 class ErrorPart(NamedTuple):
-    """The error that one kind of noise alone causes, rms over the legs: in the first camera's images and in space."""
+    """The error that one kind of noise alone causes, rms over the legs: in the images of a camera and in space."""
 
     px: float
     m: float

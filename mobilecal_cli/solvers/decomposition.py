@@ -12,7 +12,7 @@ from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import ErrorPart, Extraction, FloatArray, Noise, Parameters, Residuals
+from mobilecal_cli.model import CameraRig, ErrorPart, Extraction, FloatArray, Noise, Parameters, Residuals
 
 
 def error_parts(
@@ -38,7 +38,7 @@ def error_parts(
     X, (i, j) = parameters.T_h_c, residuals.legs.T
     T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
     points_cov = np.stack([o.points_cov for o in extraction.observations])
-    _, by_point = project_with_jacobian(extraction.rig.cameras.first, points_c)  # (N, M, 2, 3) px/m
+    by_point = _by_point(extraction.rig.cameras, data, points_c)
     base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
     turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
     base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], stance)
@@ -74,6 +74,18 @@ def error_parts(
         "wheels": _mean_squares(motion, by_point[i]),
     }
     return {name: ErrorPart(*np.sqrt(np.mean(square, axis=1)).tolist()) for name, square in squares.items()}
+
+
+def _by_point(cameras: CameraRig, data: Dataset, points_c: FloatArray) -> FloatArray:
+    """(N, M, 2, 3) px/m, derivative of pixels by points in the first camera's frame, of a camera that has the board."""
+    by_point = np.zeros((*points_c.shape[:2], 2, 3))
+    showing = np.argmax(data.seen.sum(axis=2), axis=1)
+    for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
+        T_camera_c, mine = se3.inverse(T_c_camera), showing == k
+        by_point[mine] = (
+            project_with_jacobian(camera, se3.act(T_camera_c, points_c[mine]))[1] @ T_camera_c[:3, :3]
+        )
+    return by_point
 
 
 def _mean_squares(motion: FloatArray, by_point: FloatArray) -> FloatArray:

@@ -35,6 +35,7 @@ def at_state(
     state: State,
     noise_px: float | None = None,
     patterns: bool = False,
+    corners: BoolArray | None = None,
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
 
@@ -43,16 +44,21 @@ def at_state(
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
         patterns: whether those of the lenses are applied, too.
+        corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
     """
     stated, cameras = extraction, cameras_at(data, state)
     extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
-    extraction = triangulated_again(_posed_again(extraction, stated), factor)
+    T_c_k = board_poses(data, state, data.seen if corners is None else corners)
+    points_c = se3.act(T_c_k, points_at(data, state))
+    on_boards = zip(extraction.observations, points_c, strict=True)
+    seen = tuple(replace(o, points_c=points) for o, points in on_boards)
+    extraction = triangulated_again(replace(extraction, observations=seen), factor)
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
     return extraction, replace(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
-        T_c_k=board_poses(data, state),
+        T_c_k=T_c_k,
         T_v_h=head_at(data, as_read),
         steps=data.steps(clock_s(data, state, "wheels")),
     )
@@ -90,43 +96,6 @@ def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: b
         for i, o in enumerate(extraction.observations)
     )
     return replace(extraction, observations=observations)
-
-
-def _posed_again(extraction: Extraction, stated: Extraction) -> Extraction:
-    """The same with the board moved to where the one camera that shows it has it, at stations without a second one.
-
-    Gauss-Newton steps for the twist of the board that keeps its images: as the stated camera has them.
-
-    Args:
-        extraction: with other cameras, and pixels at the stamps.
-        stated: with the cameras that the points are of.
-    """
-    observations, rig = list(extraction.observations), extraction.rig.cameras
-    detected = np.array([[view.seen.any() for view in o.views] for o in observations])
-    for k, (camera, T_c_camera) in enumerate(zip(rig.each, rig.T_c_each, strict=True)):
-        alone = np.flatnonzero(detected[:, k] & (detected.sum(axis=1) == 1))
-        if not len(alone):
-            continue
-        T_camera_c, before = se3.inverse(T_c_camera), stated.rig.cameras
-        points = np.stack([observations[i].points_c for i in alone])
-        moved = [observations[i].views[k].pixels - stated.observations[i].views[k].pixels for i in alone]
-        target = project(before.each[k], se3.act(se3.inverse(before.T_c_each[k]), points)) + np.stack(moved)
-        for _ in range(_TRIANGULATION_STEPS):
-            at, J = project_with_jacobian(camera, se3.act(T_camera_c, points))
-            by_twist = np.concatenate(
-                [-se3.skew(points), np.broadcast_to(np.eye(3), (*J.shape[:2], 3, 3))], -1
-            )
-            A = (J @ T_camera_c[:3, :3] @ by_twist).reshape(len(alone), -1, 6)
-            transposed = np.swapaxes(A, -1, -2)
-            step = np.linalg.solve(transposed @ A, transposed @ (target - at).reshape(len(alone), -1, 1))[
-                ..., 0
-            ]
-            points = se3.act(se3.exp(step), points)
-            if np.abs(step).max() < _STILL_M:
-                break
-        for i, moved_c in zip(alone.tolist(), points, strict=True):
-            observations[i] = replace(observations[i], points_c=moved_c)
-    return replace(extraction, observations=tuple(observations))
 
 
 def at_constants(
@@ -212,7 +181,7 @@ def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extractio
     """The same with corners triangulated anew and their covariances, of cameras that are not those of the recording.
 
     Gauss-Newton steps from the points as they are, none of which changes a depth by more than half of it; corners that
-    only one camera sees stay.
+    not even two cameras see stay.
 
     Args:
         extraction: with these cameras.

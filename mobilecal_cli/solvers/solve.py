@@ -141,7 +141,9 @@ def _by_likelihood(
     inliers = fit.sure_legs
     if not inliers.any():
         inliers[:] = True
-    corrected_extraction, corrected = at_state(extraction, data, state, fit.noise.pixel_px)
+    corrected_extraction, corrected = at_state(
+        extraction, data, state, fit.noise.pixel_px, corners=fit.inliers.corners
+    )
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
@@ -192,7 +194,7 @@ def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
     data, state, rejected = fit.data, fit.lin.state, fit.data.seen & ~fit.inliers.corners
-    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True)
+    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, corners=fit.inliers.corners)
     used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
     without = residuals_of(*undone, solution.parameters, used, rejected)
     squares = [

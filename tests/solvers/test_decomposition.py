@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from mobilecal_cli import se3
+from mobilecal_cli.camera import project
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.decomposition import error_parts
+from mobilecal_cli.solvers.decomposition import _by_point, error_parts
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
@@ -98,3 +101,20 @@ def test_blurred_corners_of_a_drawn_robot_explain_the_point_error(claimed_px):
     assert solution.residuals.corner_noise_m == pytest.approx(solution.point_rms_m, rel=0.05)
     assert solution.error_parts["corners"].m == pytest.approx(solution.residuals.corner_noise_m)
     assert judge(solution, extraction).level == "PASS"
+
+
+def test_errors_in_pixels_are_those_of_a_camera_that_has_the_board():
+    """The first camera has the board behind it at the second station: there is no projection."""
+    cameras = drawn()[0].cameras
+    turned = se3.transform(se3.exp_so3(np.array([0.0, np.pi, 0.0])), np.zeros(3))
+    apart = replace(cameras, T_c_each=(np.eye(4), turned))
+    points_c = np.array([[[0.1, 0.2, 2.0]], [[0.1, 0.2, -2.0]]])
+    seen = np.array([[[True], [False]], [[False], [True]]])
+    by_point = _by_point(apart, SimpleNamespace(seen=seen), points_c)
+    step = 1e-6 * np.eye(3)
+    for k, T_c_camera in enumerate(apart.T_c_each):
+        ahead, behind = (
+            project(apart.each[k], se3.act(se3.inverse(T_c_camera), points_c[k] + by)) for by in (step, -step)
+        )
+        derivative = (ahead - behind).T / 2e-6
+        assert by_point[k, 0] == pytest.approx(derivative, rel=1e-6, abs=1e-3)

@@ -1,5 +1,7 @@
 """The whole solver on simulated drives with known truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,21 @@ def test_what_the_lenses_do_beside_their_models_is_a_part_of_the_errors():
     assert solution.point_rms_m > 1.3 * noise_m
     assert np.hypot(noise_m, parts["lenses"].m) == pytest.approx(solution.point_rms_m, rel=0.1)
     assert 0 < parts["lenses"].px < solution.reprojection_rms_px
+
+
+def test_corners_that_were_not_detected_are_where_the_estimated_board_has_them():
+    """A principal point that is 8 px off displaces the stated board by 5 % of its distance."""
+    whole = Case(stations=16, fixed={"principal_left_x": 0.0125}).extraction(0)
+    seen = []
+    for o in whole.observations:
+        shown = np.arange(len(o.points_c)) % 2 == o.station % 2
+        views = tuple(replace(view, seen=shown) for view in o.views)
+        points_c = np.where(shown[:, None], o.points_c, se3.act(o.T_c_k[None], _corners(whole))[0])
+        seen.append(replace(o, views=views, points_c=points_c))
+    solution = solve(replace(whole, observations=tuple(seen)))
+    explained = np.linalg.norm([part.m for part in solution.error_parts.values()])
+    assert solution.point_rms_m < 1.5 * explained
+
+
+def _corners(extraction):
+    return extraction.board.grid() * extraction.square_m
