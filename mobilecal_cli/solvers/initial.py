@@ -131,7 +131,8 @@ def linear_estimate(
     A leg's turn is seen only modulo 360 degrees, so a bad guess of the wheels unwraps large turns wrongly
     and the iteration converges to another solution. Every start is therefore tried, first on the legs that turn least;
     the answer that explains all legs best is kept, one with positive wheels before its mirror images. Where
-    the nominal wheels make every turn unambiguous, and the answer is near them, they are the only start.
+    the nominal wheels make every turn unambiguous, and the answer is near them, they are the only start. Impossible
+    wheels are no rivals of possible ones.
 
     Args:
         pairs: at least three legs.
@@ -164,7 +165,10 @@ def linear_estimate(
     kept = best if best.point_rms_m < CLEARLY_BETTER * positive.point_rms_m else positive
     ratios = ratios_of(kept.parameters.wheels)
     rivals = [
-        a.point_rms_m for a in answers if np.abs(ratios_of(a.parameters.wheels) / ratios - 1).max() > _ANOTHER
+        a.point_rms_m
+        for a in answers
+        if np.abs(ratios_of(a.parameters.wheels) / ratios - 1).max() > _ANOTHER
+        and (a.parameters.wheels.positive or not kept.parameters.wheels.positive)
     ]
     steps = [math.inf, *(change(a, b) for a, b in zip(kept.history, kept.history[1:], strict=False))]
     converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))

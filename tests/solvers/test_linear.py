@@ -8,9 +8,10 @@ import pytest
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.model import Parameters, WheelGeometry
+from mobilecal_cli.solvers import initial
 from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.linear import Rounds
+from mobilecal_cli.solvers.linear import Rounds, ratios_of
 from tests.solvers.world import WHEELS, make_pairs, relative_errors
 
 EXACT = 1e-9
@@ -132,3 +133,19 @@ def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
         linear_estimate(same, nominal)
     with pytest.raises(SolveError, match="breaks down"):
         Rounds(same).after(np.array([0.4, -0.4]), 12)
+
+
+def test_impossible_wheels_are_no_rivals_of_possible_ones(monkeypatch):
+    """Mirrored, with negative radii, a solution may be nearly as good."""
+    pairs = make_pairs(3)
+    known = linear_estimate(pairs).parameters
+    mirrored = Parameters(known.T_h_c, WheelGeometry(*(known.wheels.vector * [-1.0, -1.0, 1.0])))
+
+    def answers(_, starts):
+        start = initial.Start(ratios_of(known.wheels), "grid")
+        return [initial._Answer([each], start, rms) for each, rms in ((known, 0.02), (mirrored, 0.022))]
+
+    monkeypatch.setattr(initial, "_answers", answers)
+    estimate = linear_estimate(pairs)
+    assert estimate.parameters is known
+    assert estimate.rival_point_rms_m == np.inf
