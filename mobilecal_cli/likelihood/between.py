@@ -32,30 +32,18 @@ class Pooled:
     covariance: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Own:
-    """The estimate from one recording alone, in scaled units.
-
-    Attributes:
-        step, std: (9,) from the common optimum; 0 where the recording does not show a parameter.
-        shown: (9,) whether it does.
-        distance: chi-squared of the common optimum, with `rank` degrees of freedom.
-        rank: number of directions that the recording shows.
-    """
-
-    step: FloatArray
-    std: FloatArray
-    shown: BoolArray
-    distance: float
-    rank: int
-
-
-def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
-    """The estimate of the nine from one recording, for the common values of all constants.
+def _own(
+    A: FloatArray, a: FloatArray, basis: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray, float, int]:
+    """The estimate of the nine from one recording, for the common values of all constants, in scaled units.
 
     Args:
         A, a: (F, F) information about the free directions of the nine, and (F,) its gradient.
         basis: (9, F) these directions.
+
+    Returns:
+        (9,) step from the common optimum and (9,) its standard deviation, both 0 where the recording does not show a
+        parameter; (9,) whether it does; the chi-squared of the common optimum, and its degrees of freedom.
     """
     values, vectors = np.linalg.eigh(A)
     known = values > _SHOWN**2
@@ -66,7 +54,7 @@ def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
         np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     )  # fixed and unobservable: no share
     distance = float(a @ covariance @ a)
-    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum()))
+    return np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum())
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
@@ -117,17 +105,15 @@ def weigh_logs(lin: Posterior) -> Pooled:
         parts.append((basis.T @ (normal.S * np.outer(scales, scales)) @ basis, basis.T @ (normal.s * scales)))
     nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
     own = slice(own_basis.shape[1])
-    logs = [_own(A[own, own], a[own], own_basis) for A, a in parts]
-    step, std, shown = (np.array([getattr(log, name) for log in logs]) for name in ("step", "std", "shown"))
+    each = (_own(A[own, own], a[own], own_basis) for A, a in parts)
+    step, std, shown, distance, rank = (np.array(part) for part in zip(*each, strict=True))
     variance, factor = np.zeros(size), np.ones(size)
-    spare = sum(log.rank for log in logs) - own_basis.shape[1]
-    if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
-        variance[nine] = [
-            between_variance(step[shown[:, k], k], std[shown[:, k], k]) for k in range(len(NINE))
-        ]
-        factor[nine] = [
-            few_logs_factor(step[shown[:, k], k], std[shown[:, k], k], variance[k]) for k in range(len(NINE))
-        ]
+    spare = rank.sum() - own_basis.shape[1]
+    if spare > 0 and chdtrc(spare, distance.sum()) < _CHANCE:
+        for k in range(len(NINE)):
+            of_shown = step[shown[:, k], k], std[shown[:, k], k]
+            variance[k] = between_variance(*of_shown)
+            factor[k] = few_logs_factor(*of_shown, variance[k])
     T = basis.T @ (variance[:, None] * basis)
     data, right = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1])
     for A, a in parts:
@@ -143,7 +129,7 @@ def weigh_logs(lin: Posterior) -> Pooled:
     inverse = np.linalg.inv((total + total.T) / 2)
     between = BetweenLogs(
         np.where(shown, step - pooled[nine], 0.0) * scales[nine],
-        np.where(shown, std, 0.0) * scales[nine],
+        std * scales[nine],
         shown,
         np.sqrt(variance[nine]) * scales[nine],
     )

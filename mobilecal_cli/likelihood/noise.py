@@ -17,6 +17,10 @@ FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
 
+#: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
+#: and a joint reading.
+DEGREES = {"views": 6, "legs": 3, "readings": 1}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inliers:
@@ -52,10 +56,8 @@ class Inliers:
 
     def same(self, other: Inliers) -> bool:
         """Whether both are the same measurements."""
-        return all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("corners", "views", "legs", "readings")
-        )
+        kinds = ("corners", *DEGREES)
+        return all(np.array_equal(getattr(self, kind), getattr(other, kind)) for kind in kinds)
 
     @property
     def used_corners(self) -> BoolArray:

@@ -152,16 +152,17 @@ class Constant:
         return _BY_NAME[self.kind]
 
 
-def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Constant:
-    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
+def _row(name: str, kind: str, part: str, meaning: str, effect: Effect, unit: float = 1.0) -> Constant:
+    """The row with the kind's prior; `unit`: of a joint whose unit is not 1 rad."""
+    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma * unit)
 
 
-_LENS_TERMS = (
-    ("radial_1", "radial distortion, third order"),
-    ("radial_2", "radial distortion, fifth order"),
-    ("tangential_x", "tangential distortion, x"),
-    ("tangential_y", "tangential distortion, y"),
-)
+_LENS_TERMS = {
+    "radial_1": "radial distortion, third order",
+    "radial_2": "radial distortion, fifth order",
+    "tangential_x": "tangential distortion, x",
+    "tangential_y": "tangential distortion, y",
+}
 _SHAPES = (
     ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
     (
@@ -181,66 +182,54 @@ _FLOOR_POWERS = tuple((a, degree - a) for degree in (2, 3) for a in range(degree
 _CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
-def _unit(size: int, axis: int) -> tuple[float, ...]:
-    return tuple(float(k == axis) for k in range(size))
+def _each_number(
+    name: str, kind: str, part: str, meaning: str, effect: tuple[str, int], terms: Mapping[str, str]
+) -> Iterator[Constant]:
+    """A row for each number of a camera's vector.
+
+    Args:
+        name, kind, part, meaning: of the rows; name and meaning as they begin.
+        effect: attribute of `CameraChange`, and index of the camera.
+        terms: how the name and the meaning end, number by number.
+    """
+    for (end, word), along in zip(terms.items(), np.eye(len(terms)).tolist(), strict=True):
+        of, camera = effect
+        yield _row(f"{name}_{end}", kind, part, meaning + word, CameraEffect(of, tuple(along), camera))
 
 
 def _of_each_camera(names: Sequence[str]) -> Iterator[Constant]:
     """Rows of the cameras themselves, one property after the other."""
     parts = [(k, name, camera_words(name)) for k, name in enumerate(names)]
     for k, name, part in parts:
-        yield _row(
-            f"focal_{name}", "focal_length", part, "focal length", CameraEffect("focal", (1.0, 1.0), k)
-        )
+        size = CameraEffect("focal", (1.0, 1.0), k)
+        yield _row(f"focal_{name}", "focal_length", part, "focal length", size)
     for k, name, part in parts:
         aspect = CameraEffect("focal", (0.5, -0.5), k)
         yield _row(f"focal_aspect_{name}", "focal_aspect", part, "fx against fy", aspect)
     for k, name, part in parts:
-        for axis, letter in enumerate("xy"):
-            row = f"principal_{name}_{letter}", "principal_point", part, f"principal point, {letter}"
-            yield _row(*row, CameraEffect("principal", _unit(2, axis), k))
+        row = f"principal_{name}", "principal_point", part, "principal point, "
+        yield from _each_number(*row, ("principal", k), _letters("xy"))
     for k, name, part in parts:
-        for term, (term_name, meaning) in enumerate(_LENS_TERMS):
-            yield _row(
-                f"distortion_{name}_{term_name}",
-                "distortion",
-                part,
-                meaning,
-                CameraEffect("lens", _unit(4, term), k),
-            )
+        yield from _each_number(f"distortion_{name}", "distortion", part, "", ("lens", k), _LENS_TERMS)
+
+
+def _letters(axes: str) -> dict[str, str]:
+    return dict(zip(axes, axes, strict=True))
 
 
 def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
     """Rows of the other cameras' poses in the first one, without the direction of a baseline."""
     first = camera_words(names[0])
     for k, name in enumerate(names[1:], 1):
-        for axis, letter in enumerate(_LETTERS):
-            row = (
-                (f"stereo_r_{letter}", "stereo_rotation")
-                if calibrated
-                else (f"turn_{name}_{letter}", "camera_rotation")
-            )
-            yield _row(
-                *row,
-                camera_words(name),
-                f"rotation about the {first}'s {letter}",
-                CameraEffect("turn", _unit(3, axis), k),
-            )
+        part, about = camera_words(name), f"rotation about the {first}'s "
+        turn = ("stereo_r", "stereo_rotation") if calibrated else (f"turn_{name}", "camera_rotation")
+        yield from _each_number(*turn, part, about, ("turn", k), _letters("xyz"))
         if calibrated:
-            yield _row(
-                "baseline_scale",
-                "baseline_length",
-                "stereo pair",
-                "length of the baseline",
-                CameraEffect("length", (1.0,), k),
-            )
-            continue
-        for axis, letter in enumerate(_LETTERS):
-            row, meaning = (
-                (f"shift_{name}_{letter}", "camera_position"),
-                f"position along the {first}'s {letter}",
-            )
-            yield _row(*row, camera_words(name), meaning, CameraEffect("shift", _unit(3, axis), k))
+            longer = CameraEffect("length", (1.0,), k)
+            yield _row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline", longer)
+        else:
+            shift = f"shift_{name}", "camera_position", part, f"position along the {first}'s "
+            yield from _each_number(*shift, ("shift", k), _letters("xyz"))
 
 
 def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
@@ -285,13 +274,8 @@ def _of_baseline(cameras: CameraRig) -> Iterator[Constant]:
         t = cameras.T_c_each[1][:3, 3]
         for letter, e in _across(t / np.linalg.norm(t)):
             meaning = f"direction of the baseline about the {camera_words(cameras.names[0])}'s {letter}"
-            yield _row(
-                f"baseline_{letter}",
-                "baseline_direction",
-                "stereo pair",
-                meaning,
-                CameraEffect("swing", e, 1),
-            )
+            swing = CameraEffect("swing", e, 1)
+            yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, swing)
 
 
 def joint_keys(chain: HeadChain) -> Mapping[int, str]:
@@ -313,38 +297,25 @@ def _of_joints(chain: HeadChain) -> Iterator[Constant]:
     for index, key in keys.items():
         link = chain.links[index]
         assert isinstance(link, JointLink)
-        part, column = f"{link.joint}", columns[link.joint]
+        part, column = link.joint, columns[link.joint]
         if link.joint not in done:
             done.add(link.joint)
             unit = chain.joint_units[column]
             if index != max(keys):  # the head-eye transform absorbs the last zero exactly
-                yield _scaled(
-                    _row(f"{key}_zero", "joint_zero", part, "zero position", JointReading(column, "zero")),
-                    unit,
+                yield _row(
+                    f"{key}_zero", "joint_zero", part, "zero position", JointReading(column, "zero"), unit
                 )
             yield _row(
                 f"{key}_scale", "joint_scale", part, "scale of the reading", JointReading(column, "scale")
             )
-            yield _scaled(
-                _row(f"backlash_{key}", "backlash", part, "backlash", JointReading(column, "play")), unit
-            )
+            yield _row(f"backlash_{key}", "backlash", part, "backlash", JointReading(column, "play"), unit)
         for letter, e in _across(link.axis):
             meaning = f"direction of the axis, about {letter}"
             yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, ChainEffect(index, "turn", e))
             if link.kind == "revolute":
                 meaning = f"position of the axis along {letter}"
-                yield _row(
-                    f"{key}_position_{letter}",
-                    "joint_position",
-                    part,
-                    meaning,
-                    ChainEffect(index, "shift", e),
-                )
-
-
-def _scaled(row: Constant, unit: float) -> Constant:
-    """The same for a joint whose unit is not 1 rad."""
-    return replace(row, sigma=row.sigma * unit)
+                shift = ChainEffect(index, "shift", e)
+                yield _row(f"{key}_position_{letter}", "joint_position", part, meaning, shift)
 
 
 def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:

@@ -19,23 +19,14 @@ class Directions:
     """Singular values and directions of the whitened, column-scaled Jacobian of the nine parameters.
 
     Attributes:
-        scales: (9,) units: prior sigmas of nominal values.
-        singular_values: (9,) falling: scale over standard deviation along each direction of the free
-            parameters.
-        directions: (9, 9) rows, orthonormal, in units of `scales`.
-        least: (9,) a direction with a smaller singular value is unobservable: the measurements show less than a
-            drawing, or no more than their noise alone would.
+        singular_values: (9,) falling: prior sigma of a nominal value over standard deviation along each direction of
+            the free parameters.
+        unobservable: (K, 9) rows, orthonormal in units of these sigmas: directions of which the measurements show
+            less than a drawing, or no more than their noise alone would.
     """
 
-    scales: FloatArray
     singular_values: FloatArray
-    directions: FloatArray
-    least: FloatArray
-
-    @property
-    def unobservable(self) -> FloatArray:
-        """(K, 9) directions that the measurements do not show."""
-        return self.directions[self.singular_values < self.least]
+    unobservable: FloatArray
 
 
 @solvable()
@@ -71,4 +62,4 @@ def directions(lin: Posterior, user_weight: FloatArray) -> Directions:
     legs = len(lin.data.legs)
     by_noise = WHEEL_SIGMA**2 * (legs + _SCATTERS * np.sqrt(2 * legs))
     least = np.sqrt(1 + by_noise * np.sum(along[:, 6:] ** 2, axis=1))
-    return Directions(scales, singular, along, least)
+    return Directions(singular, along[singular < least])

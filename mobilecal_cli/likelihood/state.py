@@ -115,16 +115,9 @@ class State:
     def of_log(self, data: Dataset, log: int) -> State:
         """The part that belongs to one recording of a data set."""
         mine = data.log == log
-        return replace(
-            self,
-            T_w_k=self.T_w_k[log : log + 1],
-            base=self.base[mine],
-            joint_errors=self.joint_errors[mine],
-            encoder_errors=self.encoder_errors[mine],
-            processes=self.processes[mine],
-            sway=self.sway[mine],
-            stamp_errors=self.stamp_errors[mine],
-        )
+        of_stations = ("base", "joint_errors", "encoder_errors", "processes", "sway", "stamp_errors")
+        own = {name: getattr(self, name)[mine] for name in of_stations}
+        return replace(self, T_w_k=self.T_w_k[log : log + 1], **own)
 
 
 def joints_at(data: Dataset, state: State) -> FloatArray:

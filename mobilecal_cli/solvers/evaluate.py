@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import (
     Drift,
     Evaluation,
@@ -21,7 +17,7 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.residuals import dead_reckoned, residuals_of
+from mobilecal_cli.solvers.residuals import dead_reckoned, pairs_at, residuals_of, state_of
 from mobilecal_cli.solvers.transfer import camera_motion
 
 #: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
@@ -58,7 +54,8 @@ def evaluate(
             the calibration under test. Without them, the cameras give both, from station to station.
     """
     offsets = dict(offsets_s or {})
-    pairs = _at_offsets(extraction, offsets)
+    clocks = {f"time_{name}": offset_s for name, offset_s in offsets.items()}
+    pairs = pairs_at(*state_of(extraction, parameters, clocks))
     i, j = pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
@@ -76,20 +73,6 @@ def evaluate(
         after=_drift(pairs, parameters, parameters.wheels, covered),
         clock_offsets_s=offsets,
     )
-
-
-def _at_offsets(extraction: Extraction, offsets_s: Mapping[str, float]) -> MotionPairs:
-    """The motion pairs with joints and wheels read at the corrected time stamps."""
-    data = dataset_of(extraction)
-    if not offsets_s:
-        return data.pairs
-    constants = {f"time_{name}": offset_s for name, offset_s in offsets_s.items()}
-    joints_s, wheels_s = (
-        np.array([clock_s(of, log, constants) for log in range(data.logs)])[data.log]
-        for of in ("joints", "wheels")
-    )
-    joints, steps = data.joints + data.joint_shift(joints_s), data.steps(wheels_s)
-    return replace(data.pairs, T_v_h=head_pose(data.chain, joints), steps=steps)
 
 
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:

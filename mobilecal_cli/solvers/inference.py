@@ -289,20 +289,19 @@ class Inference:
             unobservable = directions(start, user).unobservable
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
-            optimum = optimize(start, near, self.on_step, most_steps)
-            shown = directions(optimum.lin, user)
-            again = self.priors(optimum.lin.state, unobservable)
+            lin, costs = optimize(start, near, self.on_step, most_steps)
+            shown = directions(lin, user)
+            again = self.priors(lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
             if _same_space(shown.unobservable, unobservable) and still:
                 break
-            start = optimum.lin.under(self.priors(optimum.lin.state))
-        return self._fitted(optimum.lin, optimum.history, shown)
+            start = lin.under(self.priors(lin.state))
+        return self._fitted(lin, costs, shown)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
         start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
-        optimum = optimize(start, self.coarse.near, self.on_step)
-        return self._fitted(optimum.lin, optimum.history, fit.directions)
+        return self._fitted(*optimize(start, self.coarse.near, self.on_step), fit.directions)
 
     def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
         return Fit(lin, costs, components(lin), shown, self.given)

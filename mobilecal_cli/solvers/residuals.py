@@ -45,13 +45,15 @@ def at_state(
     extraction = replace(_as_modeled(stated, data, state), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     extraction = triangulated_again(_posed_again(extraction, stated), factor)
+    points_c = np.stack([o.points_c for o in extraction.observations])
+    return extraction, replace(pairs_at(data, state), points_c=points_c)
+
+
+def pairs_at(data: Dataset, state: State) -> MotionPairs:
+    """Joints and wheels with a state's constants applied, and the board and its corners as measured."""
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    return extraction, replace(
-        data.pairs,
-        points_c=np.stack([o.points_c for o in extraction.observations]),
-        T_v_h=head_at(data, as_read),
-        steps=data.steps(clock_s(data, state, "wheels")),
-    )
+    steps = data.steps(clock_s(data, state, "wheels"))
+    return replace(data.pairs, T_v_h=head_at(data, as_read), steps=steps)
 
 
 def _as_modeled(extraction: Extraction, data: Dataset, state: State) -> Extraction:
@@ -125,7 +127,14 @@ def _posed_again(extraction: Extraction, stated: Extraction) -> Extraction:
 def at_constants(
     extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
 ) -> tuple[Extraction, MotionPairs]:
-    """The same with constants of an earlier calibration.
+    """`at_state` of an earlier calibration, see `state_of`."""
+    return at_state(extraction, *state_of(extraction, parameters, constants))
+
+
+def state_of(
+    extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
+) -> tuple[Dataset, State]:
+    """The measurements and an earlier calibration.
 
     Args:
         extraction: the measurements.
@@ -138,8 +147,7 @@ def at_constants(
     data = dataset_of(extraction, rows)
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
-    known = {row.name: constants[row.name] for row in rows}
-    return at_state(extraction, data, replace(state, constants=known))
+    return data, replace(state, constants={row.name: constants[row.name] for row in rows})
 
 
 def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:

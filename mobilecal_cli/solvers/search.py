@@ -170,7 +170,6 @@ class Search:
             "check that camera_info is of these cameras and of this resolution, the board's size"
             f"{', that the images of all cameras are of one moment, and that no camera moved' * several}",
             self._base,
-            None,
         )
 
     def _free_part(self) -> Diagnosis | None:
@@ -362,8 +361,6 @@ def _same_view(readings: Readings) -> Diagnosis | None:
     return Diagnosis(
         "all stations show the board at the same place, but the base or the head moves",
         "check that the images are not frozen, and that the board does not move with the robot",
-        None,
-        None,
     )
 
 
@@ -384,8 +381,6 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     return Diagnosis(
         f"{cause}, or the nominal pose of the camera is that of another frame",
         f"{cure}, or correct nominal.head_eye",
-        None,
-        None,
     )
 
 
@@ -403,15 +398,11 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
         return Diagnosis(
             f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
             "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
-            None,
-            None,
         )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
     return Diagnosis(
         f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
         "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
-        None,
-        None,
     )
 
 
@@ -430,8 +421,6 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
                 f"the {name} images show focal lengths of about {factor:.2g} times those in camera_info, "
                 "which belongs to another resolution or zoom",
                 "record the camera_info of these images, or calibrate the camera with them",
-                None,
-                None,
             )
     return None
 

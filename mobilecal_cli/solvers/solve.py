@@ -17,7 +17,6 @@ from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
@@ -155,15 +154,7 @@ def _by_likelihood(
         solution,
         uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
         noisy=fit.noisy,
-        error_parts=error_parts(
-            data,
-            corrected_extraction,
-            corrected,
-            parameters,
-            solution.residuals,
-            fit.noise,
-            constant_stance(data, state),
-        ),
+        error_parts=error_parts(fit.lin, corrected_extraction, corrected, solution.residuals),
         constants=constants_of(fit),
         evidence=evidence(fit.lin),
         contradictions=contradictions,
@@ -234,7 +225,7 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     noise = inference.first_noise(np.array([data.claimed_px]))
     first = Posterior.at(data, state, everything, noise, inference.priors(state))
     try:
-        state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS).lin.state
+        state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS)[0].state
     except SolveError:
         return False
     each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)

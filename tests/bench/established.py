@@ -60,7 +60,7 @@ def likelihood_at(data: Dataset, state: State) -> Posterior:
 
 def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     """The optimizer of mobilecal, which needs no callbacks."""
-    return optimize(likelihood_at(data, start)).lin.state, 0.0
+    return optimize(likelihood_at(data, start))[0].state, 0.0
 
 
 def one(solver: str, path: str) -> dict[str, Any]:

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.decomposition import error_parts
+from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
@@ -23,8 +27,10 @@ QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=
 def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     """The parts at true levels, for cameras as stated."""
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
-    flat = np.zeros((data.stations, 3))
-    return error_parts(data, extraction, data.pairs, solution.parameters, solution.residuals, true, flat)
+    all_of, parameters = Inliers.all_of(data), solution.parameters
+    state = initial_state(data, parameters, all_of)
+    lin = Posterior.at(data, state, all_of, true, Priors.none(data.layout, parameters))
+    return error_parts(lin, extraction, data.pairs, solution.residuals)
 
 
 @pytest.mark.parametrize(
