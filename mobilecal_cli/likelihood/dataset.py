@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
-from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions
+from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, legs_between
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
@@ -55,11 +54,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     """
     observations = extraction.observations
     log = np.array([o.log for o in observations])
-    legs = [
-        pair
-        for number in range(len(extraction.wheels))
-        for pair in itertools.pairwise(np.flatnonzero(log == number).tolist())
-    ]
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     joints = np.stack([o.joints for o in observations])
     steps = encoder_steps_rad(extraction.wheels)
@@ -111,7 +105,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
         joints_between=np.hypot(on_the_way, play * (turned & moving[:, None])),
         log=log,
-        legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
+        legs=legs_between(log),
         tracks=tracks,
         motions=motions,
         times_ns=times_ns,

@@ -137,18 +137,12 @@ class Linearization:
         return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
     def of_log(self, log: int) -> Self:
-        """The part that belongs to one recording."""
-        data = self.data
-        legs = np.flatnonzero(data.log[data.legs[:, 0]] == log)
-        return replace(
-            self,
-            data=data.of_log(log),
-            state=self.state.of_log(data, log),
-            inliers=self.inliers.of_log(data, log),
-            leg_covariances={name: share[legs] for name, share in self.leg_covariances.items()},
-            processes=self.processes.select(np.flatnonzero(data.log == log), legs),
-            rates=self.rates[data.log == log],
-        )
+        """The same point with the measurements of one recording alone."""
+        mine = self.data.log == log
+        legs = self.inliers.legs & mine[self.data.legs[:, 0]]
+        inliers = replace(self.inliers, views=self.inliers.views & mine, legs=legs)
+        views = self.views.scaled(np.where(mine, 1.0, np.inf))
+        return self.changed(("legs", "leg_covariance", "own_sigmas"), {"views": views}, inliers=inliers)
 
     # -- residuals --------------------------------------------------------------------------------
 

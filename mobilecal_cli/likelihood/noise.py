@@ -48,12 +48,6 @@ class Inliers:
             np.ones(data.joints.shape, dtype=np.bool_),
         )
 
-    def of_log(self, data: Dataset, log: int) -> Inliers:
-        """The part that belongs to one recording of a data set."""
-        mine = data.log == log
-        legs = mine[data.legs[:, 0]]
-        return Inliers(self.corners[mine], self.views[mine], self.legs[legs], self.readings[mine])
-
     def same(self, other: Inliers) -> bool:
         """Whether both are the same measurements."""
         kinds = ("corners", *DEGREES)

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.likelihood.state import Step
@@ -94,7 +94,6 @@ class Marginals:
         legs: (L, 3, 3) of the legs' residuals.
         encoders: (N, 2) variances of the encoder errors.
         stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
-        bases: (N, 3, 3) of the base poses, as body twists (x, y, heading).
         processes: (N, 5, 5) of the processes.
         before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
     """
@@ -106,7 +105,6 @@ class Marginals:
     legs: FloatArray
     encoders: FloatArray
     stamps: FloatArray
-    bases: FloatArray
     processes: FloatArray
     before: FloatArray
 
@@ -200,7 +198,6 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
         encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
         stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
-        bases=bases[:, BASE, BASE],
         processes=bases[:, along, along],
         before=before,
     )

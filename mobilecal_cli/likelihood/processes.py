@@ -47,12 +47,6 @@ class Processes:
         out: FloatArray = values - self.rho * values[self.previous]
         return out
 
-    def select(self, stations: IntArray, legs: IntArray) -> Processes:
-        """Those of one recording: increasing indices of its stations and legs."""
-        previous = np.searchsorted(stations, self.previous[stations])
-        distance, rho, variance = (part[stations] for part in (self.distance_m, self.rho, self.variance))
-        return Processes(previous, distance, rho, variance, self.mean_share[legs])
-
 
 def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
     """(L, 2) distance that the right and left wheel roll over each leg, forward and backward."""

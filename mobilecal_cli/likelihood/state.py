@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -111,13 +111,6 @@ class State:
             sway=self.sway + step.own[:, -3:],
             stamp_errors=self.stamp_errors + step.base[:, STAMP:].sum(axis=1),
         )
-
-    def of_log(self, data: Dataset, log: int) -> State:
-        """The part that belongs to one recording of a data set."""
-        mine = data.log == log
-        of_stations = ("base", "joint_errors", "encoder_errors", "processes", "sway", "stamp_errors")
-        own = {name: getattr(self, name)[mine] for name in of_stations}
-        return replace(self, T_w_k=self.T_w_k[log : log + 1], **own)
 
 
 def joints_at(data: Dataset, state: State) -> FloatArray:

@@ -48,7 +48,6 @@ class Views:
     """Residuals of all stations' images at a state, whitened.
 
     Attributes:
-        residual_px: (N, C, M, 2) predicted minus detected.
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
@@ -60,7 +59,6 @@ class Views:
         direct: (Q - 6,) columns of the direct constants among these parameters.
     """
 
-    residual_px: FloatArray
     information: FloatArray
     gradient: FloatArray
     cost: FloatArray
@@ -78,7 +76,7 @@ class Views:
         return out
 
     def moved(self, step: Step) -> Views:
-        """The same after a step of all unknowns, to first order; `residual_px` stays."""
+        """The same after a step of all unknowns, to first order."""
         delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
         delta += self.by_board @ step.boards[self.log, :, None]
         shift = np.empty_like(self.gradient)
@@ -262,9 +260,9 @@ def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise,
     parts = [
         _measured(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
     ]
-    residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
+    information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
-    return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
+    return Views(information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
 def with_stations(
@@ -278,7 +276,7 @@ def with_stations(
 ) -> Views:
     """The same with the images of some stations taken anew, for inliers that differ there."""
     T_c_k = board_in_camera(data, state)
-    fields = ("residual_px", "information", "gradient", "cost")
+    fields = ("information", "gradient", "cost")
     parts = {name: getattr(views, name).copy() for name in fields}
     taken = _measured(data, state, T_c_k, inliers, noise, rates, stations)
     for name, values in zip(fields, taken, strict=True):
@@ -294,8 +292,8 @@ def _measured(
     noise: Noise,
     rates: FloatArray,
     stations: slice | IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Residuals, information, gradient and cost of some stations' images or poses, see `Views`."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Information, gradient and cost of some stations' images or poses, see `Views`."""
     if data.posed.any():
         return _measured_poses(data, T_c_k, inliers, noise, stations)
     residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])
@@ -309,7 +307,7 @@ def _measured(
         At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
         information[:, columns[:, None], columns] += At @ np.swapaxes(At, 1, 2)
         gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
-    return residual, information, gradient, np.sum(r**2, axis=(1, 2, 3))
+    return information, gradient, np.sum(r**2, axis=(1, 2, 3))
 
 
 def _columns_of(data: Dataset, camera: int) -> IntArray:
@@ -319,7 +317,7 @@ def _columns_of(data: Dataset, camera: int) -> IntArray:
 
 def _measured_poses(
     data: Dataset, T_c_k: FloatArray, inliers: Inliers, noise: Noise, stations: slice | IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
     off = se3.log(T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
     by_delta = _by_left_twist(off)
@@ -328,7 +326,7 @@ def _measured_poses(
     pull = (weight @ off[..., None])[..., 0]
     information = np.swapaxes(by_delta, 1, 2) @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
-    return np.zeros_like(data.pixels[stations]), information, gradient, np.sum(off * pull, axis=1)
+    return information, gradient, np.sum(off * pull, axis=1)
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:
