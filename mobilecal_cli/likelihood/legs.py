@@ -46,11 +46,6 @@ class Legs:
         change: FloatArray = by_ends[..., 0] + self.by_shared @ step.shared
         return replace(self, residual=self.residual + change)
 
-    def followed_by(self, other: Legs) -> Legs:
-        """The residuals of both, leg by leg."""
-        parts = ("residual", "by_start", "by_end", "by_shared")
-        return Legs(*(np.concatenate([getattr(self, at), getattr(other, at)], axis=1) for at in parts))
-
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
@@ -128,11 +123,14 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     for column, _, _ in data.layout.of(TurnSlip):
         if above is not None:
             by_shared[:, :, column] = arcs.by_widening(above)
-    odometry = Legs(residual, by_start, by_end, by_shared)
-    return odometry if data.motions is None else odometry.followed_by(_of_sensor(data, state, data.motions))
+    odometry = residual, by_start, by_end, by_shared
+    if data.motions is None:
+        return Legs(*odometry)
+    sensor = _of_sensor(data, state, data.motions)
+    return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
-def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> Legs:
+def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     i = data.legs[:, 0]
     X, between = state.parameters.T_h_c, base_legs(data, state)
@@ -158,7 +156,7 @@ def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> Legs:
     heading = np.arctan2(T[:, 1, 0], T[:, 0, 0])
     residual = motions.motion - np.concatenate([T[:, :2, 3], heading[:, None]], axis=1)
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
-    return Legs(residual, by_start, by_end, by_shared)
+    return residual, by_start, by_end, by_shared
 
 
 def all_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:

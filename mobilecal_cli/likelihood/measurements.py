@@ -9,15 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
-from mobilecal_cli.model import (
-    BoolArray,
-    CameraRig,
-    FloatArray,
-    HeadChain,
-    IntArray,
-    Track,
-    WheelTrack,
-)
+from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, IntArray, Track, WheelTrack
 
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular

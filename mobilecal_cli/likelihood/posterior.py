@@ -150,6 +150,15 @@ def _positive(values: FloatArray) -> FloatArray:
     return values
 
 
+def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    values, vectors = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(values, 0.0))
+    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
+    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
+    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
+
+
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     out: FloatArray = A @ C @ np.swapaxes(A, -1, -2)
     return out

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from mobilecal_cli.likelihood.nuisance import Layout, family
 from mobilecal_cli.likelihood.state import State
@@ -83,10 +84,8 @@ class Priors:
     @cached_property
     def scaled_basis(self) -> FloatArray:
         """(P, F) free directions of the parameters, orthonormal in units of `scales`."""
-        constants = np.eye(self.layout.size)[:, len(NINE) :][:, ~self.fixed[len(NINE) :]]
-        nine = np.zeros((self.layout.size, self.nine_basis.shape[1]))
-        nine[: len(NINE)] = self.nine_basis
-        return np.concatenate([nine, constants], axis=1)
+        free = ~self.fixed[len(NINE) :]
+        return np.asarray(block_diag(self.nine_basis, np.eye(len(free))[:, free]), dtype=np.float64)
 
     @cached_property
     def nine_basis(self) -> FloatArray:

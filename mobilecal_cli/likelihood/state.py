@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.effects import (
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Layout, camera_change
-from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
+from mobilecal_cli.model import CameraRig, FloatArray, Parameters
 
 _E = TypeVar("_E", bound=Effect)
 
@@ -143,14 +143,9 @@ def chain_change(data: Dataset, state: State) -> ChainChange:
     return change
 
 
-def chain_at(data: Dataset, state: State) -> HeadChain:
-    """The head's chain with the constants that change it."""
-    return chain_change(data, state).apply(data.chain)
-
-
 def head_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_v_h of every station."""
-    return head_pose(chain_at(data, state), joints_at(data, state))
+    return head_pose(chain_change(data, state).apply(data.chain), joints_at(data, state))
 
 
 def cameras_at(data: Dataset, state: State) -> CameraRig:

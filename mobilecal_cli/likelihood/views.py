@@ -16,13 +16,7 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import (
-    ChainEffect,
-    Clock,
-    FloorEffect,
-    JointEffect,
-    Sight,
-)
+from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointEffect, Sight
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -82,6 +76,10 @@ class Views:
         shift = np.empty_like(self.gradient)
         shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
         shift[:, 6:] = step.shared[self.direct]
+        return self.shifted(shift)
+
+    def shifted(self, shift: FloatArray) -> Views:
+        """The same after a step (N, Q) of each station's (delta, direct constants)."""
         change = (self.information @ shift[..., None])[..., 0]
         cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
         return replace(self, gradient=self.gradient + change, cost=cost)

@@ -82,8 +82,7 @@ def _wheel_covariance(
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
     wheels = parameters.wheels
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
-    number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
-    covariance = np.asarray(every)[[number[a, b] for a, b in residuals.legs.tolist()]]
+    covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
     if noise.encoder_rad:
         steps = data.encoder_step_rad
         path_m = noise.encoder_rad * steps / max(steps.max(), 1e-12) * wheels.vector[:2]

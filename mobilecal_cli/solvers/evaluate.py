@@ -8,15 +8,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import (
-    Drift,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    Parameters,
-    Solution,
-    WheelGeometry,
-)
+from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
 from mobilecal_cli.solvers.residuals import dead_reckoned, pairs_at, residuals_of, state_of
 from mobilecal_cli.solvers.transfer import camera_motion
 

@@ -15,10 +15,7 @@ from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.model import BetweenLogs, BoolArray, FloatArray, Noise
-from mobilecal_cli.solvers.noise import (
-    Component,
-    guess_worth,
-)
+from mobilecal_cli.solvers.noise import Component, guess_worth
 
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 #: Levels whose effects differ little, each with the other.
