@@ -82,7 +82,8 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     shown = np.stack([[view.seen for view in o.views] for o in observations])
     claims = np.hypot([[view.sigma_px for view in o.views] for o in observations], _LEAST_CLAIM_PX)
     usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
-    sides, turned = _approach_direction(extraction, widths_ns, joint_noise)
+    of_tracks = [*zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)]
+    sides, turned = _approach_direction(of_tracks, log, times_ns, joints)
     on_the_way = between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1])
     play = kind("backlash").sigma * np.array(units)
     return Dataset(
@@ -111,7 +112,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         times_ns=times_ns,
         encoder_step_rad=steps,
         several_wheels=extraction.rig.sources.several_wheels,
-        first_log=0,
         layout=Layout(tuple(constants)),
     )
 
@@ -180,7 +180,10 @@ def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) 
 
 
 def _approach_direction(
-    extraction: Extraction, widths_ns: Sequence[Sequence[int]], joint_noise: Sequence[Sequence[float]]
+    tracks: Sequence[tuple[Sequence[Track], Sequence[int], Sequence[float]]],
+    log: IntArray,
+    times_ns: IntArray,
+    joints: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """(N, J) the direction of each joint's last motion before each station, from -1 to 1, and where it just turned.
 
@@ -188,14 +191,11 @@ def _approach_direction(
     it has come back by more than noise, the side may be the other one.
 
     Args:
-        extraction: the stations.
-        widths_ns, joint_noise: of each recording's joints, see `Measurements`, and the noise of one reading.
+        tracks: of each recording, those of its joints, their widths, see `Measurements`, and the noise of one reading.
+        log, times_ns, joints: of the stations.
     """
-    observations = extraction.observations
-    log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
-    times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides, turned = np.zeros(joints.shape), np.zeros(joints.shape, dtype=np.bool_)
-    for number, of_log in enumerate(zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)):
+    for number, of_log in enumerate(tracks):
         mine = np.flatnonzero(log == number)
         for j, (track, width_ns, noise) in enumerate(zip(*of_log, strict=True)):
             moved = max(_MOVED_RAD, _NOISE_SIGMAS * noise)

@@ -50,7 +50,7 @@ class Clock(Effect):
     def stations(self, data: Measurements) -> BoolArray:
         """(N,) those of the recording."""
         every = np.ones(data.stations, dtype=np.bool_)
-        return every if self.log is None else np.asarray(data.first_log + data.log == self.log)
+        return every if self.log is None else np.asarray(data.log == self.log)
 
     def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
@@ -471,7 +471,7 @@ class FloorShape(FloorEffect):
         return data.motions is None and int((self._stations(data) & data.drives).sum()) > self.terms
 
     def _stations(self, data: Measurements) -> BoolArray:
-        return np.asarray(data.first_log + data.log == self.log)
+        return np.asarray(data.log == self.log)
 
     def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
         """(N,) so many times by x and by y, 0 in other recordings."""

@@ -110,7 +110,6 @@ class Measurements:
         wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m,
             and of the side of its play of a joint that just turned back; 0 at rest.
         log: (N,) the recording of each station. Each recording has a board pose of its own.
-        first_log: number of the first of these recordings among all.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         motions: of a planar sensor over each leg; None where there is none.
@@ -144,7 +143,6 @@ class Measurements:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     several_wheels: bool
-    first_log: int
 
     @property
     def stations(self) -> int:

@@ -58,11 +58,6 @@ class Inliers:
         """(N, C, M) corners of the stations whose images are used."""
         return self.corners & self.views[:, None, None]
 
-    @property
-    def count(self) -> int:
-        """How many numbers were measured: two per corner, three per leg, one per joint reading."""
-        return 2 * int(self.used_corners.sum()) + 3 * int(self.legs.sum()) + int(self.readings.sum())
-
 
 def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
     """(N, 2) sigma of the right and left wheel's encoder reading, rad."""

@@ -84,6 +84,15 @@ class Views:
         cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
         return replace(self, gradient=self.gradient + change, cost=cost)
 
+    def with_images(self, stations: IntArray, images: tuple[FloatArray, FloatArray, FloatArray]) -> Views:
+        """The same with other images at some stations, see `images_of`."""
+        changed = []
+        for before, after in zip((self.information, self.gradient, self.cost), images, strict=True):
+            changed.append(before.copy())
+            changed[-1][stations] = after
+        information, gradient, cost = changed
+        return replace(self, information=information, gradient=gradient, cost=cost)
+
     def scaled(self, factor: FloatArray) -> Views:
         """The same with a noise of corners or measured poses that is (N,) so many times larger."""
         weight = factor**-2
@@ -256,33 +265,14 @@ def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise,
     """Residuals and information of all stations' images; rates: (N, 6) see `view_rates`."""
     T_c_k = board_in_camera(data, state)
     parts = [
-        _measured(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
+        images_of(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
     ]
     information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
     return Views(information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
-def with_stations(
-    views: Views,
-    data: Dataset,
-    state: State,
-    inliers: Inliers,
-    noise: Noise,
-    rates: FloatArray,
-    stations: IntArray,
-) -> Views:
-    """The same with the images of some stations taken anew, for inliers that differ there."""
-    T_c_k = board_in_camera(data, state)
-    fields = ("information", "gradient", "cost")
-    parts = {name: getattr(views, name).copy() for name in fields}
-    taken = _measured(data, state, T_c_k, inliers, noise, rates, stations)
-    for name, values in zip(fields, taken, strict=True):
-        parts[name][stations] = values
-    return replace(views, **parts)
-
-
-def _measured(
+def images_of(
     data: Dataset,
     state: State,
     T_c_k: FloatArray,
@@ -291,7 +281,7 @@ def _measured(
     rates: FloatArray,
     stations: slice | IntArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information, gradient and cost of some stations' images or poses, see `Views`."""
+    """Information, gradient and cost of some stations' images or poses, see `Views`; T_c_k: of all, (N, 4, 4)."""
     if data.posed.any():
         return _measured_poses(data, T_c_k, inliers, noise, stations)
     residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])

@@ -311,26 +311,17 @@ def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
 
 
-def _frozen_joints(readings: Readings) -> Iterator[Hypothesis]:
-    """Readings of one joint that never change."""
+def _joints_as_seen(readings: Readings, frozen: bool) -> Iterator[Hypothesis]:
+    """Readings of one joint that never change, or that have nothing to do with it."""
     for column, name in enumerate(readings.rig.chain.joints):
-        if np.ptp(readings.joints[:, column]) < STILL:
-            yield Hypothesis(
-                f"the reading of {name} never changes, and the images do not fit a joint at rest",
-                "check that the state of this joint is recorded while it moves",
-                partial(_joint_as_seen, column=column),
-            )
-
-
-def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
-    """Readings of one joint that have nothing to do with it."""
-    for column, name in enumerate(readings.rig.chain.joints):
-        if np.ptp(readings.joints[:, column]) >= STILL:
-            yield Hypothesis(
-                f"the readings of {name} do not fit; the images, the wheels and the other joints do",
-                "check the topic, the clock, the sign and the unit of this joint, and its gear",
-                partial(_joint_as_seen, column=column),
-            )
+        if (np.ptp(readings.joints[:, column]) < STILL) != frozen:
+            continue
+        cause = f"the readings of {name} do not fit; the images, the wheels and the other joints do"
+        cure = "check the topic, the clock, the sign and the unit of this joint, and its gear"
+        if frozen:
+            cause = f"the reading of {name} never changes, and the images do not fit a joint at rest"
+            cure = "check that the state of this joint is recorded while it moves"
+        yield Hypothesis(cause, cure, partial(_joint_as_seen, column=column))
 
 
 def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
@@ -444,5 +435,5 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 #: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
 #: say nothing.
 WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, interruptions), (_delays, _neighbors))
-FROZEN: Stages = ((_frozen_joints,),)
-FREE: Stages = ((_free_joints,), (_free_wheels,))
+FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
+FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))

@@ -149,13 +149,10 @@ def linear_estimate(
             f"the iterative linear method found no answer on {len(pairs.legs)} legs between stations",
             "record stations between which the base turns and drives and the head pans and tilts",
         )
-    # min() keeps the first of equals: a given or nominal start before the grid's.
-    best = min(answers, key=lambda a: round(a.point_rms_m, 9))
-    positive = min(
-        (a for a in answers if a.parameters.wheels.positive),
-        key=lambda a: round(a.point_rms_m, 9),
-        default=best,
-    )
+    # The sort keeps the order of equals: a given or nominal start before the grid's.
+    answers.sort(key=lambda a: round(a.point_rms_m, 9))
+    best = answers[0]
+    positive = next((a for a in answers if a.parameters.wheels.positive), best)
     kept = best if best.point_rms_m < CLEARLY_BETTER * positive.point_rms_m else positive
     ratios = ratios_of(kept.parameters.wheels)
     rivals = [
