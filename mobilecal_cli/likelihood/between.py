@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc, stdtrit
@@ -15,21 +14,6 @@ _SHOWN = 1.0  # a recording shows a direction that it knows better than its scal
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
 _TWO_SIGMA = 0.97725  # probability below two standard deviations
 _CHANCE = 0.01  # recordings differ where chance alone would make as much in fewer cases
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pooled:
-    """The recordings weighed against one another.
-
-    Attributes:
-        between: each recording by itself, and the spread between them.
-        step: (P,) from the optimum of all measurements to the estimate that allows for the spread.
-        covariance: (P, P) of that estimate.
-    """
-
-    between: BetweenLogs
-    step: FloatArray
-    covariance: FloatArray
 
 
 def _own(
@@ -87,7 +71,7 @@ def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> flo
     return math.sqrt(max(1.0, q)) * float(stdtrit(spare, _TWO_SIGMA)) / 2
 
 
-def weigh_logs(lin: Posterior) -> Pooled:
+def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
     """Weigh the recordings with the spread between them.
 
     Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.
@@ -97,6 +81,10 @@ def weigh_logs(lin: Posterior) -> Pooled:
 
     Args:
         lin: the optimum of all measurements.
+
+    Returns:
+        Each recording by itself and the spread between them; (P,) step from the optimum of all measurements to the
+        estimate that allows for the spread; and (P, P) covariance of that estimate.
     """
     size, scales, basis = lin.data.layout.size, lin.priors.scales, lin.priors.scaled_basis
     parts = []
@@ -133,4 +121,4 @@ def weigh_logs(lin: Posterior) -> Pooled:
         shown,
         np.sqrt(variance[nine]) * scales[nine],
     )
-    return Pooled(between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales))
+    return between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales)

@@ -14,7 +14,7 @@ from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, un
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
@@ -278,25 +278,23 @@ class Inference:
     def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
-            unobservable = directions(start, user).unobservable
+            _, unobservable = directions(start, user)
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
             lin, costs = optimize(start, near, self.on_step, most_steps)
-            shown = directions(lin, user)
+            singular_values, hidden = directions(lin, user)
             again = self.priors(lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
-            if _same_space(shown.unobservable, unobservable) and still:
+            if _same_space(hidden, unobservable) and still:
                 break
             start = lin.under(self.priors(lin.state))
-        return self._fitted(lin, costs, shown)
+        return Fit(lin, costs, components(lin), singular_values, self.given)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
         start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
-        return self._fitted(*optimize(start, self.coarse.near, self.on_step), fit.directions)
-
-    def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
-        return Fit(lin, costs, components(lin), shown, self.given)
+        lin, costs = optimize(start, self.coarse.near, self.on_step)
+        return replace(fit, lin=lin, costs=costs, components=components(lin))
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
         """A fit of other inliers, with noise levels of its own, to first order: residuals follow the parameters.

@@ -41,7 +41,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         observable=observable,
         unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
-        singular_values=fit.directions.singular_values,
+        singular_values=fit.singular_values,
         noise=NoiseLevels(
             **fit.noise.levels,
             wider=fit.noise.wider,
