@@ -468,15 +468,12 @@ class FloorShape(FloorEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only the images of a base that drives to more places than a floor has terms show it."""
-        return data.motions is None and int((self._stations(data) & data.drives).sum()) > self.terms
-
-    def _stations(self, data: Measurements) -> BoolArray:
-        return np.asarray(data.log == self.log)
+        return data.motions is None and int(((data.log == self.log) & data.drives).sum()) > self.terms
 
     def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
         """(N,) so many times by x and by y, 0 in other recordings."""
         (a, b), (x, y) = self.powers, np.clip(base[:, :2].T, -_FLOOR_REACH_M, _FLOOR_REACH_M)
-        factor = math.perm(a, by_x) * math.perm(b, by_y) * self._stations(data)
+        factor = math.perm(a, by_x) * math.perm(b, by_y) * (data.log == self.log)
         return np.asarray(factor * x ** max(a - by_x, 0) * y ** max(b - by_y, 0))
 
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:

@@ -56,48 +56,59 @@ class Kind:
     Attributes:
         name: as `priors:` in rig.yaml, `--estimate` and `--prior` take it.
         unit: of the values in the code: "s", "rad", "m", or "1" for a ratio (of the image width for pixels).
-        sigma: default prior standard deviation, in that unit.
         shown_unit, shown: unit for people, and how many of it one `unit` is.
+        sigma: default prior standard deviation, in `unit`.
         meaning: in words.
+        names: pattern of the names of its constants that depend on the robot.
     """
 
     name: str
     unit: str
-    sigma: float
     shown_unit: str
     shown: float
+    sigma: float
     meaning: str
+    names: str = ""
 
 
 _DEGREE = math.pi / 180
+# Units in the code and for people, and how many of these it is.
+_TIME, _LENGTH, _ANGLE = ("s", "ms", 1e3), ("m", "mm", 1e3), ("rad", "deg", 1 / _DEGREE)
+_SHARE, _OF_WIDTH = ("1", "%", 100), ("1", "% of the image width", 100)
 # fmt: off
 KINDS: tuple[Kind, ...] = (
-    Kind("clock", "s", 0.2, "ms", 1e3, "offset of a clock against the cameras' clock"),
-    Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of a camera against the first one"),
-    Kind("readout", "s", 0.0005, "ms", 1e3, "time between the first and the last row of an image"),
-    Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
-    Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
-    Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
-    Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
-    Kind("lens_waves", "1", 0.0002, "% of the image width", 100, "what a lens does beside its distortion, rms"),
-    Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
-    Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
-    Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),
-    Kind("camera_rotation", "rad", 1.0 * _DEGREE, "deg", 1 / _DEGREE, "rotation of a camera against the first"),
-    Kind("camera_position", "m", 0.005, "mm", 1e3, "position of a camera against the first"),
-    Kind("square_size", "1", 0.001, "%", 100, "size of the board's squares"),
-    Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
-    Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
-    Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
-    Kind("board_corners", "m", 0.00015, "mm", 1e3, "place of a corner on the board (across it, twice as much)"),
-    Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
-    Kind("floor_shape", "m", 0.001, "mm", 1e3, "deviation of the floor from a plane, 1 m from the first station"),
-    Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
-    Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
-    Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
-    Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
-    Kind("turn_slip", "1", 0.03, "%", 100, "effective wheel separation at twice the mean turning rate (four wheels)"),
-    Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
+    Kind("clock", *_TIME, 0.2, "offset of a clock against the cameras' clock", r"time_(joints|wheels)_\d+"),
+    Kind("stereo_clock", *_TIME, 0.002, "delay of a camera against the first one",
+         r"time_(?!(joints|wheels)_\d+$).+"),
+    Kind("readout", *_TIME, 0.0005, "time between the first and the last row of an image"),
+    Kind("focal_length", *_SHARE, 0.002, "focal length of a camera", r"focal_.+"),
+    Kind("focal_aspect", *_SHARE, 0.001, "horizontal focal length of a camera against the vertical one",
+         r"focal_aspect_.+"),
+    Kind("principal_point", *_OF_WIDTH, 0.003, "principal point of a camera", r"principal_.+_[xy]"),
+    Kind("distortion", *_OF_WIDTH, 0.0008, "distortion of a camera, at the image corner",
+         r"distortion_.+_(radial|tangential)_[12xy]"),
+    Kind("lens_waves", *_OF_WIDTH, 0.0002, "what a lens does beside its distortion, rms",
+         r"lens_waves_.+_\d+"),
+    Kind("stereo_rotation", *_ANGLE, 0.05 * _DEGREE, "rotation between the two cameras"),
+    Kind("baseline_direction", *_ANGLE, 0.1 * _DEGREE, "direction of the stereo baseline", r"baseline_[xyz]"),
+    Kind("baseline_length", *_SHARE, 0.002, "length of the stereo baseline"),
+    Kind("camera_rotation", *_ANGLE, 1.0 * _DEGREE, "rotation of a camera against the first",
+         r"turn_.+_[xyz]"),
+    Kind("camera_position", *_LENGTH, 0.005, "position of a camera against the first", r"shift_.+_[xyz]"),
+    Kind("square_size", *_SHARE, 0.001, "size of the board's squares"),
+    Kind("square_aspect", *_SHARE, 0.001, "width of the board's squares against their height"),
+    Kind("board_bend", *_LENGTH, 0.0005, "bend of the board"),
+    Kind("board_shear", *_ANGLE, 0.05 * _DEGREE, "angle between the board's rows and columns"),
+    Kind("board_corners", *_LENGTH, 0.00015, "place of a corner on the board (across it, twice as much)"),
+    Kind("lean", *_ANGLE, 0.05 * _DEGREE, "lean of the base against the floor's normal"),
+    Kind("floor_shape", *_LENGTH, 0.001, "deviation of the floor from a plane, 1 m from the first station",
+         r"floor_[xy]+(_\d+)?"),
+    Kind("joint_zero", *_ANGLE, 0.5 * _DEGREE, "zero position of a head joint", r".+_zero"),
+    Kind("joint_scale", *_SHARE, 0.001, "scale of a head joint's reading", r".+_scale"),
+    Kind("joint_axis", *_ANGLE, 0.1 * _DEGREE, "direction of a head joint's axis", r".+_axis_[xyz]"),
+    Kind("joint_position", *_LENGTH, 0.001, "position of a head joint's axis", r".+_position_[xyz]"),
+    Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
+    Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
 _BY_NAME = {kind.name: kind for kind in KINDS}

@@ -46,13 +46,6 @@ class Priors:
     wider: Mapping[str, float]
     bias: FloatArray | float = 0.0
 
-    @classmethod
-    def none(cls, layout: Layout, anchor: Parameters) -> Priors:
-        """No prior: every parameter is free, from the measurements alone."""
-        zero = np.zeros(layout.size)
-        scales = layout.prior_sigmas(anchor.wheels)
-        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})
-
     def widened(self, wider: Mapping[str, float]) -> Priors:
         """The same, so many times as wide as stated."""
         return replace(self, wider=wider)

@@ -231,19 +231,10 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
     shortest_s = min((float(np.ptp(track.time_ns)) * 1e-9 for track in readings.wheels), default=0.0)
     most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
     shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
-    wheels = (
-        ("readings of both wheels are", SIDES),
-        ("readings of the right wheel are", ("right",)),
-        ("readings of the left wheel are", ("left",)),
-    )
-    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[..., Readings]]] = [
-        (
-            cause,
-            [tuple(getattr(track, side) for side in sides) for track in readings.wheels],
-            partial(_wheels_earlier, sides=sides),
-        )
-        for cause, sides in wheels
-    ]
+    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[..., Readings]]] = []
+    for which, sides in (("both wheels", SIDES), *((f"the {side} wheel", (side,)) for side in SIDES)):
+        own = [tuple(getattr(track, side) for side in sides) for track in readings.wheels]
+        parts.append((f"readings of {which} are", own, partial(_wheels_earlier, sides=sides)))
     every = [
         (*joints, track.right, track.left)
         for joints, track in zip(readings.joint_tracks, readings.wheels, strict=False)  # none without tracks

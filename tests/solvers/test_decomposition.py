@@ -10,7 +10,6 @@ import pytest
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
@@ -20,6 +19,7 @@ from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
 from tests.report.example import drawn, made, recorded
+from tests.truth import no_priors
 
 QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
 
@@ -29,7 +29,7 @@ def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
     all_of, parameters = Inliers.all_of(data), solution.parameters
     state = initial_state(data, parameters, all_of)
-    lin = Posterior.at(data, state, all_of, true, Priors.none(data.layout, parameters))
+    lin = Posterior.at(data, state, all_of, true, no_priors(data.layout, parameters))
     return error_parts(lin, extraction, data.pairs, solution.residuals)
 
 
