@@ -429,9 +429,9 @@ class FloorEffect(Effect, ABC):
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses (N, 3), see `State.base`."""
 
-    @abstractmethod
     def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3, 3) derivative of these by a step of the base along its own x and y (m), and of its heading (rad)."""
+        return np.zeros((*base.shape, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,10 +443,6 @@ class BaseLean(FloorEffect):
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
         return np.broadcast_to(np.eye(3)[self.axis], base.shape)
-
-    def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
-        """(N, 3, 3) zero."""
-        return np.zeros((*base.shape, 3))
 
 
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow

@@ -64,12 +64,6 @@ def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray
     return out
 
 
-def _wider(data: Dataset, state: State, above: FloatArray) -> FloatArray:
-    """(n,) effective over mean separation in each step; `above`: see `Increments.above_mean_rate`."""
-    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
-    return np.asarray(1 + slip * above)
-
-
 def base_legs(data: Dataset, state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
     i, j = data.legs.T
@@ -84,7 +78,11 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     i, j = data.legs.T
     steps = _steps(data, state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
-    arcs = integrate(steps, state.parameters.wheels, 1.0 if above is None else _wider(data, state, above))
+    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
+    wider = (
+        1.0 if above is None else np.asarray(1 + slip * above)
+    )  # effective over mean separation in each step
+    arcs = integrate(steps, state.parameters.wheels, wider)
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)
     count = len(between)

@@ -13,12 +13,12 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
-from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
+from mobilecal_cli.likelihood.noise import LEAST_READING, Inliers, joint_sigmas
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.state import State, Step, board_in_camera
 from mobilecal_cli.likelihood.views import Views, images_of, linearize_views, view_rates
-from mobilecal_cli.model import FloatArray, Noise
+from mobilecal_cli.model import EXACT, FloatArray, Noise
 
 
 @contextmanager
@@ -171,8 +171,13 @@ class Linearization:
 
     @cached_property
     def own_sigmas(self) -> FloatArray:
-        """(N, J + 3) sigma of each joint reading (rad or m), and of the sway's roll, pitch (rad) and height (m)."""
-        return own_sigmas(self.data, self.inliers, self.noise)
+        """(N, J + 3) sigma of each joint reading (rad or m), and of the sway's roll, pitch (rad) and height (m).
+
+        A base that never moves does not sway.
+        """
+        data, noise = self.data, self.noise
+        sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
+        return np.concatenate([joint_sigmas(data, self.inliers, noise), sway], axis=1)
 
     @property
     def own_errors(self) -> FloatArray:
@@ -182,7 +187,8 @@ class Linearization:
     @cached_property
     def encoder_sigmas(self) -> FloatArray:
         """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
-        return encoder_sigmas(self.data, self.noise)
+        readings = np.maximum(self.noise.encoder_rad * self.data.encoder_shares, LEAST_READING)
+        return np.hypot(readings, self.data.wheels_between)
 
     @cached_property
     def cost(self) -> float:

@@ -50,7 +50,9 @@ class Posterior(Linearization):
         basis = self.priors.basis
         reduced = basis.T @ self.information @ basis
         with solvable():
-            scale = 1 / np.sqrt(_positive(np.diag(reduced)))
+            if not np.all(np.diag(reduced) > 0):
+                raise np.linalg.LinAlgError("not positive definite")
+            scale = 1 / np.sqrt(np.diag(reduced))
             inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
         C: FloatArray = basis @ inverse @ basis.T
         return C
@@ -137,17 +139,6 @@ class Marginals:
         out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
         out[:, 6:, :6] = np.swapaxes(self.mixed, 1, 2)
         return out
-
-
-def _positive(values: FloatArray) -> FloatArray:
-    """The values.
-
-    Raises:
-        LinAlgError: one is not positive.
-    """
-    if not np.all(values > 0):
-        raise np.linalg.LinAlgError("not positive definite")
-    return values
 
 
 def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:

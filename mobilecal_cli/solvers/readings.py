@@ -84,19 +84,15 @@ class Readings:
         return motion_seen(pairs.T_v_h, pairs.steps.totals_rad, encoder_steps_rad(self.wheels))
 
     @property
-    def distinguishes(self) -> bool:
-        """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
-        return self._roams and self.motion.tilts
-
-    @property
-    def planar(self) -> bool:
-        """Whether the motion can tell mistakes apart, of a camera that no joint tilts."""
-        return self._roams and not self.motion.tilts
-
-    @property
-    def _roams(self) -> bool:
+    def roams(self) -> bool:
+        """Whether the base drives and turns, on enough legs: that can tell mistakes apart."""
         enough = self.legs >= FEWEST_STATIONS - 1
         return enough and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+
+    @property
+    def distinguishes(self) -> bool:
+        """Whether the head tilts, too: then the motion shows all nine parameters."""
+        return self.roams and self.motion.tilts
 
 
 def readings_of(extraction: Extraction) -> Readings:

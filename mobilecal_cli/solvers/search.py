@@ -210,8 +210,7 @@ class Search:
 
     def _scores(self, readings: Readings) -> list[_Score]:
         """A fit of some readings from each start, the best first."""
-        full = readings.distinguishes
-        shown = full or readings.planar
+        full, shown = readings.distinguishes, readings.roams
         if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
             return []
         pairs, X = _thinned(readings.pairs), readings.nominal_head_eye
@@ -232,15 +231,10 @@ class Search:
             except (SolveError, np.linalg.LinAlgError):
                 continue
             turn = np.eye(3) if X is None else X[:3, :3].T @ parameters.T_h_c[:3, :3]
-            scores.append(
-                _Score(
-                    misfit,
-                    point_rms_m(pairs, parameters) / distance_m,
-                    float(np.linalg.norm(se3.log_so3(turn))),
-                    parameters.wheels,
-                    not shown or parameters.wheels.positive,
-                )
-            )
+            of_all = point_rms_m(pairs, parameters) / distance_m
+            possible = not shown or parameters.wheels.positive
+            turned_rad = float(np.linalg.norm(se3.log_so3(turn)))
+            scores.append(_Score(misfit, of_all, turned_rad, parameters.wheels, possible))
         return sorted(scores, key=lambda score: score.misfit)
 
     def _limit(self, fits: float) -> float:
