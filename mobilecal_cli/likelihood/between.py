@@ -34,9 +34,8 @@ def _own(
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
-    shown = (
-        np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
-    )  # fixed and unobservable: no share
+    # Of fixed and unobservable parameters, the share is zero.
+    shown = np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     distance = float(a @ covariance @ a)
     return np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum())
 

@@ -79,9 +79,8 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     steps = _steps(data, state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
     slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
-    wider = (
-        1.0 if above is None else np.asarray(1 + slip * above)
-    )  # effective over mean separation in each step
+    # Effective over mean separation in each step.
+    wider = 1.0 if above is None else np.asarray(1 + slip * above)
     arcs = integrate(steps, state.parameters.wheels, wider)
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)

@@ -12,12 +12,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, Nominal
 
-_GROUPS = {
-    "head_eye": NINE[:6],
-    "rotation": NINE[:3],
-    "translation": NINE[3:6],
-    "wheels": NINE[6:],
-}
+_GROUPS = {"head_eye": NINE[:6], "rotation": NINE[:3], "translation": NINE[3:6], "wheels": NINE[6:]}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _KINDS = tuple(kind.name for kind in nuisance.KINDS)
@@ -244,10 +239,8 @@ def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
 def _kind_of_the_robot(name: str) -> str | None:
     """The kind of a constant that depends on the robot, by its name, which is checked when the robot is known."""
     # The last that matches: `focal_aspect_left` is no focal length.
-    return next(
-        (kind.name for kind in reversed(nuisance.KINDS) if kind.names and re.fullmatch(kind.names, name)),
-        None,
-    )
+    kinds = (kind for kind in reversed(nuisance.KINDS) if kind.names and re.fullmatch(kind.names, name))
+    return next((kind.name for kind in kinds), None)
 
 
 def _in_range(flag: str, name: str, value: float) -> float:

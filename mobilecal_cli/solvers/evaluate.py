@@ -70,10 +70,8 @@ def evaluate(
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
     """(L,) path length, m, and (L,) absolute rotation, rad, of each leg."""
     steps = pairs.steps
-    path_m = (wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
-    turn_rad = (
-        wheels.radius_right_m * steps.right_rad - wheels.radius_left_m * steps.left_rad
-    ) / wheels.separation_m
+    right_m, left_m = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+    path_m, turn_rad = (right_m + left_m) / 2, (right_m - left_m) / wheels.separation_m
     return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
 
 

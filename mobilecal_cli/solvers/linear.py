@@ -22,10 +22,8 @@ _HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
 _NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
-_NO_SIZE_M, _NO_RATIO = (
-    1e-12,
-    1e-9,
-)  # a radius or separation, and a ratio of them, that is zero but for rounding
+# A radius or separation, and a ratio of them, that is zero but for rounding.
+_NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 

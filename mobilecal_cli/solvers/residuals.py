@@ -107,9 +107,8 @@ def _posed_again(extraction: Extraction, stated: Extraction) -> Extraction:
             )
             A = (J @ T_camera_c[:3, :3] @ by_twist).reshape(len(alone), -1, 6)
             transposed = np.swapaxes(A, -1, -2)
-            step = np.linalg.solve(transposed @ A, transposed @ (target - at).reshape(len(alone), -1, 1))[
-                ..., 0
-            ]
+            gradient = transposed @ (target - at).reshape(len(alone), -1, 1)
+            step = np.linalg.solve(transposed @ A, gradient)[..., 0]
             points = se3.act(se3.exp(step), points)
             if np.abs(step).max() < _STILL_M:
                 break

@@ -53,9 +53,7 @@ _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
-_CHANGED_SCALE = (
-    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
-)
+_CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much

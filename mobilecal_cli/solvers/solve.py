@@ -139,14 +139,8 @@ def _by_likelihood(
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(
-        corrected_extraction,
-        corrected,
-        refinement,
-        linear=linear,
-        inliers=inliers,
-        rejected=data.seen & ~fit.inliers.corners,
-    )
+    used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
+    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
     solution = replace(solution, outliers=outliers_of(extraction, fit))
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -341,9 +335,8 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     distance_m = extraction.board_distance_m
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
-    step_rad = (
-        float(right_m + left_m) / solution.parameters.wheels.separation_m
-    )  # heading by one step of each wheel
+    # Heading by one step of each wheel.
+    step_rad = float(right_m + left_m) / solution.parameters.wheels.separation_m
     error_m = max(_BAD_SHARE, step_rad) * distance_m
     of_wheels_m = 0.0
     if solution.uncertainty is not None and "wheels" in solution.error_parts:
