@@ -241,18 +241,11 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
     for _ in range(_NEWTON_STEPS):
         if np.all(error <= exact):  # only rounding remains, which no step reduces
             break
-        determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-        residual = target - value
-        step = (
-            np.stack(
-                [
-                    J[..., 1, 1] * residual[..., 0] - J[..., 0, 1] * residual[..., 1],
-                    J[..., 0, 0] * residual[..., 1] - J[..., 1, 0] * residual[..., 0],
-                ],
-                axis=-1,
-            )
-            / np.where(np.abs(determinant) > 1e-6, determinant, 1.0)[..., None]
-        )
+        (a, b), (c, d) = np.moveaxis(J, (-2, -1), (0, 1))
+        x, y = np.moveaxis(target - value, -1, 0)
+        determinant = a * d - b * c
+        adjugate = np.stack([d * x - b * y, a * y - c * x], axis=-1)  # of J, times the residual
+        step = adjugate / np.where(np.abs(determinant) > 1e-6, determinant, 1.0)[..., None]
         factor = np.ones(error.shape)
         for _ in range(12):  # shorten a step that increases the error
             trial, trial_J = _distort_polynomial(D, points + factor[..., None] * step)
@@ -271,10 +264,9 @@ def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray
     # False roots lie beyond the radius where the polynomial folds back. On the way to them, the determinant of the
     # Jacobian passes through zero.
     way_out = np.linspace(0.1, 1.0, 10)[:, None] * points[..., None, :]
-    J = _distort_polynomial(D, way_out)[1]
-    determinant = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
+    (a, b), (c, d) = np.moveaxis(_distort_polynomial(D, way_out)[1], (-2, -1), (0, 1))
     close = error < _CONVERGED * (1 + np.linalg.norm(target, axis=-1))
-    return points, close & np.all(determinant > 0, axis=-1)
+    return points, close & np.all(a * d - b * c > 0, axis=-1)
 
 
 def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from mobilecal_cli import stations, vision
-from mobilecal_cli.model import CameraRig, Corners, Observation, PictureIndex
+from mobilecal_cli.model import SIDES, CameraRig, Corners, Observation, PictureIndex
 
 
 def with_views(o: Observation, left=None, right=None, **others) -> Observation:
     """An observation with other corners in the left or right image."""
     return replace(o, views=(left or o.views[0], right or o.views[1]), **others)
+
+
+def pair_of(left, right, T_c_r, rectified=False) -> CameraRig:
+    """A stereo pair whose images are parallel."""
+    poses, R_rect = (np.eye(4), T_c_r), (np.eye(3), np.eye(3))
+    return CameraRig(SIDES, (left, right), poses, rectified, R_rect, "left", calibrated=True)
 
 
 def with_pair(cameras: CameraRig, left=None, right=None, T_c_r=None, **others) -> CameraRig:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import (
+    SIDES,
     CameraRig,
     Corners,
     Extraction,
@@ -21,8 +22,13 @@ from mobilecal_cli.model import (
     Nominal,
     Observation,
     Rig,
+    Side,
+    Sources,
+    WheelSource,
 )
 from mobilecal_cli.simulate.robot import (
+    TICK_BITS,
+    TICKS_PER_REVOLUTION,
     SimulatedRobot,
     fixed_camera_robot,
     pixels,
@@ -49,7 +55,28 @@ def rig_of(robot: SimulatedRobot, nominal: bool = True) -> Rig:
     """The description of a simulated robot for a calibration; `nominal`: with its nominal values."""
     prior = Nominal(robot.T_h_c_nominal, robot.nominal_wheels) if nominal else Nominal()
     resolved = dict.fromkeys(("cameras", "head", "wheels", "nominal"), "default")
-    return Rig(robot.rig_cameras, chain_of(robot), prior, robot.topics(), resolved)
+    return Rig(robot.rig_cameras, chain_of(robot), prior, sources_of(robot), resolved)
+
+
+def sources_of(robot: SimulatedRobot, compressed: bool = False) -> Sources:
+    """The topics of a simulated robot's recordings."""
+    suffix = "/compressed" if compressed else ""
+    spaces = {name: robot.camera_namespace(name) for name in robot.rig_cameras.names}
+    return Sources(
+        image={name: f"{space}/image_raw{suffix}" for name, space in spaces.items()},
+        info={name: f"{space}/camera_info" for name, space in spaces.items()},
+        joints=("/joint_states",),
+        wheels={side: _wheel_source(robot, side) for side in SIDES},
+    )
+
+
+def _wheel_source(robot: SimulatedRobot, side: Side) -> WheelSource:
+    if robot.wheel_signal == "ticks":
+        return WheelSource(f"/wheel_ticks/{side}", None, "data", float(TICKS_PER_REVOLUTION), TICK_BITS)
+    if robot.wheel_signal == "odometry":
+        return WheelSource("/odom", baked_in=robot.nominal_wheels, assumed=True)
+    first, *others = (WheelSource("/joint_states", name) for name in robot.wheel_joints[side])
+    return replace(first, others=tuple(others))
 
 
 def corners_of(route: Route) -> FloatArray:

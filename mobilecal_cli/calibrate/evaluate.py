@@ -27,7 +27,9 @@ def evaluate(
     gates: Sequence[str] = (),
     progress: Progress = silent,
 ) -> Evaluated:
-    """Evaluate a calibration on recordings.
+    """Evaluate a calibration on recordings: its parameters, and its constants of cameras and head.
+
+    Those of the board are the recordings' own, as is the time between the clocks.
 
     Args:
         logs: recordings of the calibrated robot, or one extraction.npz.
@@ -57,13 +59,20 @@ def evaluate(
     own = _solved(extraction, robot)
     progress("evaluating", 0, None)
     nominal, reference, offsets, cure = extraction.rig.nominal.wheels, None, {}, ""
+    constants = dict(robot.constants or {})
     if isinstance(own, Solution):
+        constants |= {c.name: c.value for c in own.constants.values() if c.part == "board"}
         offsets, cure = clock_offsets(own), "; ".join(gap.cure for gap in motion_gaps(extraction))
         # Path length and rotation by wheels that do not come from the calibration under test, if there are any.
         if own.uncertainty is not None and own.uncertainty.observable[6:].all():
             reference = own.parameters.wheels
     evaluation = evaluate_parameters(
-        extraction, parameters, wheels or nominal, offsets_s=offsets, reference=reference or nominal
+        extraction,
+        parameters,
+        wheels or nominal,
+        offsets_s=offsets,
+        reference=reference or nominal,
+        constants=constants,
     )
     used = used_for(robot, extraction)
     gated = gate_checks(limits, evaluated_figures(evaluation))

@@ -234,7 +234,10 @@ def fitted(
     trial = None
     if rest is not None:
         nominal, offsets = extraction.rig.nominal.wheels, clock_offsets(solution)
-        trial = evaluate_parameters(rest, solution.parameters, nominal, offsets_s=offsets)
+        constants = {name: constant.value for name, constant in solution.constants.items()}
+        trial = evaluate_parameters(
+            rest, solution.parameters, nominal, offsets_s=offsets, constants=constants
+        )
     return Fit(solution, extraction, method, hold_out, trial)
 
 

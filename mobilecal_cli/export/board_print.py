@@ -135,11 +135,10 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
     words = _words(board, page, bar_mm)
     left, spare = (width - board_mm[0]) / 2, height - _needed(board, width)[1]
     top = _MARGIN_MM + spare / 2
+    low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
+    dark = np.hstack([low, np.ones_like(low)])
     if board.markers is not None:
-        dark = _charuco(board.columns + 1, board.rows + 1, board.markers)
-    else:
-        low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
-        dark = np.hstack([low, np.ones_like(low)])
+        dark = np.vstack([dark, _cells(board.columns + 1, board.rows + 1, board.markers)])
     rectangles = dark * square_mm + np.array([left, top, 0.0, 0.0])
     baseline = top + board_mm[1] + _GAP_MM + spare / 2
     # The scale bar is a line with a tick inside each end, so that the outer edges are its length apart.
@@ -240,8 +239,8 @@ def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
     )
 
 
-def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
-    """Dark squares, and the dark cells of the markers in the light ones, as OpenCV arranges them.
+def _cells(columns: int, rows: int, markers: Markers) -> FloatArray:
+    """Dark cells of the markers in the light squares, as OpenCV arranges them.
 
     Returns:
         (n, 4) x, y, width, height in squares, from the top left corner of the board.
@@ -256,10 +255,7 @@ def _charuco(columns: int, rows: int, markers: Markers) -> FloatArray:
     ids = np.arange(markers.first_id, markers.first_id + count)
     drawn = cv2.aruco.CharucoBoard((columns, rows), 1.0, markers.share, family, ids)
     corners = np.array([np.asarray(points)[0, :2] for points in drawn.getObjPoints()], dtype=np.float64)
-    light = {(int(x), int(y)) for x, y in np.floor(corners)}
-    rectangles = [
-        (float(x), float(y), 1.0, 1.0) for y in range(rows) for x in range(columns) if (x, y) not in light
-    ]
+    rectangles = []
     cells = family.markerSize + 2 * markers.border_bits
     side = markers.share / cells
     for number, (left, top) in zip(ids, corners, strict=True):

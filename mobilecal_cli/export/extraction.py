@@ -31,6 +31,7 @@ from mobilecal_cli.model import (
     Snapshot,
     Track,
     WheelTrack,
+    dtypes,
 )
 
 SCHEMA_VERSION = 9
@@ -43,21 +44,9 @@ _OLDEST_READ = 5
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
 _FORMAT = "mobilecal extraction"
-_MEASURED = ("points_c", "points_cov", "T_c_k", "T_c_k_cov", "square_m", "reprojection_px")
-_OBSERVATION_ARRAYS: dict[str, type] = {
-    **dict.fromkeys(("log", "station", "time_ns"), np.int64),
-    "at_rest": np.bool_,
-    **dict.fromkeys(("joints", "joints_std", *_MEASURED), np.float64),
-}
-_CORNER_ARRAYS: dict[str, type] = {
-    "pixels": np.float64,
-    "sigma_px": np.float64,
-    "pictures": np.int64,
-    "seen": np.bool_,
-    "relative_cov": np.float64,
-}
+_OBSERVATION_ARRAYS, _CORNER_ARRAYS = dtypes(Observation), dtypes(Corners)
 #: Last part of an array's name → its element type.
-_DTYPES: dict[str, type] = {
+_DTYPES: dict[str, type | np.dtype[Any]] = {
     **_OBSERVATION_ARRAYS,
     **_CORNER_ARRAYS,
     "header": np.uint8,
@@ -139,7 +128,7 @@ def extraction_to_npz(extraction: Extraction, snapshots: Sequence[Snapshot] = ()
     return stream.getvalue()
 
 
-def _stacked(values: Sequence[object], name: str, dtype: type) -> NDArray[Any]:
+def _stacked(values: Sequence[object], name: str, dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.stack([np.asarray(getattr(value, name), dtype) for value in values])
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -12,10 +11,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.kinematics import joint_frames, joint_motion
 from mobilecal_cli.kinematics.urdf import Urdf, chain_links
 from mobilecal_cli.likelihood.effects import CameraEffect, ChainChange, ChainEffect, JointReading
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.model import Camera, CameraRig, FixedLink, FloatArray, HeadChain, JointLink, Rig
+from mobilecal_cli.model import Camera, CameraRig, FloatArray, HeadChain, Rig
 
 #: Largest acceptable difference between a distortion model and the estimated lens.
 _LENS_PX = 0.1
@@ -158,51 +158,33 @@ def joint_origins(urdf: Urdf, chain: ImprovedChain) -> Iterator[tuple[str, Float
     Raises:
         ConfigError: the chain of the URDF is not the one that the calibration read.
     """
-    base, head = chain.stated.base_frame, chain.stated.head_frame
-    moving = [joint for joint in urdf.path(base, head) if joint.kind != "fixed"]
-    _check([joint.name for joint in moving], chain_links(urdf, base, head), chain.stated)
-    for joint, (_, link) in zip(moving, _joints(chain.improved.links), strict=True):
-        offset = link.multiplier * chain.zeros.get(link.joint, 0.0) * link.axis
-        if link.kind == "revolute":
-            change = se3.transform(se3.exp_so3(offset), link.shift_m)
-        else:
-            change = se3.transform(np.eye(3), link.shift_m + offset)
+    stated = chain.stated
+    moving = [j for j in urdf.path(stated.base_frame, stated.head_frame) if j.kind != "fixed"]
+    links = chain_links(urdf, stated.base_frame, stated.head_frame)
+    _check([joint.name for joint in moving], replace(stated, links=links), stated)
+    for joint, (link, _) in zip(moving, joint_frames(chain.improved)[0], strict=True):
+        zero = np.array(chain.zeros.get(link.joint, 0.0))
+        change = joint_motion(replace(link, offset=0.0), zero)  # the offset is in the URDF's <mimic>
         yield joint.name, joint.T_parent_child @ change, link.axis
 
 
-def _check(names: Sequence[str], links: _Links, chain: HeadChain) -> None:
+def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
     """Compare the joints of a URDF with those of the chain, and the transforms between them.
 
     The first transform may differ: the chain starts between the wheels, the URDF at its base link.
     """
-    drawn, known = _joints(links), _joints(chain.links)
-    for number, (joint, (T, link), (T_known, other)) in enumerate(zip(names, drawn, known, strict=False)):
-        same = all(getattr(link, name) == getattr(other, name) for name in _COMPARED)
+    own, known = joint_frames(drawn)[0], joint_frames(chain)[0]
+    for number, (name, (link, T), (other, T_known)) in enumerate(zip(names, own, known, strict=False)):
+        same = all(getattr(link, field) == getattr(other, field) for field in _COMPARED)
         same = same and np.allclose(link.axis, other.axis, rtol=0, atol=_SAME)
         if not same or (number > 0 and not np.allclose(T, T_known, rtol=0, atol=_SAME)):
-            raise ConfigError(f"URDF: joint {joint!r} is not as in the calibrated robot's chain", _HINT)
-    if len(drawn) != len(known):
+            raise ConfigError(f"URDF: joint {name!r} is not as in the calibrated robot's chain", _HINT)
+    if len(own) != len(known):
         raise ConfigError(
-            f"URDF: {len(drawn)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "
+            f"URDF: {len(own)} joints from {chain.base_frame!r} to {chain.head_frame!r}, {len(known)} in the "
             "calibrated robot's chain",
             _HINT,
         )
-
-
-_Links: TypeAlias = tuple[FixedLink | JointLink, ...]
-
-
-def _joints(links: _Links) -> list[tuple[FloatArray, JointLink]]:
-    """Each moving joint, with the transform from the frame of the joint before it to its own, (4, 4)."""
-    joints: list[tuple[FloatArray, JointLink]] = []
-    T = np.eye(4)
-    for link in links:
-        if isinstance(link, FixedLink):
-            T = T @ link.T_parent_child
-        else:
-            joints.append((T, link))
-            T = np.eye(4)
-    return joints
 
 
 def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray]]:
@@ -219,5 +201,5 @@ def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray
         R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
     else:
         R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
-    of_left, of_right = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
-    return dict(zip(cameras.names, (of_left, of_right), strict=True))
+    of_each = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
+    return dict(zip(cameras.names, of_each, strict=True))

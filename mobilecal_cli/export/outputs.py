@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from itertools import permutations
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
-from mobilecal_cli.files.placing import already_exists, clean_up, partial_of, place
+from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
 
 _ANOTHER = "choose another output path"
-_ANOTHER_DIRECTORY = "choose another --output"
 
 
 def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
@@ -26,13 +25,29 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
         OutputError: the file exists and `force` is not set, is not a regular file, is an input or in one, or cannot be
             created.
     """
-    check_appendable(path)
+    check_replaceable(path, recognized_file, force)
     if os.path.lexists(path):
-        if not force:
-            raise already_exists(path)
         real = path.resolve()
         if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
             raise OutputError(f"{path}: this command reads this file", _ANOTHER)
+
+
+def check_replaceable(path: Path, recognize: Recognize, force: bool) -> None:
+    """Check before the work whether an output can be put at a path; remove what killed runs of it left.
+
+    Args:
+        recognize: raises for anything that may not be replaced.
+
+    Raises:
+        OutputError: something exists there and `force` is not set, or it may not be replaced; or the output cannot be
+            created.
+    """
+    check_parent(path)
+    clean_up(path, recognize)
+    if os.path.lexists(path):
+        recognize(path)
+        if not force:
+            raise already_exists(path)
 
 
 def check_apart(outputs: Mapping[str, Path | None]) -> None:
@@ -157,18 +172,9 @@ def check_output(directory: Path, force: bool) -> None:
     Raises:
         OutputError: the directory exists and may not be replaced, or cannot be created.
     """
-    target = _absolute(directory)
-    check_parent(target)
-    clean_up(target, recognized_output)
-    if not os.path.lexists(target):
-        return
-    if target.is_symlink() or not target.is_dir():
-        raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER_DIRECTORY)
-    if not force:
-        raise already_exists(directory)
-    recognized_output(target)
-    if not os.access(target, os.W_OK | os.X_OK):
-        raise OutputError(f"{directory}: no permission to replace it", _ANOTHER_DIRECTORY)
+    check_replaceable(directory, recognized_output, force)
+    if os.path.lexists(directory) and not os.access(directory, os.W_OK | os.X_OK):
+        raise OutputError(f"{directory}: no permission to replace it", _ANOTHER)
 
 
 def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
@@ -188,7 +194,7 @@ def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> N
     if foreign:
         raise ValueError(f"unknown output files: {foreign}")
     check_output(directory, force)
-    target = _absolute(directory)
+    target = Path(os.path.abspath(directory))  # noqa: PTH100  (not resolve(): a link stays one, which is refused)
     with _writing(directory, "--output"), partial_of(target, recognized_output) as partial:
         partial.mkdir()
         for name, content in files.items():
@@ -202,28 +208,39 @@ def recognized_output(directory: Path) -> tuple[str, ...]:
     Raises:
         OutputError: anything else.
     """
+
+    def beside_params(path: Path) -> bool:
+        params = path.with_name("params.yaml")
+        if path.name not in OUTPUT_NAMES or not params.is_file():
+            return False
+        with params.open("rb") as stream:
+            return stream.read(len(FIRST_LINE)) == FIRST_LINE.encode()
+
+    return files_in(directory, "an output directory of mobilecal", beside_params)
+
+
+def files_in(directory: Path, what: str, is_its: Callable[[Path], bool]) -> tuple[str, ...]:
+    """Names of the files in a directory.
+
+    Args:
+        what: the directory, in words.
+        is_its: whether a file may be in it.
+
+    Raises:
+        OutputError: it is no directory, cannot be read, or contains something else.
+    """
     if directory.is_symlink() or not directory.is_dir():
-        raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER_DIRECTORY)
+        raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER)
     try:
         entries = sorted(directory.iterdir())
-        ours = [p.name in OUTPUT_NAMES and p.is_file() and not p.is_symlink() for p in entries]
-        foreign = [path.name for path, own in zip(entries, ours, strict=True) if not own]
-        if not foreign and entries:
-            start = b""
-            if (params := directory / "params.yaml").is_file():
-                with params.open("rb") as stream:
-                    start = stream.read(len(FIRST_LINE))
-            foreign = [entries[0].name] if start != FIRST_LINE.encode() else []
+        foreign = [
+            path.name for path in entries if path.is_symlink() or not (path.is_file() and is_its(path))
+        ]
     except OSError as error:
-        raise OutputError(f"{directory}: cannot be read: {error.strerror}", _ANOTHER_DIRECTORY) from error
+        raise OutputError(f"{directory}: cannot be read: {error.strerror}", _ANOTHER) from error
     if foreign:
         raise OutputError(
-            f"{directory}: not an output directory of mobilecal: it contains {foreign[0]!r}",
-            "choose another --output, or move the directory away",
+            f"{directory}: not {what}: it contains {foreign[0]!r}",
+            "choose another output path, or move the directory away",
         )
     return tuple(path.name for path in entries)
-
-
-def _absolute(directory: Path) -> Path:
-    # Not resolve(): a symbolic link has to stay one, because it is refused.
-    return Path(os.path.abspath(directory))  # noqa: PTH100

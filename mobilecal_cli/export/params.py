@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
-from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -23,7 +21,7 @@ from pydantic import (
 
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.text import decimal, decimals, dump, exponential, quoted
+from mobilecal_cli.export.text import dump, rendered
 from mobilecal_cli.files.reading import mapping_of, problems_of
 from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
@@ -42,11 +40,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     camera_words,
 )
-from mobilecal_cli.model.text import visible
 from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, checked_settings
-
-if TYPE_CHECKING:
-    from jinja2 import Template
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
@@ -57,7 +51,6 @@ _OLDEST_READ = 1  # no constants; no verdict up to 2
 _SAME_ROTATION_DEG = 0.01
 _SAME_STD = 1e-3
 _ROUNDING = 1e-6  # of the correlations
-_PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the joint's position
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
@@ -111,7 +104,8 @@ def params_yaml(
             ],
         }
     logs = [{"path": log.path, "sha256": log.sha256} for log in provenance.logs]
-    return _template().render(
+    return rendered(
+        "params.yaml",
         first_line=FIRST_LINE,
         schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
         verdict=verdict,
@@ -128,22 +122,6 @@ def params_yaml(
         sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
         **shown,
     )
-
-
-@cache
-def _template() -> Template:
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-
-    environment = Environment(
-        loader=PackageLoader("mobilecal_cli.export"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {each.__name__: each for each in (decimal, decimals, exponential, quoted, visible)}
-    environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
-    return environment.get_template("params.yaml")
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:
@@ -191,8 +169,8 @@ class _HeadEye(Pose):
         if self.euler_zyx_deg is not None:
             angles = self.euler_zyx_deg
             R = se3.from_rpy(np.radians([angles.x, angles.y, angles.z]))
-            other = se3.from_quaternion_xyzw(np.array(self.quaternion_xyzw))
-            apart_deg = math.degrees(float(np.linalg.norm(se3.log_so3(R.T @ other))))
+            turn = se3.log_so3(R.T @ self.transform[:3, :3])
+            apart_deg = math.degrees(float(np.linalg.norm(turn)))
             if apart_deg > _SAME_ROTATION_DEG:
                 raise ValueError(f"euler_zyx_deg and quaternion_xyzw are {apart_deg:.3g} degrees apart")
         return self
@@ -205,21 +183,19 @@ class _Wheels(WheelsNominal):
 _Row = Annotated[tuple[_Number, ...], Field(min_length=9, max_length=9)]
 
 
+class _Noise(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="allow")
+
+    __pydantic_extra__: dict[str, Annotated[_Number, AfterValidator(ranges.LEVEL.validated)]]
+    estimated: Any = None
+
+
 class _Uncertainty(_Section):
     order: tuple[str, ...]
     std: dict[str, _Number | None] | None = None
     covariance: Annotated[tuple[_Row, ...], Field(min_length=9, max_length=9)]
     observable: dict[str, bool]
-    noise: dict[str, Any] = {}
-
-    @field_validator("noise")
-    @classmethod
-    def _levels(cls, value: dict[str, Any]) -> dict[str, Any]:
-        for name, level in value.items():
-            number = isinstance(level, int | float) and not isinstance(level, bool)
-            if name != "estimated" and not (number and level in ranges.LEVEL):
-                raise ValueError(f"{name} must be from {ranges.LEVEL} (got {level!r})")
-        return value
+    noise: _Noise = _Noise()
 
     @model_validator(mode="after")
     def _of_the_nine(self) -> _Uncertainty:
@@ -321,14 +297,14 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     head_eye, verdict, constants = checked.head_eye, checked.verdict, None
     if checked.constants is not None:
         constants = {name: entry.value for name, entry in checked.constants.items()}
-    rotation = se3.from_quaternion_xyzw(np.array(head_eye.quaternion_xyzw))
     known = checked.uncertainty
     knowledge = None
     if known is not None:
-        noise = {name: float(s) for name, s in known.noise.items() if name != "estimated"}
         observable = np.array([known.observable[name] for name in known.order])
         units = np.ones(9) if checked.odometry is None else checked.odometry.assumed.units
-        knowledge = Knowledge(np.array(known.covariance) * np.outer(units, units), observable, noise)
+        knowledge = Knowledge(
+            np.array(known.covariance) * np.outer(units, units), observable, known.noise.model_extra or {}
+        )
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
@@ -338,7 +314,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
         child_frame=head_eye.child_frame,
-        T_parent_child=se3.transform(rotation, np.array(head_eye.translation_m)),
+        T_parent_child=head_eye.transform,
         wheels=sizes.geometry,
         knowledge=knowledge,
         created=checked.provenance.created,

@@ -1,11 +1,12 @@
-"""Numbers and strings as text in YAML, which 1.1 and 1.2 loaders read identically, and in XML."""
+"""Values as text in YAML, which 1.1 and 1.2 loaders read identically, and in XML; files from templates."""
 
 from __future__ import annotations
 
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,9 +14,13 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Setting
 from mobilecal_cli.model.text import visible
 
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
 _DIGITS = 13  # half a unit of the 13th digit is a relative error of at most 5e-13
 _NOTHING = 1e-15  # m, degrees or a unit quaternion's component: below what double precision gives them
 _PLAIN_KEY = re.compile(r"[A-Za-z][A-Za-z0-9_.]*")
+_PLAIN_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _WORDS = frozenset(["y", "n", "yes", "no", "on", "off", "true", "false", "null"])  # YAML 1.1: values
 
 
@@ -122,3 +127,28 @@ def attribute(text: str) -> str:
 def comment(text: str) -> str:
     """Any text as the contents of an XML comment, where two hyphens are not allowed."""
     return visible(text).replace("--", "- -").replace("--", "- -")
+
+
+def rendered(template: str, **values: Any) -> str:  # noqa: ANN401  (what the template names)
+    """A file from its template in a directory `templates` of this package or of `simulate`.
+
+    The functions of this module are filters; `key` quotes a key of YAML where it has to be.
+    """
+    return _templates().get_template(template).render(values)
+
+
+@cache
+def _templates() -> Environment:
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(
+        loader=ChoiceLoader([PackageLoader(f"mobilecal_cli.{name}") for name in ("export", "simulate")]),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    filters = (attribute, comment, decimal, decimals, exponential, quoted, visible)
+    environment.filters |= {each.__name__: each for each in filters}
+    environment.filters["key"] = lambda name: name if _PLAIN_NAME.fullmatch(name) else quoted(name)
+    return environment

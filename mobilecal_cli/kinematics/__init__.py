@@ -6,6 +6,7 @@ from mobilecal_cli.kinematics.head import (
     head_jacobian,
     head_pose,
     joint_frames,
+    joint_motion,
     unseen_height,
 )
 from mobilecal_cli.kinematics.motion import (

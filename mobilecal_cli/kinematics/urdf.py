@@ -92,12 +92,12 @@ class Urdf:
             link = above[link].parent
         return tuple(reversed(path))
 
-    def position_m(self, base: str, tip: str) -> FloatArray:
-        """Origin of a link in the coordinates of one above it, with all joints at zero, (3,) m; raises as `path`."""
+    def pose(self, base: str, tip: str) -> FloatArray:
+        """Pose of a link in the coordinates of one above it, with all joints at zero, (4, 4) m; raises as `path`."""
         T = np.eye(4)
         for joint in self.path(base, tip):
             T = T @ joint.T_parent_child
-        return T[:3, 3]
+        return T
 
 
 def _checked(joint: UrdfJoint) -> UrdfJoint:
@@ -114,7 +114,16 @@ def _checked(joint: UrdfJoint) -> UrdfJoint:
     return joint
 
 
-def _parsed_floats(text: str, count: int, where: str) -> FloatArray:
+def _numbers(
+    owner: Element, child: str, attribute: str, default: str, where: str, count: int = 3
+) -> FloatArray:
+    """(count,) numbers of an attribute of a child element, as long as both exist, otherwise the default.
+
+    Raises:
+        ConfigError: other text, or another count.
+    """
+    element = owner.find(child)
+    text = default if element is None else element.get(attribute, default)
     try:
         values = np.array([float(word) for word in text.split()])
     except ValueError:
@@ -136,28 +145,19 @@ def _joint(element: Element) -> UrdfJoint:
         if not link:
             raise ConfigError(f"URDF: {where}: no <{end} link=...>", "correct the URDF")
         ends[end] = link
-    T = np.eye(4)
-    origin = element.find("origin")
-    if origin is not None:
-        rpy = _parsed_floats(origin.get("rpy", "0 0 0"), 3, f"{where}, origin rpy")
-        T = se3.transform(
-            se3.from_rpy(rpy), _parsed_floats(origin.get("xyz", "0 0 0"), 3, f"{where}, origin xyz")
-        )
-    axis_element = element.find("axis")
-    axis_text = axis_element.get("xyz", _AXIS_DEFAULT) if axis_element is not None else _AXIS_DEFAULT
-    axis = _parsed_floats(axis_text, 3, f"{where}, axis")
-    kind = element.get("type", "")
-    if kind not in ("fixed", "floating") and math.hypot(*axis) < 1e-9:
+    rpy, xyz = (_numbers(element, "origin", key, "0 0 0", f"{where}, origin {key}") for key in ("rpy", "xyz"))
+    axis = _numbers(element, "axis", "xyz", _AXIS_DEFAULT, f"{where}, axis")
+    kind, length = element.get("type", ""), math.hypot(*axis)
+    if kind not in ("fixed", "floating") and length < 1e-9:
         raise ConfigError(f"URDF: {where}: its axis has zero length", "correct the URDF")
-    mimic = None
-    mimic_element = element.find("mimic")
-    if mimic_element is not None:
-        mimic = (
-            mimic_element.get("joint", ""),
-            float(_parsed_floats(mimic_element.get("multiplier", "1"), 1, f"{where}, mimic multiplier")[0]),
-            float(_parsed_floats(mimic_element.get("offset", "0"), 1, f"{where}, mimic offset")[0]),
+    mimic, mimicked = None, element.find("mimic")
+    if mimicked is not None:
+        multiplier, offset = (
+            float(_numbers(element, "mimic", key, default, f"{where}, mimic {key}", 1)[0])
+            for key, default in (("multiplier", "1"), ("offset", "0"))
         )
-    length = math.hypot(*axis)
+        mimic = (mimicked.get("joint", ""), multiplier, offset)
+    T = se3.transform(se3.from_rpy(rpy), xyz)
     return UrdfJoint(name, kind, ends["parent"], ends["child"], T, axis / length if length else axis, mimic)
 
 
@@ -189,10 +189,10 @@ def parse_urdf(text: str) -> Urdf:
     radii = {}
     for link in root.findall("link"):
         for kind in ("collision", "visual"):
-            cylinder = link.find(f"{kind}/geometry/cylinder")
-            if cylinder is not None and link.get("name") not in radii:
-                where = f"link {link.get('name')!r}, cylinder radius"
-                radii[link.get("name", "")] = float(_parsed_floats(cylinder.get("radius", ""), 1, where)[0])
+            place, name = f"{kind}/geometry/cylinder", link.get("name", "")
+            if link.find(place) is not None and name not in radii:
+                radius = _numbers(link, place, "radius", "", f"link {name!r}, cylinder radius", 1)
+                radii[name] = float(radius[0])
     return Urdf(root.get("name", ""), {joint.name: joint for joint in joints}, radii)
 
 

@@ -277,12 +277,8 @@ class Arcs:
         """Derivatives by (rR, rL, b) of psi (L, 3), rad/m, and of (x, y), (L, 2, 3), m/m."""
         steps, b = self.steps, self.wheels.separation_m
         right, left, wide = steps.right_rad, steps.left_rad, b * self.wider
-        d_psi = (
-            np.stack(
-                [steps.total(right / self.wider), -steps.total(left / self.wider), -self.psi_rad], axis=1
-            )
-            / b
-        )
+        by_radii = steps.total(right / self.wider), -steps.total(left / self.wider)
+        d_psi = np.stack([*by_radii, -self.psi_rad], axis=1) / b
         d_t = np.empty((steps.legs, 2, 3))
         for k, (by_length, by_turn) in enumerate(zip(*self._by_step, strict=True)):
             d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / wide))

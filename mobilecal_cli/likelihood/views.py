@@ -35,6 +35,8 @@ from mobilecal_cli.model import FloatArray, IntArray, Noise
 
 _BLOCK = 200
 _LEAST_DEPTH_M = 0.01
+#: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
+_POSE_STEPS, _STILL = 12, 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,6 +194,26 @@ def corner_residuals(
             if effect.concerns(k):
                 J[:, column, k] = effect.pixels(sight)
     return residual, J
+
+
+def board_poses(data: Dataset, state: State) -> FloatArray:
+    """(N, 4, 4) T_c_k with which the cameras and the board of a state show what was detected at each station.
+
+    Measured poses stay.
+    """
+    poses = data.T_c_k.copy()
+    for block in blocks_of(0 if data.posed.any() else data.stations):
+        seen, W, T = data.seen[block], data.whitening[block], poses[block]
+        for _ in range(_POSE_STEPS):
+            residual, J = corner_residuals(data, state, T, block, by_constants=False)
+            r = np.where(seen[..., None], whitened(W, residual), 0.0).reshape(len(T), -1)
+            At = np.where(seen[:, None, ..., None], whitened(W, J), 0.0).reshape(len(T), 6, -1)
+            step = np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0]
+            T = se3.exp(step) @ T
+            if np.abs(step).max() < _STILL:
+                break
+        poses[block] = T
+    return poses
 
 
 def view_rates(data: Dataset, state: State) -> FloatArray:

@@ -1,6 +1,6 @@
 """The data types that the stages exchange: frozen dataclasses with checked shapes and read-only arrays."""
 
-from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray
+from mobilecal_cli.model.arrays import BoolArray, FloatArray, GrayImage, IntArray, dtypes
 from mobilecal_cli.model.calibration import NINE, WHEEL_WORDS, CalibratedRobot, Knowledge, Parameters
 from mobilecal_cli.model.findings import (
     CONTRADICTION_SIGMAS,

@@ -68,6 +68,13 @@ def _annotated(cls: type) -> dict[str, tuple[type[Any], Shape]]:
     return shapes
 
 
+def dtypes(cls: type) -> dict[str, np.dtype[Any]]:
+    """Name → element type of the fields that are numbers or arrays with a shape, in their order."""
+    arrays, hints = _annotated(cls), get_type_hints(cls)
+    types = {name: arrays[name][0] if name in arrays else hints[name] for name in hints}
+    return {name: np.dtype(each) for name, each in types.items() if isinstance(each, type)}
+
+
 def _check_shape(name: str, array: NDArray[Any], shape: Shape, sizes: dict[str, int]) -> None:
     expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
     fits = len(array.shape) == len(expected) and all(

@@ -113,21 +113,6 @@ class CameraRig:
                 T.setflags(write=False)
             object.__setattr__(self, name, matrices)
 
-    @classmethod
-    def pair(
-        cls,
-        left: Camera,
-        right: Camera,
-        T_c_r: FloatArray,
-        rectified: bool,
-        R_rect_c: FloatArray,
-        R_rect_r: FloatArray,
-        reference: str = "left",
-    ) -> CameraRig:
-        """A stereo pair; see the attributes."""
-        poses = (np.eye(4), T_c_r)
-        return cls(SIDES, (left, right), poses, rectified, (R_rect_c, R_rect_r), reference, calibrated=True)
-
     @property
     def first(self) -> Camera:
         """The camera whose frame is c."""
@@ -497,11 +482,8 @@ class AssumedOdometry:
     def covariance(self, wheels: WheelGeometry, of_wheels: FloatArray) -> FloatArray:
         """(5, 5) covariance of the factors, from that of the wheels, (3, 3) m^2, and of the assumed separation."""
         right, left, separation, linear, _ = self.factors(wheels)
-        J = np.zeros((5, 3))
-        J[:3] = np.eye(3)
-        J[3] = [0.5, 0.5, 0.0]
-        J[4] = [0.5 / separation, 0.5 / separation, -linear / separation**2]
-        J = J / self.wheels.vector
+        of_angular = [0.5 / separation, 0.5 / separation, -linear / separation**2]
+        J = np.vstack([np.eye(3), [0.5, 0.5, 0.0], of_angular]) / self.wheels.vector
         half = (right - left) / 2 * self.separation_share
         apart = np.array([half, -half, 0.0, 0.0, 0.0])
         return np.asarray(J @ of_wheels @ J.T + np.outer(apart, apart))

@@ -673,6 +673,7 @@ _ERROR_CURES = {
     "joints": "Check the head joints for play, and the head chain in the URDF.",
     "floor": "Record on a flat floor, and check that the base does not rock.",
     "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
+    "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
 }
 
 
@@ -682,10 +683,10 @@ _ERROR_CURES = {
 def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration.
 
-    That is the depth noise of the cameras, and what joints, floor and wheels cause at their noise levels, which have
-    limits of their own; all within three standard deviations of their own mean squares. Point error: encoders with 300
-    steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9 degrees of heading, more than a
-    wheel without slip loses on one leg.
+    That is the depth noise of the cameras, what their lenses do beside their models, and what joints, floor and wheels
+    cause at their noise levels, which have limits of their own; all within three standard deviations of their own mean
+    squares. Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is
+    0.9 degrees of heading, more than a wheel without slip loses on one leg.
     """
     solution, sigmas = made.solution, 3.0
     if not len(solution.residuals.legs):
@@ -704,7 +705,7 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
     yield of_points.check(
         unexplained, 100 * ERROR_BAD, "point error", _ERROR_CURES[cause],
         measured=f"{1e3 * error:.1f} mm, {100 * error / distance:.2f} % of the distance {depth}",
-        at_limit=f"at most {100 * ERROR_BAD:g} % without depth noise and uneven floor",
+        at_limit=f"at most {100 * ERROR_BAD:g} % without depth noise, lenses and uneven floor",
         why=f"The point error is {1e3 * error:.1f} mm at {distance:.1f} m {depth}.",
     )  # fmt: skip
     error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])

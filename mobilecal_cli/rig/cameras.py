@@ -327,7 +327,8 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
     cameras = _camera("left", left, rectified), _camera("right", right, rectified)
-    return CameraRig.pair(*cameras, T_c_r, rectified, left.R, right.R, reference)
+    poses, R_rect = (np.eye(4), T_c_r), (left.R, right.R)
+    return CameraRig(SIDES, cameras, poses, rectified, R_rect, reference, calibrated=True)
 
 
 def camera_rig(

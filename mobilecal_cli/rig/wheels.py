@@ -326,7 +326,7 @@ def side_centres(
         ConfigError: the link of a wheel is not connected to the base.
     """
     centres = {
-        side: [urdf.position_m(base, urdf.joints[name].child) for name in wheels[side]] for side in SIDES
+        side: [urdf.pose(base, urdf.joints[name].child)[:3, 3] for name in wheels[side]] for side in SIDES
     }
     left, right = (np.mean(centres[side], axis=0) for side in SIDES)
     return left, right

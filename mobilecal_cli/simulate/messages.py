@@ -181,8 +181,12 @@ class World:
         angles = self.route.drive.wheel_angles(times_s, self.robot.wheels, self.robot.slip)
         if self.scenario.exact:
             return angles
+        return self.read(angles, WHEEL_NOISE_RAD_PER_SQRT_RAD, random)
+
+    def read(self, angles: FloatArray, sigma: float, random: np.random.Generator) -> FloatArray:
+        """Wheel rotations (n, k) with a slip of some rad per sqrt(rad), as the encoders resolve them, rad."""
         change = np.diff(angles, axis=0, prepend=angles[:1])
-        error = random.normal(size=change.shape) * WHEEL_NOISE_RAD_PER_SQRT_RAD * np.sqrt(np.abs(change))
+        error = random.normal(size=change.shape) * sigma * np.sqrt(np.abs(change))
         return self.stepped(angles + np.cumsum(error, axis=0))
 
     def stepped(self, angles: FloatArray) -> FloatArray:
@@ -192,13 +196,6 @@ class World:
     def truth(self) -> str:
         """Text of truth.yaml."""
         return truth_yaml(self.scenario, self.robot, self.route)
-
-
-def _each_slips(rolled: FloatArray, world: World, random: np.random.Generator) -> FloatArray:
-    """(n, 4) readings of wheels that roll alike, each with a slip of its own."""
-    steps = np.diff(rolled, axis=0, prepend=rolled[:1])
-    slip = np.cumsum(_OWN_SLIP * np.sqrt(np.abs(steps)) * random.normal(size=steps.shape), axis=0)
-    return world.stepped(rolled + slip)
 
 
 def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
@@ -226,7 +223,7 @@ def _state_messages(world: World) -> Iterator[Published]:
     each = len(robot.wheel_joints["left"])
     positions = np.repeat(wheels, each, axis=1)
     if each > 1 and not scenario.exact:
-        positions = _each_slips(positions, world, np.random.default_rng([scenario.seed, 7]))
+        positions = world.read(positions, _OWN_SLIP, np.random.default_rng([scenario.seed, 7]))
     odometry = driver_odometry(wheels, robot.nominal_wheels)
     for time_ns, head, wheel, rolled, pose in zip(
         nanoseconds(times_s), joints, wheels, positions, odometry, strict=True
@@ -249,9 +246,9 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
     scenario, robot, rig = world.scenario, world.robot, world.cameras
     random = np.random.default_rng([scenario.seed, 4])
     renderers = world.renderers(random)
-    times_s = np.array(scenario.picture_times_s(world.route))
+    times_s = scenario.picture_times_s(world.route)
     stamps = nanoseconds(world.stamps_s(times_s)).tolist()
-    topics = robot.topics(compressed=scenario.pictures != "mono8")
+    ending = "" if scenario.pictures == "mono8" else "/compressed"
     for i, T_w_c in enumerate(world.camera_poses(times_s)):
         stamp = stamps[i]
         for name, info, renderer, T_c_x in zip(rig.names, robot.infos, renderers, rig.T_c_each, strict=True):
@@ -259,8 +256,9 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
             if not scenario.exact:
                 grey = grey + PIXEL_NOISE_GREY * random.normal(size=grey.shape)
             kind, fields = _picture(grey, info.frame_id, stamp, scenario)
-            yield Published(stamp, topics.image[name], kind, fields)
-            yield Published(stamp, topics.info[name], "sensor_msgs/msg/CameraInfo", _camera_info(info, stamp))
+            topic, state = robot.camera_namespace(name), _camera_info(info, stamp)
+            yield Published(stamp, f"{topic}/image_raw{ending}", kind, fields)
+            yield Published(stamp, f"{topic}/camera_info", "sensor_msgs/msg/CameraInfo", state)
         drawn(i + 1, len(stamps))
 
 

@@ -9,9 +9,15 @@ from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export.outputs import check_file, check_parent, recognized_file, write_synced
+from mobilecal_cli.export.outputs import (
+    check_file,
+    check_replaceable,
+    files_in,
+    recognized_file,
+    write_synced,
+)
 from mobilecal_cli.files.interruption import uninterrupted
-from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
+from mobilecal_cli.files.placing import Recognize, partial_of, place
 from mobilecal_cli.simulate.messages import World, published, write
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
@@ -75,17 +81,11 @@ def simulate(
 
 def _check(out: Path, truth: Path, recognized: Recognize, force: bool) -> None:
     """Check before the simulation whether a recording and its ground truth can be written or replaced."""
-    check_parent(out)
-    clean_up(out, recognized)
-    clean_up(truth, recognized_file)
-    if os.path.lexists(out):
-        recognized(out)
-        if force and not truth.is_file():
-            raise OutputError(
-                f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
-            )
-        if not force:
-            raise already_exists(out)
+    check_replaceable(out, recognized, force)
+    if os.path.lexists(out) and not truth.is_file():
+        raise OutputError(
+            f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
+        )
     check_file(truth, force)
 
 
@@ -95,10 +95,6 @@ def recognized_folder(folder: Path) -> tuple[str, ...]:
     Raises:
         OutputError: it is not a directory, or contains something else.
     """
-    if folder.is_symlink() or not folder.is_dir():
-        raise OutputError(f"{folder}: exists and is not a directory", "choose another name")
-    entries = sorted(folder.iterdir())
-    for entry in entries:
-        if entry.name != "metadata.yaml" and not (entry.is_file() and entry.suffix in _IN_ROSBAG2):
-            raise OutputError(f"{folder}: not a recording: it contains {entry.name!r}", "choose another name")
-    return tuple(entry.name for entry in entries)
+    return files_in(
+        folder, "a recording", lambda path: path.name == "metadata.yaml" or path.suffix in _IN_ROSBAG2
+    )

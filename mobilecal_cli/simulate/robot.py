@@ -6,15 +6,15 @@ are derived from that definition independently.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Final, Literal
-from xml.sax.saxutils import quoteattr
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import (
     SIDES,
     Camera,
@@ -22,9 +22,7 @@ from mobilecal_cli.model import (
     CameraRig,
     FloatArray,
     Side,
-    Sources,
     WheelGeometry,
-    WheelSource,
 )
 
 WIDTH, HEIGHT = 640, 480  # of the images, px
@@ -181,16 +179,12 @@ class SimulatedRobot:
     wheel_signal: Literal["joint_states", "four_joints", "ticks", "odometry"] = "joint_states"
     slip: float = 0.0
     mounted: Mapping[str, FloatArray] = field(default_factory=dict)
+    base_frame: ClassVar = "base_link"
 
     @property
     def T_h_c_nominal(self) -> FloatArray:
         """(4, 4) nominal head-eye transform, used in the URDF."""
         return np.asarray(self.T_h_c @ _NOMINAL)
-
-    @property
-    def base_frame(self) -> str:
-        """Name of the base frame."""
-        return "base_link"
 
     @property
     def head_frame(self) -> str:
@@ -212,14 +206,15 @@ class SimulatedRobot:
             Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
             for info in self.infos
         )
+        rotations = tuple(info.R for info in self.infos)
         if self.mounted:
-            names, rotations = tuple(self.mounted), tuple(info.R for info in self.infos)
+            names = tuple(self.mounted)
             return CameraRig(names, cameras, tuple(self.mounted.values()), False, rotations, names[0])
         left, right = self.infos
         baseline = np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
         T_c_r = np.eye(4)
         T_c_r[:3, :3], T_c_r[:3, 3] = left.R.T @ right.R, left.R.T @ baseline
-        return CameraRig.pair(cameras[0], cameras[1], T_c_r, False, left.R, right.R)
+        return CameraRig(SIDES, cameras, (np.eye(4), T_c_r), False, rotations, "left", calibrated=True)
 
     def head_pose(self, joints_rad: FloatArray) -> FloatArray:
         """T_v_h from the simulator's own forward kinematics: (J,) → (4, 4)."""
@@ -231,26 +226,11 @@ class SimulatedRobot:
                 T_v_h = T_v_h @ pose((0, 0, 0), Rotation.from_rotvec(next(angles) * np.array(joint.axis)))
         return T_v_h
 
-    def topics(self, compressed: bool = False) -> Sources:
-        """The topics of this robot's recordings."""
-        suffix = "/compressed" if compressed else ""
-        names = self.rig_cameras.names
-        places = {name: "/camera/color" if name == "camera" else f"/{name}" for name in names}
-        places |= {name: f"/stereo/{name}" for name in SIDES}
-        return Sources(
-            image={name: f"{places[name]}/image_raw{suffix}" for name in names},
-            info={name: f"{places[name]}/camera_info" for name in names},
-            joints=("/joint_states",),
-            wheels={side: self._wheel_source(side) for side in SIDES},
-        )
-
-    def _wheel_source(self, side: Side) -> WheelSource:
-        if self.wheel_signal == "ticks":
-            return WheelSource(f"/wheel_ticks/{side}", None, "data", float(TICKS_PER_REVOLUTION), TICK_BITS)
-        if self.wheel_signal == "odometry":
-            return WheelSource("/odom", baked_in=self.nominal_wheels, assumed=True)
-        first, *others = (WheelSource("/joint_states", name) for name in self.wheel_joints[side])
-        return replace(first, others=tuple(others))
+    def camera_namespace(self, camera: str) -> str:
+        """Beginning of the topics of a camera."""
+        if camera in SIDES:
+            return f"/stereo/{camera}"
+        return "/camera/color" if camera == "camera" else f"/{camera}"
 
     @property
     def wheel_joints(self) -> dict[Side, tuple[str, ...]]:
@@ -381,51 +361,10 @@ ROBOTS: dict[str, Callable[[], SimulatedRobot]] = {
 }
 
 
-def _quoted(values: Iterable[float]) -> str:
-    return quoteattr(" ".join(repr(float(value)) for value in values))
-
-
 def urdf_text(robot: SimulatedRobot) -> str:
     """URDF with the head's joints and the nominal wheels; without a tilt joint, with the nominal camera."""
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr(robot.name)}>", '  <link name="base_link"/>']
-    parent = robot.base_frame
-    for joint in robot.joints:
-        kind = "revolute" if joint.name else "fixed"
-        lines += [
-            f"  <link name={quoteattr(joint.link)}/>",
-            f"  <joint name={quoteattr(joint.name or joint.link + '_fixed')} type={quoteattr(kind)}>",
-            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(joint.link)}/>",
-            f"    <origin xyz={_quoted(joint.xyz_m)} rpy={_quoted(joint.rpy_rad)}/>",
-        ]
-        if joint.name:
-            limit = _quoted([joint.limit_rad])
-            lines.append(f"    <axis xyz={_quoted(joint.axis)}/>")
-            lines.append(f'    <limit lower="{-joint.limit_rad!r}" upper={limit} effort="10" velocity="2"/>')
-        lines.append("  </joint>")
-        parent = joint.link
-    if not robot.tilt:  # no motion shows the height of this camera: a description states it
-        T = robot.T_h_c_nominal
-        rpy = Rotation.from_matrix(T[:3, :3]).as_euler("xyz")
-        lines += [
-            f"  <link name={quoteattr(robot.infos[0].frame_id)}/>",
-            '  <joint name="camera_fixed" type="fixed">',
-            f"    <parent link={quoteattr(parent)}/><child link={quoteattr(robot.infos[0].frame_id)}/>",
-            f"    <origin xyz={_quoted(T[:3, 3])} rpy={_quoted(rpy)}/>",
-            "  </joint>",
-        ]
-    wheels = robot.nominal_wheels
-    for side in SIDES:
-        left, names = side == "left", robot.wheel_joints[side]
-        y = wheels.separation_m / 2 if left else -wheels.separation_m / 2
-        radius = wheels.radius_left_m if left else wheels.radius_right_m
-        for name, x in zip(names, (_WHEELBASE_M / 2, -_WHEELBASE_M / 2), strict=False):
-            link = f"{name.removesuffix('_joint')}_link"
-            lines += [
-                f'  <link name="{link}"><collision><geometry>',
-                f'    <cylinder radius="{radius!r}" length="0.05"/></geometry></collision></link>',
-                f'  <joint name="{name}" type="continuous">',
-                f'    <parent link="base_link"/><child link="{link}"/>',
-                f'    <origin xyz={_quoted((x if len(names) > 1 else 0.0, y, 0.0))}/><axis xyz="0 1 0"/>',
-                "  </joint>",
-            ]
-    return "\n".join([*lines, "</robot>"]) + "\n"
+    T = robot.T_h_c_nominal
+    # No motion of a robot without tilt shows the height of the camera: the description states it.
+    rpy_rad = [] if robot.tilt else Rotation.from_matrix(T[:3, :3]).as_euler("xyz").tolist()
+    values = {"camera_xyz_m": T[:3, 3].tolist(), "camera_rpy_rad": rpy_rad, "wheelbase_m": _WHEELBASE_M}
+    return rendered("robot.urdf", robot=robot, **values)

@@ -100,13 +100,10 @@ class Drive:
 
     def wheel_angles(self, times_s: FloatArray, wheels: WheelGeometry, slip: float = 0.0) -> FloatArray:
         """(n, 2) rotations of the right and left wheel since the start, rad; linear inside a segment."""
-        rolled = [[0.0, 0.0]]
-        for stretch in self.stretches:
-            right, left = wheel_speeds(stretch, wheels, slip)
-            before = rolled[-1]
-            rolled.append([before[0] + right * stretch.duration_s, before[1] + left * stretch.duration_s])
-        breaks, angles = self.breaks_s, np.array(rolled)
-        return np.stack([np.interp(times_s, breaks, angles[:, k]) for k in (0, 1)], axis=1)
+        speeds = np.array([wheel_speeds(stretch, wheels, slip) for stretch in self.stretches])
+        rolled = np.cumsum(speeds * [[stretch.duration_s] for stretch in self.stretches], axis=0)
+        angles = np.concatenate([np.zeros((1, 2)), rolled])
+        return np.stack([np.interp(times_s, self.breaks_s, angles[:, k]) for k in (0, 1)], axis=1)
 
 
 def base_in_world(poses: FloatArray) -> FloatArray:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.export.text import decimal, decimals
-from mobilecal_cli.model import Board, Markers
+from mobilecal_cli.export.text import rendered
+from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, SimulatedRobot
 from mobilecal_cli.simulate.route import CHECKERBOARD, Route, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
@@ -71,75 +71,33 @@ class Scenario:
         shift[:3, 3] -= printed.grid().mean(axis=0) * (printed.square_m or 1.0)
         return robot, replace(route, board=printed, T_w_k=route.T_w_k @ shift)
 
-    def picture_times_s(self, route: Route) -> list[float]:
+    def picture_times_s(self, route: Route) -> FloatArray:
         """Times of the stereo pairs, s: inside the rests; without rests, ten per second."""
         if not len(route.rests_s):
-            return [float(t) for t in np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)]
-        return [
-            float(t)
-            for begin, end in route.rests_s
-            for t in np.linspace(begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest)
-        ]
-
-
-def _factors(robot: SimulatedRobot) -> list[str]:
-    """The factors of odometry, of a robot whose recording has nothing else; `wheels` are those that it has."""
-    if robot.wheel_signal != "odometry":
-        return []
-    right, left, separation = robot.wheels.vector / robot.nominal_wheels.vector
-    linear = (right + left) / 2
-    values = {
-        "left_wheel_radius_multiplier": left,
-        "right_wheel_radius_multiplier": right,
-        "wheel_separation_multiplier": separation,
-        "linear_scale": linear,
-        "angular_scale": linear / separation,
-    }
-    return ["odometry:", *(f"  {name}: {decimal(float(value))}" for name, value in values.items())]
+            return np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)
+        begin, end = route.rests_s.T
+        return np.linspace(
+            begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest, axis=1
+        ).ravel()
 
 
 def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
     """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
-    quaternion = se3.quaternion_xyzw(robot.T_h_c[:3, :3])
     noisy = 0.0 if scenario.exact else 1.0
-    lines = [
-        "# Ground truth of this simulated recording. Lengths in m, angles in rad, times in s.",
-        "schema_version: 1",
-        "head_eye:",
-        f"  parent_frame: {robot.head_frame}",
-        f"  child_frame: {robot.infos[0].frame_id}",
-        f"  translation_m: {decimals(robot.T_h_c[:3, 3])}",
-        f"  quaternion_xyzw: {decimals(quaternion)}",
-        "wheels:",
-        f"  radius_left_m: {decimal(robot.wheels.radius_left_m)}",
-        f"  radius_right_m: {decimal(robot.wheels.radius_right_m)}",
-        f"  separation_m: {decimal(robot.wheels.separation_m)}",
-        *_factors(robot),
-        "board:",
-        f"  columns: {route.board.columns}",
-        f"  rows: {route.board.rows}",
-        f"  square_m: {decimal(route.board.square_m or 0.0)}",
-        "scenario:",
-        f"  robot: {scenario.robot}",
-        f"  motion: {scenario.motion}",
-        f"  seed: {scenario.seed}",
-        f"  exact: {str(scenario.exact).lower()}",
-        f"  pixel_noise_grey: {decimal(noisy * PIXEL_NOISE_GREY)}",
-        f"  blur_px: {decimal(BLUR_PX)}",
-        f"  wheel_noise_rad_per_sqrt_rad: {decimal(noisy * WHEEL_NOISE_RAD_PER_SQRT_RAD)}",
-        f"  encoder_step_rad: {decimal(noisy * robot.encoder_step_rad)}",
-        f"  joint_noise_rad: {decimal(noisy * JOINT_NOISE_RAD)}",
-        f"  camera_late_s: {decimal(scenario.camera_late_s)}",
-        f"board_in_world: {decimals(route.T_w_k[:3].ravel())}  # first three rows of T_w_k",
-    ]
-    if len(route.rests_s):
-        times = route.rests_s.mean(axis=1)
-        lines.append(f"joints: [{', '.join(robot.joint_names)}]")
-        lines.append(
-            "stations:  # base: x (m), y (m), heading (rad) in the world frame (the base frame at the start)"
-        )
-        lines += [
-            f"  - {{time_s: {decimal(t)}, base: {decimals(base)}, joints_rad: {decimals(joints)}}}"
-            for t, base, joints in zip(times, route.drive.poses(times), route.joints(times), strict=True)
-        ]
-    return "\n".join(lines) + "\n"
+    times_s = route.rests_s.mean(axis=1)
+    return rendered(
+        "truth.yaml",
+        scenario=scenario,
+        robot=robot,
+        route=route,
+        translation_m=robot.T_h_c[:3, 3],
+        quaternion_xyzw=se3.quaternion_xyzw(robot.T_h_c[:3, :3]),
+        noise={
+            "pixel_noise_grey": noisy * PIXEL_NOISE_GREY,
+            "blur_px": BLUR_PX,
+            "wheel_noise_rad_per_sqrt_rad": noisy * WHEEL_NOISE_RAD_PER_SQRT_RAD,
+            "encoder_step_rad": noisy * robot.encoder_step_rad,
+            "joint_noise_rad": noisy * JOINT_NOISE_RAD,
+        },
+        stations=list(zip(times_s, route.drive.poses(times_s), route.joints(times_s), strict=True)),
+    )

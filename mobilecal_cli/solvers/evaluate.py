@@ -9,7 +9,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
-from mobilecal_cli.solvers.residuals import dead_reckoned, pairs_at, residuals_of, state_of
+from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
 
 #: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
@@ -34,6 +34,7 @@ def evaluate(
     *,
     offsets_s: Mapping[str, float] | None = None,
     reference: WheelGeometry | None = None,
+    constants: Mapping[str, float] | None = None,
 ) -> Evaluation:
     """Errors of the camera motion predicted over each leg (eq. 18), and of dead reckoning over all station pairs.
 
@@ -44,10 +45,11 @@ def evaluate(
         offsets_s: clock offsets of the recording, see `clock_offsets`.
         reference: wheels that give path length and rotation, which drift is divided by: an estimate independent of
             the calibration under test. Without them, the cameras give both, from station to station.
+        constants: of the robot description, as the calibration has them, by name; as stated without them.
     """
     offsets = dict(offsets_s or {})
     clocks = {f"time_{name}": offset_s for name, offset_s in offsets.items()}
-    pairs = pairs_at(*state_of(extraction, parameters, clocks))
+    extraction, pairs = at_constants(extraction, parameters, {**_without_clocks(constants or {}), **clocks})
     i, j = pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
@@ -65,6 +67,15 @@ def evaluate(
         after=_drift(pairs, parameters, parameters.wheels, covered),
         clock_offsets_s=offsets,
     )
+
+
+def _without_clocks(constants: Mapping[str, float]) -> dict[str, float]:
+    """The constants of the robot: clocks belong to a recording."""
+    return {
+        name: value
+        for name, value in constants.items()
+        if not name.startswith(("time_joints", "time_wheels"))
+    }
 
 
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:

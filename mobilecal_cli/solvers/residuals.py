@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
 from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
-from mobilecal_cli.likelihood.views import view_rates
+from mobilecal_cli.likelihood.views import board_poses, view_rates
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
@@ -24,40 +24,45 @@ _STILL_M = 1e-9
 
 
 def at_state(
-    extraction: Extraction, data: Dataset, state: State, noise_px: float | None = None
+    extraction: Extraction,
+    data: Dataset,
+    state: State,
+    noise_px: float | None = None,
+    patterns: bool = False,
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
-
-    Pixels are those that the cameras have at the stamps, without the patterns of their lenses.
 
     Args:
         extraction, data: the measurements.
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
+        patterns: whether those of the lenses are applied, too.
     """
     stated, cameras = extraction, cameras_at(data, state)
-    extraction = replace(_as_modeled(stated, data, state), rig=replace(stated.rig, cameras=cameras))
+    extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     extraction = triangulated_again(_posed_again(extraction, stated), factor)
-    points_c = np.stack([o.points_c for o in extraction.observations])
-    return extraction, replace(pairs_at(data, state), points_c=points_c)
-
-
-def pairs_at(data: Dataset, state: State) -> MotionPairs:
-    """Joints and wheels with a state's constants applied, and the board and its corners as measured."""
     as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
-    steps = data.steps(clock_s(data, state, "wheels"))
-    return replace(data.pairs, T_v_h=head_at(data, as_read), steps=steps)
+    return extraction, replace(
+        data.pairs,
+        points_c=np.stack([o.points_c for o in extraction.observations]),
+        T_c_k=board_poses(data, state),
+        T_v_h=head_at(data, as_read),
+        steps=data.steps(clock_s(data, state, "wheels")),
+    )
 
 
-def _as_modeled(extraction: Extraction, data: Dataset, state: State) -> Extraction:
+def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: bool) -> Extraction:
     """The same with each corner where `cameras_at` has it at the image's stamp.
 
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
-    lens (a few tenths of a pixel, which may be centimeters of a point's depth).
+    lens, which are left in the pixels unless they are asked for.
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    modeled, actual = cameras_at(data, state), change.apply(data.cameras)
+    if not (patterns or change.readout_s.any() or change.delay_s.any()):
+        return extraction
+    modeled = cameras_at(data, state)
+    actual = change.apply(data.cameras) if patterns else modeled
     rates = view_rates(data, state)[:, None]
     points_c = se3.act(data.T_c_k, points_at(data, state))
     velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
@@ -120,14 +125,7 @@ def _posed_again(extraction: Extraction, stated: Extraction) -> Extraction:
 def at_constants(
     extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
 ) -> tuple[Extraction, MotionPairs]:
-    """`at_state` of an earlier calibration, see `state_of`."""
-    return at_state(extraction, *state_of(extraction, parameters, constants))
-
-
-def state_of(
-    extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
-) -> tuple[Dataset, State]:
-    """The measurements and an earlier calibration.
+    """The same with constants of an earlier calibration.
 
     Args:
         extraction: the measurements.
@@ -138,9 +136,12 @@ def state_of(
     every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
     rows = [row for row in every if constants.get(row.name)]
     data = dataset_of(extraction, rows)
+    if not rows:
+        return extraction, data.pairs
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
-    return data, replace(state, constants={row.name: constants[row.name] for row in rows})
+    known = {row.name: constants[row.name] for row in rows}
+    return at_state(extraction, data, replace(state, constants=known))
 
 
 def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:

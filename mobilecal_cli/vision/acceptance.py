@@ -56,18 +56,16 @@ def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
     return np.asarray(grid_map.off_px > _limit_px(grid_map, edge_px))
 
 
-def fit_board(
-    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None = None
-) -> tuple[FittedCorners, GridMap]:
+def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tuple[FittedCorners, GridMap]:
     """Fit all corners of a board; bad ones twice, from where the others predict them.
 
     Args:
-        image, grid, outer_whole, appearance: see `fit_corners`.
+        image, grid, appearance: see `fit_corners`.
 
     Returns:
         The corners, and the smooth map through them.
     """
-    fit = fit_corners(image, grid, outer_whole, appearance)
+    fit = fit_corners(image, grid, appearance)
     corners = fit.pixels.reshape(grid.shape)
     # Where most corners are not corners, no lens would make them a board.
     is_board = np.mean(fit.fitted) >= 1 - _MOST_BAD
@@ -75,22 +73,18 @@ def fit_board(
     bad = off_grid(grid_map, smallest_edge_px(corners)) | ~fit.fitted.reshape(grid.shape[:2])
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
-    again = fit_corners(image, grid_map.predicted(corners, bad), outer_whole, appearance)
+    again = fit_corners(image, grid_map.predicted(corners, bad), appearance)
     return again, fit_grid(again.pixels.reshape(grid.shape), image.shape)
 
 
 def accepted(
-    fit: FittedCorners,
-    grid_map: GridMap,
-    contrast_sign: float,
-    outer_whole: bool,
-    order: IntArray | slice = slice(None),
+    fit: FittedCorners, grid_map: GridMap, expected: Appearance, order: IntArray | slice = slice(None)
 ) -> Detection | Miss:
     """The board in an image; a Miss if a corner is not fitted or off the grid of the others.
 
     Args:
-        fit, grid_map, outer_whole: see `fit_board`.
-        contrast_sign: sign of `Appearance.contrast_grey`.
+        fit, grid_map: see `fit_board`.
+        expected: with the sign of the contrast, and with the outer squares, of this image.
         order: of the corners.
     """
     edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
@@ -104,8 +98,8 @@ def accepted(
             "corners not on a regular grid",
             f"{int(np.sum(~fit.fitted))} of {fit.fitted.size} corners do not look like corners of squares",
         )
-    half_grey = float(np.copysign(upper_median(np.abs(fit.contrast_grey)), contrast_sign))
-    appearance = Appearance(fit.blur_px, fit.noise_grey, half_grey, outer_whole)
+    half_grey = float(np.copysign(upper_median(np.abs(fit.contrast_grey)), expected.contrast_grey))
+    appearance = Appearance(fit.blur_px, fit.noise_grey, half_grey, expected.outer_whole)
     sigma_px = max(grid_map.sigma_px, FLOOR_PX)
     return Detection(fit.pixels[order], sigma_px, cov=fit.cov[order], appearance=appearance)
 

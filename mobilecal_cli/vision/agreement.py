@@ -12,10 +12,8 @@ from itertools import pairwise, product
 import numpy as np
 
 from mobilecal_cli.errors import ObservationError
-from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, Rejection
-from mobilecal_cli.vision.grid import turned, turns
-from mobilecal_cli.vision.observing import Measured
-from mobilecal_cli.vision.pose import triangulate
+from mobilecal_cli.model import Board, Camera, CameraRig, Corners, FloatArray, Rejection
+from mobilecal_cli.vision.observing import Measured, best_fit
 from mobilecal_cli.vision.values import INCONSISTENT, Detection, StereoPoints
 
 Pair = tuple[Detection, Detection]
@@ -131,13 +129,9 @@ def _undone_px(rig: CameraRig, board: Board, mistake: str, pairs: Sequence[Pair]
 
 def _misfit_px(rig: CameraRig, board: Board, left: FloatArray, right: FloatArray, pair: Pair) -> float:
     """Distance of the corners of one stereo pair from their epipolar lines, px rms."""
-    both = pair[0].seen & pair[1].seen
-    best = np.inf
-    for quarter_turns in turns(board):
-        points = triangulate(rig, [left[both], turned(right, board, quarter_turns)[both]], [1.0, 1.0])
-        if isinstance(points, StereoPoints):
-            best = min(best, points.rms_px)
-    return best
+    views = [Corners(at, 1.0, 1, of.seen) for at, of in zip((left, right), pair, strict=True)]
+    points, _ = best_fit(rig, views, board)
+    return points.rms_px if isinstance(points, StereoPoints) else np.inf
 
 
 def _check_repeated(pairs: Sequence[Pair]) -> None:

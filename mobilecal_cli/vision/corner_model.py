@@ -182,14 +182,14 @@ class _Fit:
     contrast_grey: FloatArray
     sigma_grey: FloatArray
 
-    def __init__(self, image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance) -> None:
+    def __init__(self, image: GrayImage, grid: FloatArray, appearance: Appearance) -> None:
         self.shape = (grid.shape[0], grid.shape[1])
         self.pixels = grid.reshape(-1, 2)
         along, down = _steps(grid)
         self.edge_px = np.minimum(np.hypot(*along.T), np.hypot(*down.T))
         area = np.abs(along[:, 0] * down[:, 1] - along[:, 1] * down[:, 0])
         width = np.stack([area / np.hypot(*along.T), area / np.hypot(*down.T)], axis=1).astype(np.float32)
-        limits = _reach(*self.shape, outer_whole) * width[:, :, None, None]
+        limits = _reach(*self.shape, appearance.outer_whole) * width[:, :, None, None]
         self._lower, self._upper = limits[..., 0], limits[..., 1]
         extent = _INNER_REACH * float((np.abs(along) + np.abs(down)).max())
         half = min(max(int(np.ceil(extent)), _LEAST_HALF_PX), _MOST_HALF_PX)
@@ -296,29 +296,30 @@ def _inverse_2x2(matrices: FloatArray) -> FloatArray:
 
 
 @np.errstate(all="ignore")  # a wrong grid gives arbitrary values, and `fitted` marks them
-def fit_corners(
-    image: GrayImage, grid: FloatArray, outer_whole: bool, appearance: Appearance | None = None
-) -> FittedCorners:
+def fit_corners(image: GrayImage, grid: FloatArray, appearance: Appearance) -> FittedCorners:
     """Fit the corner model to every corner of a board.
 
     Args:
         image: (height, width) gray.
         grid: (rows, columns, 2) initial corners with sub-pixel accuracy, px.
-        outer_whole: the outer squares are about as wide as the others.
-        appearance: of an earlier image; it saves one iteration.
+        appearance: to start from; that of an earlier image, with its noise, saves one iteration.
 
     Returns:
         Corner index = row * columns + column. A corner keeps its initial position and is marked as not fitted
         if its fit does not converge, moves too far or has too few pixels.
     """
-    fit = _Fit(image, grid, outer_whole, appearance or Appearance())
+    fit = _Fit(image, grid, appearance)
     for done in range(1, _MOST_ROUNDS + 1):
         fit.round()
         variance = (fit.cov[:, 0, 0] + fit.cov[:, 1, 1]) / 2
         moved = (fit.step[:, 0] ** 2 + fit.step[:, 1] ** 2) / 2
         far = np.count_nonzero(moved >= _FAR_PX**2)
         converged = upper_median(moved) < _CONVERGED**2 * upper_median(variance)
-        if (appearance is not None or done > 1) and converged and not 0 < far <= _MOST_FAR * len(moved):
+        if (
+            (appearance.noise_grey is not None or done > 1)
+            and converged
+            and not 0 < far <= _MOST_FAR * len(moved)
+        ):
             break
     start = grid.reshape(-1, 2)
     off = fit.pixels - start

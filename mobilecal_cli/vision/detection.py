@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -25,7 +25,7 @@ from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Detection, Miss
+from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Appearance, Detection, Miss
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 # For uneven light; slow in full images.
@@ -65,9 +65,9 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
         grid = grid_map.predicted(grid, bad)  # restart corners that diverged where the others predict them
     if (small := check_size(grid)) is not None:
         return small
-    outer_whole = outer_squares_whole(image, grid_map, columns, rows)
-    grid = refine_widely(image, grid, smallest_edge_px(grid), outer_whole)
-    fit, grid_map = fit_board(image, grid, outer_whole)
+    appearance = Appearance(outer_whole=outer_squares_whole(image, grid_map, columns, rows))
+    grid = refine_widely(image, grid, smallest_edge_px(grid), appearance.outer_whole)
+    fit, grid_map = fit_board(image, grid, appearance)
     dark_at_origin = check_colors(image, grid_map, columns, rows)
     blurred = check_sharpness(image, grid_map, columns, rows)
     # Blur affects the outer squares first: if both checks fail, report the blur.
@@ -76,7 +76,8 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     if blurred is not None:
         return blurred
     order, dark_at_origin = canonical(fit.pixels.reshape(grid.shape), bool(dark_at_origin))
-    return accepted(fit, grid_map, -1.0 if dark_at_origin else 1.0, outer_whole, order)
+    appearance = replace(appearance, contrast_grey=-1.0 if dark_at_origin else 1.0)
+    return accepted(fit, grid_map, appearance, order)
 
 
 def detect(
@@ -207,14 +208,8 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
     Args:
         images: (height, width) gray images, some of which show the board.
     """
-    votes: Counter[tuple[int, int]] = Counter()
-    pictures = 0
-    for image in images:
-        pictures += 1
-        size = _size_in(image)
-        if size is not None:
-            votes[size] += 1
-    return SizeVote(votes, pictures)
+    sizes = [_size_in(image) for image in images]
+    return SizeVote(Counter(size for size in sizes if size is not None), len(sizes))
 
 
 def _size_in(image: GrayImage) -> tuple[int, int] | None:

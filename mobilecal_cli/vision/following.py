@@ -48,13 +48,13 @@ def follow(
     grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole, tracked=True)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
-    fit, grid_map = fit_board(image, grid, appearance.outer_whole, appearance)
+    fit, grid_map = fit_board(image, grid, appearance)
     if not _is_board(fit, appearance.contrast_grey, rows, columns):
         return Miss(
             "square colors do not alternate",
             "corners at the predicted position are occluded or have the wrong square colors",
         )
-    return accepted(fit, grid_map, appearance.contrast_grey, appearance.outer_whole)
+    return accepted(fit, grid_map, appearance)
 
 
 def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:

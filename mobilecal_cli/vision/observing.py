@@ -148,7 +148,7 @@ def _unusable(names: Sequence[str], shots: Sequence[Sequence[Detection | Miss | 
     return Counter(miss.reason for miss in every).most_common(1)[0][0], detail
 
 
-def _best_fit(
+def best_fit(
     rig: CameraRig, views: Sequence[Corners], board: Board
 ) -> tuple[StereoPoints | Miss, tuple[Corners, ...]]:
     """Triangulate the corners that all cameras see, after renumbering the other images to match the first.
@@ -305,7 +305,7 @@ def measure(
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
     own, grid = rig.some(shown), board.grid()[_common(views)]
-    points, views = _best_fit(own, views, board)
+    points, views = best_fit(own, views, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
     rough_m = square_from_points(points.points_c, grid)
@@ -320,24 +320,20 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
     points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
     moves = np.concatenate([-se3.skew(points_c), np.broadcast_to(np.eye(3), (len(points_c), 3, 3))], axis=-1)
     points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
-    whole: list[Corners] = []
+    count, whole = len(points_c), []
+    unseen = Corners(
+        np.zeros((count, 2)), 1.0, 0, np.zeros(count, np.bool_), np.broadcast_to(np.eye(2), (count, 2, 2))
+    )
     for k, lens in enumerate(m.rig.each):
-        view = views[m.shown.index(k)] if k in m.shown else None
-        if view is not None and view.seen.all():
-            whole.append(view)
-            continue
-        own_points = se3.act(se3.inverse(m.rig.T_c_each[k]), points_c)
-        ahead = own_points[:, 2:] > 0
-        expected = project(lens, np.where(ahead, own_points, [0.0, 0.0, 1.0]))
-        near = np.abs(expected).max(axis=1, keepdims=True) < _FARTHEST * max(lens.width, lens.height)
-        expected = np.where(ahead & near, expected, 0.0)
-        if view is None:
-            nothing = np.zeros(len(points_c), dtype=np.bool_)
-            whole.append(
-                Corners(expected, 1.0, 0, nothing, np.broadcast_to(np.eye(2), (len(points_c), 2, 2)))
-            )
-        else:
-            whole.append(replace(view, pixels=np.where(view.seen[:, None], view.pixels, expected)))
+        view = views[m.shown.index(k)] if k in m.shown else unseen
+        if not view.seen.all():
+            own_points = se3.act(se3.inverse(m.rig.T_c_each[k]), points_c)
+            ahead = own_points[:, 2:] > 0
+            expected = project(lens, np.where(ahead, own_points, [0.0, 0.0, 1.0]))
+            near = np.abs(expected).max(axis=1, keepdims=True) < _FARTHEST * max(lens.width, lens.height)
+            expected = np.where(ahead & near, expected, 0.0)
+            view = replace(view, pixels=np.where(view.seen[:, None], view.pixels, expected))
+        whole.append(view)
     if m.points is not None:
         points_c[common], points_cov[common] = m.points.points_c, m.points.points_cov
     return Observation(

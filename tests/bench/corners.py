@@ -15,6 +15,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, detect
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
+from mobilecal_cli.vision.values import Appearance
 from tests.bench import cameras
 from tests.bench.pictures import BOARD, View, bound_px, empty, nearest, shortest_edge_px, view
 from tests.bench.study import paragraph, table
@@ -44,7 +45,7 @@ def ours(image: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """The product's refinement and fit from the same start."""
     edge = shortest_edge_px(corners)
     start = refine_widely(image, refine_widely(image, corners, edge, True), edge, True)
-    return fit_corners(image, start, True).pixels.reshape(corners.shape)
+    return fit_corners(image, start, Appearance()).pixels.reshape(corners.shape)
 
 
 @dataclass(frozen=True)

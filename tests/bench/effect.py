@@ -15,6 +15,7 @@ from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
+from mobilecal_cli.vision.values import Appearance
 from tests.actual import station_times_s
 from tests.bench.corners import sub_pix
 from tests.bench.pictures import shortest_edge_px
@@ -50,7 +51,7 @@ def _pictures(number: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 def _found(image: np.ndarray, start: np.ndarray, how: str) -> Corners:
     if how == "cornerSubPix":
         return Corners(sub_pix(image, start).reshape(-1, 2), 0.05, 1)
-    fit = fit_corners(image, refine_widely(image, start, shortest_edge_px(start), True), True)
+    fit = fit_corners(image, refine_widely(image, start, shortest_edge_px(start), True), Appearance())
     claimed = float(np.sqrt(np.median(np.trace(fit.cov, axis1=1, axis2=2) / 2)))
     return Corners(fit.pixels, claimed, 1, relative_cov=fit.cov / claimed**2)
 

@@ -48,7 +48,7 @@ from mobilecal_cli.vision import (
 from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
 from tests.bench.study import Study
-from tests.pairs import board_pose, measure, triangulate, with_pair
+from tests.pairs import board_pose, measure, pair_of, triangulate, with_pair
 from tests.robots import chain_of, rig_of
 from tests.vision.scenes import bouguet as bouguet_rig
 
@@ -86,7 +86,7 @@ def by_opencv(pairs: Sequence[Pair], size: tuple[int, int], jointly: bool = Fals
     _, K_l, D_l, K_r, D_r, R, t, *_ = cv2.stereoCalibrate(points, *seen, *cameras, size, flags=flags)
     left = Camera("left", *size, np.asarray(K_l, float), np.ravel(D_l), "plumb_bob")
     right = Camera("right", *size, np.asarray(K_r, float), np.ravel(D_r), "plumb_bob")
-    return CameraRig.pair(left, right, se3.inverse(se3.transform(R, t[:, 0])), False, np.eye(3), np.eye(3))
+    return pair_of(left, right, se3.inverse(se3.transform(R, t[:, 0])))
 
 
 def wrong_intrinsics(true: CameraRig, folder: Path) -> CameraRig:

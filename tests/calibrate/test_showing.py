@@ -21,7 +21,8 @@ import mobilecal_cli as mc
 from mobilecal_cli.commands import app
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.model import Rejection
+from mobilecal_cli.model import Parameters, Rejection
+from mobilecal_cli.solvers.residuals import at_constants
 from mobilecal_cli.vision import Detection, find_board
 
 IMAGES = ("left", "right")
@@ -110,14 +111,15 @@ def test_the_frames_compose_to_the_parameters(result, messages, extraction):
     robot, rig = mc.load(result / "params.yaml"), extraction.rig
     turned, rolled = [], []
     last = None
-    for o in extraction.observations:
+    _, pairs = at_constants(extraction, Parameters(robot.T_parent_child, robot.wheels), robot.constants)
+    for o, T_c_k in zip(extraction.observations, pairs.T_c_k, strict=True):
         frames = frames_at(messages, o.time_ns)
         T_h_c = frames[robot.parent_frame, robot.child_frame]
         assert T_h_c == pytest.approx(robot.T_parent_child, abs=1e-12)
         T_w_v, T_v_h = frames["world", rig.chain.base_frame], frames[rig.chain.base_frame, robot.parent_frame]
         T_w_k = frames["world", "board"]
         T_w_c = concat(T_h_c, concat(T_v_h, T_w_v))  # pytransform3d applies the first one first
-        assert np.linalg.inv(T_w_c) @ T_w_k == pytest.approx(o.T_c_k, abs=1e-9)
+        assert np.linalg.inv(T_w_c) @ T_w_k == pytest.approx(T_c_k, abs=1e-9)
         if last is not None:
             before, base = last
             apart = np.linalg.inv(base) @ T_w_v

@@ -10,7 +10,8 @@ from mobilecal_cli.calibrate import export as exporting
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.export.formats import odometry_covariance as odometry
-from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance, odometry_yaml
+from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, WheelGeometry
@@ -131,7 +132,7 @@ def test_the_levels_of_the_covariance(extraction):
 def test_the_file_has_the_parameters_of_both_nodes(extraction):
     """Names and lengths as documented by ros2_controllers and robot_localization; read by another YAML loader."""
     found = odometry_covariance(robot_with(), extraction, RATE_HZ)
-    data = yaml.safe_load(odometry_yaml(found))
+    data = yaml.safe_load(rendered("odometry_covariance.yaml", covariance=found))
     controller = data["diff_drive_controller"]["ros__parameters"]
     assert set(controller) == {"publish_rate", "pose_covariance_diagonal", "twist_covariance_diagonal"}
     assert controller["pose_covariance_diagonal"] == pytest.approx(found.pose.tolist())

@@ -116,7 +116,7 @@ def _urdf(path: Path) -> None:
     if urdf.joints.keys() >= set(wheels):
         with suppress(MobilecalError):
             for name in wheels:
-                urdf.position_m(urdf.root, urdf.joints[name].child)
+                urdf.pose(urdf.root, urdf.joints[name].child)
     patched_urdf(path.read_bytes(), ROBOT, {"left": wheels[0], "right": wheels[1]})
 
 

@@ -82,7 +82,7 @@ def test_urdf_chain_and_what_it_lacks():
 
 def test_vehicle_frame_is_midway_between_the_wheels():
     urdf = parse_urdf(URDF)
-    T_base_v = vehicle_frame(*(urdf.position_m("base_link", link) for link in ("wheel_l", "wheel_r")))
+    T_base_v = vehicle_frame(*(urdf.pose("base_link", link)[:3, 3] for link in ("wheel_l", "wheel_r")))
     assert T_base_v[:3, 3] == pytest.approx([-0.1, 0.05, 0])
     assert T_base_v[:3, :3] == pytest.approx(np.eye(3))
     links = (FixedLink(se3.inverse(T_base_v)), *chain_links(urdf, "base_link", "head"))
@@ -125,7 +125,7 @@ def test_real_urdfs_give_their_heads(shared_data, path, base, head, joints):
     if path == STRETCH:
         assert chain.joints == joints
         wheels = ("joint_left_wheel", "joint_right_wheel")
-        left, right = (urdf.position_m("base_link", urdf.joints[name].child) for name in wheels)
+        left, right = (urdf.pose("base_link", urdf.joints[name].child)[:3, 3] for name in wheels)
         assert np.linalg.norm(left - right) == pytest.approx(0.3407, abs=1e-4)  # as published
     assert any("pan" in name for name in chain.joints)
     assert np.isfinite(head_pose(chain, np.zeros(len(chain.joints)))).all()

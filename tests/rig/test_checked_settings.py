@@ -127,8 +127,16 @@ def extraction_to_npz_with_nan(extraction):
         return extraction_to_npz(extraction)
 
 
-@pytest.mark.parametrize("level", [-1.0, float("nan"), 1e9, "wide", True, None])
-def test_estimated_noise_levels(params, level):
+@pytest.mark.parametrize(
+    ("level", "said"),
+    [
+        (-1.0, "from 0 to 1000"),
+        (1e9, "from 0 to 1000"),
+        (float("nan"), "a finite number"),
+        *((value, "a valid number") for value in ("wide", True, None)),
+    ],
+)
+def test_estimated_noise_levels(params, level, said):
     order = ["r_x", "r_y", "r_z", "t_x", "t_y", "t_z", "radius_right", "radius_left", "separation"]
     known = {
         "order": order,
@@ -138,7 +146,7 @@ def test_estimated_noise_levels(params, level):
     }
     assert parameters_from_yaml(as_yaml(params | {"uncertainty": known})).knowledge.noise["stamp_s"] == 0
     known["noise"]["pixel_px"] = level
-    with pytest.raises(ConfigError, match=r"uncertainty\.noise: pixel_px must be from 0"):
+    with pytest.raises(ConfigError, match=rf"uncertainty\.noise\.pixel_px: must be {said}"):
         parameters_from_yaml(as_yaml(params | {"uncertainty": known}))
 
 

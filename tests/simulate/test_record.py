@@ -24,6 +24,7 @@ from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.targets import Container
 from tests.actual import PRIORS, ImperfectWorld, Noise, constant_kinds
 from tests.extractions import Imperfection, imperfect_extraction
+from tests.robots import sources_of
 
 SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
@@ -42,7 +43,7 @@ def files(folder: Path) -> dict[str, bytes]:
 def contents(path: Path, scenario: Scenario):
     """Everything that a calibration reads: robot description, signals and decoded images."""
     robot = ROBOTS[scenario.robot]()
-    sources = robot.topics(compressed=scenario.pictures != "mono8")
+    sources = sources_of(robot, compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
         description = read_description(recording)
         (signals,) = read_signals(recording, sources, robot.joint_names)

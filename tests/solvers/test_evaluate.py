@@ -11,6 +11,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import Parameters, WheelGeometry, WheelTrack
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.solvers import clock_offsets, evaluate, solve
+from tests.bench.imperfect import PERFECT, Case
 from tests.extractions import Noise, joined, simulated
 from tests.truth import parameters_of
 
@@ -134,3 +135,16 @@ def test_each_of_two_moving_recordings_is_tested_with_its_clocks():
         rms = [np.sqrt(np.mean(getattr(e, name) ** 2)) for e in (found, without, as_stamped)]
         assert rms[0] < 1.15 * rms[1]
         assert rms[2] > 1.5 * rms[1]
+
+
+def test_the_cameras_of_a_calibration_are_those_that_it_found():
+    """Another recording of a robot whose principal point is 8 px off, which is 5 % of the depth at 2 m."""
+    case = Case(stations=20, fixed={"principal_left_x": 0.0125}, noise=PERFECT)
+    solution, other = solve(case.extraction(0)), case.extraction(10)
+    constants = {name: constant.value for name, constant in solution.constants.items()}
+    stated, found = (evaluate(other, solution.parameters, None, constants=each) for each in (None, constants))
+    assert np.median(stated.reprojection_px) > 5
+    assert np.median(found.reprojection_px) < 2
+    assert np.median(stated.translation_m) > 0.02
+    assert np.median(found.translation_m) < 0.006
+    assert found.after.mm_per_m < 0.2 * stated.after.mm_per_m

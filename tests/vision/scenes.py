@@ -12,6 +12,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera, CameraRig
 from mobilecal_cli.vision import Detection, Miss
+from tests.pairs import pair_of
 
 
 def detected(result: Detection | Miss) -> Detection:
@@ -34,7 +35,7 @@ def bouguet() -> CameraRig:
     left, right = (Camera(side, 640, 480, np.array(k), np.array(d), "plumb_bob") for side, k, d in sides)
     turn = se3.exp_so3(np.array([0.00669, 0.00452, -0.00350]))
     T_r_c = se3.transform(turn, np.array([-0.099802, 0.001124, 0.000050]))
-    return CameraRig.pair(left, right, se3.inverse(T_r_c), False, np.eye(3), np.eye(3))
+    return pair_of(left, right, se3.inverse(T_r_c))
 
 
 K = np.array([[550.0, 0.0, 322.0], [0.0, 548.0, 241.0], [0.0, 0.0, 1.0]])
@@ -54,7 +55,7 @@ def stereo_rig(kind: str = "raw") -> CameraRig:
     T_c_r = se3.transform(se3.exp_so3(turn), np.array([0.12, 0.001 * any(turn), -0.002 * any(turn)]))
     left = Camera("left_optical", 640, 480, K, np.array(D), distortion)
     right = Camera("right_optical", 640, 480, K_RIGHT, np.array(D), distortion)
-    return CameraRig.pair(left, right, T_c_r, kind == "rectified", np.eye(3), np.eye(3))
+    return pair_of(left, right, T_c_r, kind == "rectified")
 
 
 def pose(

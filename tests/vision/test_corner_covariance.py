@@ -9,6 +9,7 @@ from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss
 from mobilecal_cli.vision.corner_model import fit_corners
 from mobilecal_cli.vision.observing import StationCorners
+from mobilecal_cli.vision.values import Appearance
 from tests.pairs import board_pose, triangulate
 from tests.vision.scenes import pose, seen, stereo_rig
 
@@ -64,5 +65,5 @@ def test_an_average_keeps_the_claims_apart():
 def test_no_grid_at_all_is_no_corners_and_no_warning():
     image = np.full((200, 200), 100, np.uint8)
     points = np.tile(np.linspace(20, 180, 9)[:, None], (6, 1, 2)).reshape(6, 9, 2)  # all on one line
-    fit = fit_corners(image, points, True)
+    fit = fit_corners(image, points, Appearance())
     assert not fit.fitted.any()

@@ -53,7 +53,7 @@ def test_accuracy_and_honesty(scenes, noise_grey, limit_px):
         image = eight_bit(picture, noise_grey, random)
         edge = np.linalg.norm(np.diff(truth, axis=1), axis=-1).min()
         start = refine_widely(image, truth + random.uniform(-0.3, 0.3, truth.shape), edge, True)
-        fit = fit_corners(image, start, True)
+        fit = fit_corners(image, start, Appearance())
         assert fit.fitted.all()
         errors.append(fit.pixels - truth.reshape(-1, 2))
         before.append(start - truth)
@@ -71,7 +71,7 @@ def test_a_covered_corner_does_not_run_away(scenes):
     image = eight_bit(picture, 2.0, np.random.default_rng(2))
     x, y = np.round(truth[3, 4]).astype(int)
     image[y - 9 : y + 10, x - 9 : x + 10] = 120
-    fit = fit_corners(image, truth, True)
+    fit = fit_corners(image, truth, Appearance())
     edge = np.linalg.norm(np.diff(truth, axis=1), axis=-1).min()
     moved = np.linalg.norm(fit.pixels - truth.reshape(-1, 2), axis=1)
     covered = 3 * 9 + 4
@@ -89,11 +89,11 @@ def test_without_a_board_it_ends_soon(scenes, monkeypatch):
     monkeypatch.setattr(corner_model._Fit, "round", lambda fit: rounds.append(1) or original(fit))
     picture, truth = scenes[1]
     image = eight_bit(picture, 2.0, np.random.default_rng(4))
-    assert fit_corners(image, truth + 0.2, True, Appearance()).fitted.all()
+    assert fit_corners(image, truth + 0.2, Appearance(noise_grey=2.0)).fitted.all()
     with_board = len(rounds)
     wall = np.random.default_rng(5).normal(120, 20, image.shape)
     wall = np.clip(cv2.GaussianBlur(wall, (0, 0), 1.5) * 3 - 240, 0, 255).astype(np.uint8)
-    assert fit_corners(wall, truth, True, Appearance()).fitted.mean() < 0.8
+    assert fit_corners(wall, truth, Appearance(noise_grey=2.0)).fitted.mean() < 0.8
     assert len(rounds) - with_board == 1
 
 
@@ -107,7 +107,8 @@ def test_narrow_outer_squares_are_left_out(scenes):
     image[:, column:] = 230
     outer = np.arange(8, 54, 9)
     start = truth + 0.1
-    careful, careless = fit_corners(image, start, False), fit_corners(image, start, True)
+    whole, narrow = Appearance(), Appearance(outer_whole=False)
+    careful, careless = fit_corners(image, start, narrow), fit_corners(image, start, whole)
     assert careful.fitted[outer].all()
     assert rms(careful.pixels[outer] - right) < 0.02
     # A window that reaches past the print's end gives no corner there, or a worse one.

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 
+from mobilecal_cli import se3
 from mobilecal_cli.export.scene import Scene
-from mobilecal_cli.export.text import comment
-from mobilecal_cli.model import NINE, CalibratedRobot, Extraction
+from mobilecal_cli.export.text import comment, rendered
+from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot, Extraction
 from mobilecal_cli.model.text import visible
 
 CONVENTION = (
@@ -106,6 +107,23 @@ def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
     lines = (f"<!-- {comment(line)} -->\n" if xml else f"# {visible(line)}\n" for line in note)
     at = start.start(1)
     return content[:at] + "".join(lines).encode() + content[at:]
+
+
+def head_eye_text(robot: CalibratedRobot, template: str, **values: str) -> str:
+    """A text with the frames of the head-eye transform, from its template."""
+    T = robot.T_parent_child
+    return rendered(
+        template,
+        robot=robot,
+        about=f"{CONVENTION} {frame_note(robot)}",
+        convention=CONVENTION,
+        frame_note=frame_note(robot),
+        translation_m=T[:3, 3].tolist(),
+        quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]).tolist(),
+        rpy_rad=se3.to_rpy(T[:3, :3]).tolist(),
+        factors=dict(zip(FACTORS, robot.factors.tolist(), strict=False)),
+        **values,
+    )
 
 
 def of_head_eye(robot: CalibratedRobot, text: str, states_verdict: bool = False) -> Exported:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.improved import camera_constants, cameras_with_notes
-from mobilecal_cli.export.text import decimals, quoted
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, CameraRig
 
 #: Without distortion, radtan with zeros: Kalibr's reader accepts "none", but builds no camera from it.
@@ -28,29 +29,15 @@ def camchain_yaml(cameras: CameraRig, topics: Mapping[str, str]) -> str:
     Raises:
         ConfigError: Kalibr has no model for the distortion.
     """
-    kind = "rectified" if cameras.rectified else "raw"
     several = "x_cam1 = T_cn_cnm1 x_cam0" if len(cameras.each) == 2 else "x_camN = T_cn_cnm1 x_cam(N-1)"
-    chain = f"{several}, m; " if len(cameras.each) > 1 else ""
-    lines = [
-        f"# Kalibr: {chain}intrinsics fu, fv, pu, pv, px.",
-        f"# Frames and intrinsics are those of the {kind} images.",
-    ]
-    for k, (name, camera) in enumerate(zip(cameras.names, cameras.each, strict=True)):
-        model, coefficients = _kalibr_distortion(camera)
-        K = camera.K
-        lines += [
-            f"cam{k}:",
-            "  camera_model: pinhole",
-            f"  intrinsics: {decimals([K[0, 0], K[1, 1], K[0, 2], K[1, 2]])}",
-            f"  distortion_model: {model}",
-            f"  distortion_coeffs: {decimals(coefficients)}",
-            f"  resolution: [{camera.width}, {camera.height}]",
-            f"  rostopic: {quoted(topics[name])}",
-        ]
-        if k:
-            T = se3.inverse(cameras.T_c_each[k]) @ cameras.T_c_each[k - 1]
-            lines += ["  T_cn_cnm1:", *(f"  - {decimals(row)}" for row in T)]
-    return "\n".join(lines) + "\n"
+    return rendered(
+        "camchain.yaml",
+        rig=cameras,
+        topics=topics,
+        chain=f"{several}, m; " if len(cameras.each) > 1 else "",
+        distortions=[_kalibr_distortion(camera) for camera in cameras.each],
+        steps=[se3.inverse(T) @ T_before for T_before, T in pairwise(cameras.T_c_each)],
+    )
 
 
 def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.improved import camera_constants, cameras_with_notes, rectified_pair
-from mobilecal_cli.export.text import decimals, quoted
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera
 
 
@@ -50,24 +50,5 @@ def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any,
         P: (3, 4) projection of rectified coordinates, px.
     """
     model = "plumb_bob" if camera.distortion == "none" else camera.distortion
-    D = camera.D.tolist() or [0.0] * 5
-
-    def matrix(name: str, values: np.ndarray[Any, Any]) -> list[str]:
-        rows, columns = values.shape
-        data = decimals(values.ravel().tolist())
-        return [f"{name}:", f"  rows: {rows}", f"  cols: {columns}", f"  data: {data}"]
-
-    return "\n".join(
-        [
-            "# Frame: the optical frame of the raw images. x_rectified = R x_raw; pixels = P x_rectified, px.",
-            f"image_width: {camera.width}",
-            f"image_height: {camera.height}",
-            f"camera_name: {quoted(camera.frame_id)}",
-            *matrix("camera_matrix", camera.K),
-            f"distortion_model: {model}",
-            *matrix("distortion_coefficients", np.array([D])),
-            *matrix("rectification_matrix", R),
-            *matrix("projection_matrix", P),
-            "",
-        ]
-    )
+    D = np.array([camera.D if len(camera.D) else np.zeros(5)])
+    return rendered("camera_info.yaml", camera=camera, model=model, D=D, R=R, P=P)

@@ -22,6 +22,7 @@ from mcap.writer import Writer
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.scene import Motion, Scene, dark_squares
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, Corners, FloatArray
 
 _MOST_POSES = 2000  # of a path
@@ -295,58 +296,5 @@ def _transform(time_ns: int, parent: str, child: str, T_parent_child: FloatArray
 
 def foxglove_layout(scene: Scene) -> str:
     """A layout file for Foxglove: images with corners, the 3D view, plots, states and the log."""
-
-    def image(name: str) -> dict[str, Any]:
-        annotations = {f"/camera/{name}/corners": {"visible": True}}
-        mode = {
-            "imageTopic": f"/camera/{name}/image",
-            "calibrationTopic": f"/camera/{name}/calibration",
-            "synchronize": False,
-            "annotations": annotations,
-        }
-        return {"imageMode": mode, "topics": {}, "layers": {}}
-
-    def plot(field: str, label: str) -> dict[str, Any]:
-        path = {
-            "value": f"/residuals.{field}",
-            "label": label,
-            "enabled": True,
-            "timestampMethod": "receiveTime",
-        }
-        return {"paths": [path], "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
-
-    def split(first: Any, second: Any, direction: str, share: float) -> dict[str, Any]:  # noqa: ANN401
-        return {"first": first, "second": second, "direction": direction, "splitPercentage": share}
-
-    panels: dict[str, Any] = {
-        **{f"Image!{name}": image(name) for name in scene.cameras.names},
-        "3D!scene": {
-            "followTf": scene.names.world,
-            "followMode": "follow-none",
-            "topics": {topic: {"visible": True} for topic in ("/board", "/cameras", "/path")},
-            "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "frameId": scene.names.world}},
-        },
-        "Plot!px": plot("reprojection_px", "reprojection error, px"),
-        "Plot!mm": plot("point_mm", "point error, mm"),
-        "StateTransitions!station": {
-            "paths": [{"value": "/station.state", "timestampMethod": "receiveTime"}],
-            "isSynced": True,
-        },
-        "RosOut!rejected": {"topicToRender": "/rejected", "minLogLevel": 1, "searchTerms": []},
-    }
-    names = scene.cameras.names
-    images: Any = f"Image!{names[-1]}"
-    for k, name in enumerate(names[-2::-1], 2):
-        images = split(f"Image!{name}", images, "row", 100 // k)
-    plots = split("Plot!px", "Plot!mm", "column", 50)
-    events = split("StateTransitions!station", "RosOut!rejected", "column", 45)
-    below = split(plots, events, "row", 55)
-    layout = split(split(images, "3D!scene", "row", 55), below, "column", 62)
-    data = {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": layout,
-    }
-    return json.dumps(data, indent=1) + "\n"
+    text = rendered("foxglove_layout.json", cameras=scene.cameras.names, world=scene.names.world)
+    return json.dumps(json.loads(text), indent=1) + "\n"

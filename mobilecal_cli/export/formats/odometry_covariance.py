@@ -11,7 +11,7 @@ from scipy.special import ndtri, stdtrit
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
-from mobilecal_cli.export.text import decimal, decimals
+from mobilecal_cli.export.text import rendered
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances
@@ -45,7 +45,8 @@ def export(of: Source, rate_hz: float | None = None, distance_m: float | None = 
         f"The legs of the recording are {covariance.path_m:.2f} m long on average, and the covariance applies to "
         "such drives. Give the length of your drives with --distance."
     )
-    return Exported(odometry_yaml(covariance).encode(), (note,) if short else ())
+    content = rendered("odometry_covariance.yaml", covariance=covariance)
+    return Exported(content.encode(), (note,) if short else ())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,39 +230,3 @@ def _of_length_and_heading(
     for_heading = np.stack([Phi[:, 0], -Phi[:, 1], -turned], axis=1) / b
     calibration = np.array([np.sum((G @ C) * G) for G in (for_length, for_heading)])
     return random, proportional + calibration
-
-
-def odometry_yaml(covariance: OdometryCovariance) -> str:
-    """Parameters of diff_drive_controller, and of robot_localization's ekf_node, which fuses the velocities."""
-    along_heading, across_heading, along_across = (
-        covariance.correlation[k] for k in ((0, 2), (1, 2), (0, 1))
-    )
-    length, heading = (f"{100 * share:.0f} %" for share in covariance.systematic)
-    return "\n".join(
-        [
-            "# Covariance of wheel odometry with the calibrated wheels. Order: x, y, z, roll, pitch, yaw.",
-            f"# Motion: {covariance.motion}; {covariance.moving_s:.1f} s in motion. Longer drives have larger errors:",
-            f"# {length} of the variance of the length and {heading} of that of the heading are systematic, and",
-            "# grow with the square of the distance. --distance exports for longer drives.",
-            "# x is along the line from the start of the drive to its end, y is across it. Correlations, which the",
-            f"# diagonals cannot state: along and across {along_across:+.2f}, along and heading {along_heading:+.2f}, "
-            f"across and heading {across_heading:+.2f}.",
-            f"# Variances times {covariance.widening:.3f}, because the noise is estimated from {covariance.legs} legs.",
-            f"# Twist: (m/s)^2, (rad/s)^2, for {covariance.rate_hz:g} messages per second. Change both together.",
-            "# Pose: m^2, rad^2, after one such drive. The error grows with the distance: let filters use the twist.",
-            "diff_drive_controller:",
-            "  ros__parameters:",
-            f"    publish_rate: {decimal(covariance.rate_hz)}",
-            f"    pose_covariance_diagonal: {decimals(covariance.pose)}",
-            f"    twist_covariance_diagonal: {decimals(covariance.twist)}",
-            "ekf_filter_node:",
-            "  ros__parameters:",
-            '    odom0: "/diff_drive_controller/odom"',
-            "    # Only the velocities along x and y and about z.",
-            "    odom0_config: [false, false, false, false, false, false, true, true, false, false, false, true,",
-            "                   false, false, false]",
-            "    odom0_differential: false",
-            "    odom0_relative: false",
-            "",
-        ]
-    )

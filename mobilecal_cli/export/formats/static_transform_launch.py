@@ -1,22 +1,9 @@
 """The head-eye transform as a ROS 2 launch file."""
 
-from __future__ import annotations
-
 import shlex
 
-from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import CONVENTION, Exported, Source, frame_note, of_head_eye
-from mobilecal_cli.export.text import attribute, comment, decimal
-from mobilecal_cli.model import CalibratedRobot
-
-
-def transform_fields(robot: CalibratedRobot) -> dict[str, str]:
-    """Position and unit quaternion of the head-eye transform, as text."""
-    T = robot.T_parent_child
-    names = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    values = (*T[:3, 3], *se3.quaternion_xyzw(T[:3, :3]))
-    return {name: decimal(float(value)) for name, value in zip(names, values, strict=True)}
+from mobilecal_cli.export.formats import Exported, Source, head_eye_text, of_head_eye
 
 
 def export(of: Source) -> Exported:
@@ -25,16 +12,5 @@ def export(of: Source) -> Exported:
     for frame in (robot.parent_frame, robot.child_frame):
         if "$(" in frame:
             raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
-    words = " ".join(f"--{name} {value}" for name, value in transform_fields(robot).items())
     frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
-    text = "\n".join(
-        [
-            "<launch>",
-            f"  <!-- {comment(f'{CONVENTION} {frame_note(robot)}')} -->",
-            '  <node pkg="tf2_ros" exec="static_transform_publisher" name="mobilecal_head_eye"',
-            f"        args={attribute(f'{words} {frames}')}/>",
-            "</launch>",
-            "",
-        ]
-    )
-    return of_head_eye(robot, text)
+    return of_head_eye(robot, head_eye_text(robot, "static_transform_launch.xml", frames=frames))

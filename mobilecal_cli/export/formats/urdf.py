@@ -75,8 +75,6 @@ def export(
 
 #: First byte of a start tag, whose attributes may change or which gets a child element, and the byte after it.
 _Tag = tuple[int, int]
-#: Bytes to replace: the first, the one after the last, and the new ones.
-_Edit = tuple[int, int, bytes]
 _START_TAG = re.compile(rb"""<(?:[^>"']++|"[^"]*"|'[^']*')*+>""")
 
 
@@ -116,36 +114,33 @@ def patched_urdf(
         urdf = parse_urdf(content.decode("utf-8"))
     except UnicodeDecodeError as error:
         raise ConfigError(f"the URDF is not UTF-8: {error}", "save it as UTF-8") from error
-    places = _places(content)
+    file = _File(content)
     _check_robot(urdf, robot, wheel_joints)
-    edits: list[_Edit] = []
     changes: list[str] = []
     hidden = ", ".join(name for name, hides in zip(NINE[:6], robot.unobservable, strict=False) if hides)
     if robot.child_frame in urdf.links:
         mount, T_head_mount = _mount(urdf, robot)
-        edits.append(_moved(content, places, mount.name, T_head_mount))
+        file.set(mount.name, "origin", _origin(T_head_mount))
         changes.append(
             f"joint {mount.name!r}: the origin gives the calibrated pose of {robot.child_frame!r} on "
             f"{robot.parent_frame!r}" + (f"; unobservable, so unchanged: {hidden}" if hidden else "")
         )
     else:
-        edits.append(_added(places, urdf, robot))
+        file.put(file.places["robot", "", "end"][-1], "joint", _added(file, urdf, robot))
         changes.append(
             f"link {robot.child_frame!r}: added with a fixed joint on {robot.parent_frame!r}; no other node may "
             "publish this transform"
         )
     if chain is not None:
-        moved, told = _chain(content, places, urdf, chain)
-        edits += moved
-        changes += told
+        changes += _with_chain(file, urdf, chain)
     no_radius, no_separation = robot.unobservable[6:8].any(), robot.unobservable[8]
     if len(wheel_joints) == len(SIDES):
-        height_m, heights = (None, ()) if no_radius else _height(content, places, urdf, robot, wheel_joints)
+        height_m, heights = (None, ()) if no_radius else _height(file, urdf, robot, wheel_joints)
         if height_m is not None or not no_separation:
             for name, T in _wheel_origins(urdf, robot, wheel_joints):
                 if height_m is not None:
                     T[2, 3] = height_m
-                edits.append(_moved(content, places, name, T, ("xyz",)))
+                file.set(name, "origin", _origin(T), ("xyz",))
         joints = f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}"
         apart = f"{robot.wheels.separation_m:.6g} m apart"
         changes.append(f"{joints}: {'separation unchanged, it is unobservable' if no_separation else apart}")
@@ -156,47 +151,77 @@ def patched_urdf(
             changes.append(f"link {link!r}: radius unchanged, it is unobservable")
             continue
         radius_m = robot.wheels.radius_left_m if side == "left" else robot.wheels.radius_right_m
-        tags = places.get(("link", link, "wheel"), [])
-        edits += [_with(content, tag, {"radius": f"{radius_m:.12g}"}) for tag in tags]
+        tags = file.places.get(("link", link, "wheel"), [])
+        for tag in tags:
+            file.change(tag, {"radius": f"{radius_m:.12g}"})
         radii = f"radius of {len(tags)} shapes: {radius_m:.6g} m"
         changes.append(f"link {link!r}: {radii if tags else 'no cylinder or sphere, no radius set'}")
-    return Exported(_edited(content, edits), tuple(changes))
+    return Exported(file.changed(), tuple(changes))
 
 
-def _edited(content: bytes, edits: Iterable[_Edit]) -> bytes:
-    """The file with byte ranges replaced.
+class _File:
+    """A URDF as text, and what changes in it.
 
-    Raises:
-        ConfigError: two edits change the same tag, as for one joint of two wheels.
+    Attributes:
+        content: the text as it was.
+        places: its tags.
     """
-    later = (len(content), len(content))
-    for start, end, new in sorted(edits, reverse=True):
-        if end > later[0] or (start, end) == later:
+
+    def __init__(self, content: bytes) -> None:
+        self.content, self.places = content, _places(content)
+        self._new: dict[tuple[_Tag, str], bytes] = {}
+
+    def put(self, tag: _Tag, element: str, new: bytes) -> None:
+        """Replace the bytes of a tag; where it has none, insert an element.
+
+        Raises:
+            ConfigError: the second time for one tag, as for one joint of two wheels.
+        """
+        if (tag, element) in self._new:
             raise ConfigError(
                 "URDF: one joint or link would have to change in two ways",
                 "give different joints for the two wheels, and the URDF of the robot that was calibrated",
             )
-        content, later = content[:start] + new + content[end:], (start, end)
-    return content
+        self._new[tag, element] = new
 
+    def change(self, tag: _Tag, values: Mapping[str, str], element: str = "") -> None:
+        """Replace or add the values of some attributes of a tag."""
+        text = self.content[slice(*tag)]
+        for name, value in values.items():
+            pattern = re.compile(rb"(\s" + name.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
+            current = pattern.search(text)
+            if current is not None:
+                quote = current.group(2)[:1]
+                text = text[: current.start(2)] + quote + value.encode() + quote + text[current.end(2) :]
+            else:
+                end = len(text) - (2 if text.endswith(b"/>") else 1)
+                text = text[:end].rstrip() + f' {name}="{value}"'.encode() + text[end:]
+        self.put(tag, element, text)
 
-def _chain(
-    content: bytes, places: _Places, urdf: Urdf, chain: ImprovedChain
-) -> tuple[list[_Edit], list[str]]:
-    """The edits that give the head's joints their estimated origins and axes, and notes."""
-    edits, notes = [], []
-    for name, T_parent_child, axis in joint_origins(urdf, chain):
-        start, end, origin = _moved(content, places, name, T_parent_child)
-        _, inside = places["joint", name, ""][-1]
-        tags = places.get(("joint", name, "axis"))
-        new_axis = f"<axis xyz={attribute(_numbers(axis))}/>".encode()
+    def set(self, joint: str, element: str, values: Mapping[str, str], some: Sequence[str] = ()) -> None:
+        """Give an element of a joint some attributes, or only `some` of them if the joint has the element."""
+        tags = self.places.get(("joint", joint, element))
         if tags:
-            edits.append(_with(content, tags[0], {"xyz": _numbers(axis)}))
-        elif start == end == inside:
-            origin += new_axis
+            self.change(tags[0], {name: values[name] for name in some or values}, element)
         else:
-            edits.append((inside, inside, new_axis))
-        edits.append((start, end, origin))
+            inside = self.places["joint", joint, ""][-1][1]
+            self.put((inside, inside), element, _element(element, values).encode())
+
+    def changed(self) -> bytes:
+        """The text with the changes."""
+        content = self.content
+        in_order = sorted(self._new.items(), key=lambda item: item[0][0])
+        for ((start, end), _), new in in_order[::-1]:  # of those inserted at one place, the last one first
+            content = content[:start] + new + content[end:]
+        return content
+
+
+def _with_chain(file: _File, urdf: Urdf, chain: ImprovedChain) -> list[str]:
+    """Give the head's joints their estimated origins and axes; returns notes."""
+    notes = []
+    for name, T_parent_child, axis in joint_origins(urdf, chain):
+        file.set(name, "origin", _origin(T_parent_child))
+        file.set(name, "axis", {"xyz": _numbers(axis)})
         zero = chain.zeros.get(name, 0.0)
         with_zero = f", with the zero offset {zero:+.6g}" if zero else ""
         notes.append(f"joint {name!r}: estimated origin and axis{with_zero}")
@@ -204,7 +229,7 @@ def _chain(
         notes.append(
             f"not in the URDF, which has no scale and no backlash of joints: {', '.join(chain.others)}"
         )
-    return edits, notes
+    return notes
 
 
 def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
@@ -217,9 +242,7 @@ def _mount(urdf: Urdf, robot: CalibratedRobot) -> tuple[UrdfJoint, FloatArray]:
             f"{moving[0] if moving else 'none'!r} is between them",
             "give the URDF of the robot that was calibrated",
         )
-    T_mount_camera = np.eye(4)
-    for joint in path[1:]:
-        T_mount_camera = T_mount_camera @ joint.T_parent_child
+    T_mount_camera = urdf.pose(path[0].child, robot.child_frame)
     T = _where_observable(robot, path[0].T_parent_child @ T_mount_camera)
     return path[0], T @ se3.inverse(T_mount_camera)
 
@@ -284,8 +307,8 @@ def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side,
             )
 
 
-def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> _Edit:
-    """The edit that adds the camera's joint, and its link if there is none, before the end of the robot."""
+def _added(file: _File, urdf: Urdf, robot: CalibratedRobot) -> bytes:
+    """The camera's joint, and its link if there is none."""
     if robot.parent_frame not in urdf.links:
         raise ConfigError(
             f"URDF: neither {robot.child_frame!r} nor {robot.parent_frame!r} is a link",
@@ -294,16 +317,16 @@ def _added(places: _Places, urdf: Urdf, robot: CalibratedRobot) -> _Edit:
     name, number = f"{robot.child_frame}_joint", 2
     while name in urdf.joints:
         name, number = f"{robot.child_frame}_joint{number}", number + 1
-    has_link = ("link", robot.child_frame, "") in places
+    has_link = ("link", robot.child_frame, "") in file.places
     lines = (
         *([] if has_link else [f"<link name={attribute(robot.child_frame)}/>"]),
         f'<joint name={attribute(name)} type="fixed">',
         f"  <parent link={attribute(robot.parent_frame)}/><child link={attribute(robot.child_frame)}/>",
-        f"  {_origin(robot.T_parent_child)}",
+        f"  {_element('origin', _origin(robot.T_parent_child))}",
         "</joint>",
         *([f"<!-- {comment(frame_note(robot))} -->"] if robot.rectified else []),
     )
-    return *places["robot", "", "end"][-1], "".join(f"  {line}\n" for line in lines).encode()
+    return "".join(f"  {line}\n" for line in lines).encode()
 
 
 def _wheel_origins(
@@ -328,15 +351,13 @@ def _wheel_origins(
 
 def _wheel_center(urdf: Urdf, name: str) -> tuple[FloatArray, FloatArray]:
     """Frame in which a joint is placed, (4, 4) to the root's coordinates, and the joint's place in the root, (3,) m."""
-    above = urdf.path(urdf.root, _joint(urdf, name).child)
-    T_root_parent = np.eye(4)
-    for joint in above[:-1]:
-        T_root_parent = T_root_parent @ joint.T_parent_child
-    return T_root_parent, (T_root_parent @ above[-1].T_parent_child)[:3, 3]
+    joint = _joint(urdf, name)
+    T_root_parent = urdf.pose(urdf.root, joint.parent)
+    return T_root_parent, (T_root_parent @ joint.T_parent_child)[:3, 3]
 
 
 def _height(
-    content: bytes, places: _Places, urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
+    file: _File, urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
 ) -> tuple[float | None, tuple[str, ...]]:
     """New height of the wheel joints in their parent, m, None to keep it; and a note on it.
 
@@ -344,8 +365,8 @@ def _height(
     as that of a base_footprint, may also place the body: the note has both radii.
     """
     joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
-    tags = [tag for joint in joints for tag in places.get(("link", joint.child, "wheel"), [])[:1]]
-    stated = [re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", content[slice(*tag)]) for tag in tags]
+    tags = [tag for joint in joints for tag in file.places.get(("link", joint.child, "wheel"), [])[:1]]
+    stated = [re.search(rb"\sradius\s*=\s*[\"']([^\"']*)", file.content[slice(*tag)]) for tag in tags]
     try:
         radii = [float(radius[1]) for radius in stated if radius]
     except ValueError:
@@ -373,42 +394,17 @@ def _joint(urdf: Urdf, name: str) -> UrdfJoint:
     return urdf.joints[name]
 
 
-def _moved(
-    content: bytes, places: _Places, joint: str, T: FloatArray, names: Sequence[str] = ("xyz", "rpy")
-) -> _Edit:
-    """The edit that gives a joint an origin, or changes some attributes of an existing one."""
-    origins = places.get(("joint", joint, "origin"))
-    if origins:
-        return _with(content, origins[0], {name: _attributes(T)[name] for name in names})
-    _, inside = places["joint", joint, ""][-1]
-    return inside, inside, _origin(T).encode()
-
-
-def _attributes(T: FloatArray) -> dict[str, str]:
+def _origin(T: FloatArray) -> dict[str, str]:
+    """Attributes of an origin."""
     return {"xyz": _numbers(T[:3, 3]), "rpy": _numbers(se3.to_rpy(T[:3, :3]))}
+
+
+def _element(name: str, values: Mapping[str, str]) -> str:
+    return f"<{name} {' '.join(f'{name}={attribute(value)}' for name, value in values.items())}/>"
 
 
 def _numbers(values: FloatArray) -> str:
     return " ".join(f"{value + 0.0:.12g}" for value in np.round(values, 12))
-
-
-def _origin(T: FloatArray) -> str:
-    return f"<origin {' '.join(f'{name}={attribute(value)}' for name, value in _attributes(T).items())}/>"
-
-
-def _with(content: bytes, tag: _Tag, values: Mapping[str, str]) -> _Edit:
-    """The edit that replaces or adds the values of some attributes of a tag."""
-    text = content[slice(*tag)]
-    for name, value in values.items():
-        pattern = re.compile(rb"(\s" + name.encode() + rb"\s*=\s*)(\"[^\"]*\"|'[^']*')")
-        current = pattern.search(text)
-        if current is not None:
-            quote = current.group(2)[:1]
-            text = text[: current.start(2)] + quote + value.encode() + quote + text[current.end(2) :]
-        else:
-            end = len(text) - (2 if text.endswith(b"/>") else 1)
-            text = text[:end].rstrip() + f' {name}="{value}"'.encode() + text[end:]
-    return *tag, text
 
 
 def _places(content: bytes) -> _Places:
