@@ -8,7 +8,9 @@ import numpy as np
 from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.priors import Priors
+from mobilecal_cli.model import NINE, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot
 
 
@@ -40,3 +42,10 @@ def nees(
     index = np.arange(9)[kept]
     error = errors(found, robot)[index]
     return float(error @ np.linalg.solve(covariance[np.ix_(index, index)], error)) / len(index)
+
+
+def no_priors(layout: Layout, anchor: Parameters) -> Priors:
+    """No prior: every parameter is free, from the measurements alone."""
+    zero = np.zeros(layout.size)
+    scales = layout.prior_sigmas(anchor.wheels)
+    return Priors(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc, stdtrit
@@ -17,56 +16,28 @@ _TWO_SIGMA = 0.97725  # probability below two standard deviations
 _CHANCE = 0.01  # recordings differ where chance alone would make as much in fewer cases
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Pooled:
-    """The recordings weighed against one another.
-
-    Attributes:
-        between: each recording by itself, and the spread between them.
-        step: (P,) from the optimum of all measurements to the estimate that allows for the spread.
-        covariance: (P, P) of that estimate.
-    """
-
-    between: BetweenLogs
-    step: FloatArray
-    covariance: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Own:
-    """The estimate from one recording alone, in scaled units.
-
-    Attributes:
-        step, std: (9,) from the common optimum; 0 where the recording does not show a parameter.
-        shown: (9,) whether it does.
-        distance: chi-squared of the common optimum, with `rank` degrees of freedom.
-        rank: number of directions that the recording shows.
-    """
-
-    step: FloatArray
-    std: FloatArray
-    shown: BoolArray
-    distance: float
-    rank: int
-
-
-def _own(A: FloatArray, a: FloatArray, basis: FloatArray) -> _Own:
-    """The estimate of the nine from one recording, for the common values of all constants.
+def _own(
+    A: FloatArray, a: FloatArray, basis: FloatArray
+) -> tuple[FloatArray, FloatArray, BoolArray, float, int]:
+    """The estimate of the nine from one recording, for the common values of all constants, in scaled units.
 
     Args:
         A, a: (F, F) information about the free directions of the nine, and (F,) its gradient.
         basis: (9, F) these directions.
+
+    Returns:
+        (9,) step from the common optimum and (9,) its standard deviation, both 0 where the recording does not show a
+        parameter; (9,) whether it does; the chi-squared of the common optimum, and its degrees of freedom.
     """
     values, vectors = np.linalg.eigh(A)
     known = values > _SHOWN**2
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
     covariance = (vectors * inverse) @ vectors.T
     step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
-    shown = (
-        np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
-    )  # fixed and unobservable: no share
+    # Of fixed and unobservable parameters, the share is zero.
+    shown = np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     distance = float(a @ covariance @ a)
-    return _Own(np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum()))
+    return np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum())
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
@@ -99,7 +70,7 @@ def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> flo
     return math.sqrt(max(1.0, q)) * float(stdtrit(spare, _TWO_SIGMA)) / 2
 
 
-def weigh_logs(lin: Posterior) -> Pooled:
+def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
     """Weigh the recordings with the spread between them.
 
     Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.
@@ -109,6 +80,10 @@ def weigh_logs(lin: Posterior) -> Pooled:
 
     Args:
         lin: the optimum of all measurements.
+
+    Returns:
+        Each recording by itself and the spread between them; (P,) step from the optimum of all measurements to the
+        estimate that allows for the spread; and (P, P) covariance of that estimate.
     """
     size, scales, basis = lin.data.layout.size, lin.priors.scales, lin.priors.scaled_basis
     parts = []
@@ -117,17 +92,15 @@ def weigh_logs(lin: Posterior) -> Pooled:
         parts.append((basis.T @ (normal.S * np.outer(scales, scales)) @ basis, basis.T @ (normal.s * scales)))
     nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
     own = slice(own_basis.shape[1])
-    logs = [_own(A[own, own], a[own], own_basis) for A, a in parts]
-    step, std, shown = (np.array([getattr(log, name) for log in logs]) for name in ("step", "std", "shown"))
+    each = (_own(A[own, own], a[own], own_basis) for A, a in parts)
+    step, std, shown, distance, rank = (np.array(part) for part in zip(*each, strict=True))
     variance, factor = np.zeros(size), np.ones(size)
-    spare = sum(log.rank for log in logs) - own_basis.shape[1]
-    if spare > 0 and chdtrc(spare, sum(log.distance for log in logs)) < _CHANCE:
-        variance[nine] = [
-            between_variance(step[shown[:, k], k], std[shown[:, k], k]) for k in range(len(NINE))
-        ]
-        factor[nine] = [
-            few_logs_factor(step[shown[:, k], k], std[shown[:, k], k], variance[k]) for k in range(len(NINE))
-        ]
+    spare = rank.sum() - own_basis.shape[1]
+    if spare > 0 and chdtrc(spare, distance.sum()) < _CHANCE:
+        for k in range(len(NINE)):
+            of_shown = step[shown[:, k], k], std[shown[:, k], k]
+            variance[k] = between_variance(*of_shown)
+            factor[k] = few_logs_factor(*of_shown, variance[k])
     T = basis.T @ (variance[:, None] * basis)
     data, right = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1])
     for A, a in parts:
@@ -143,8 +116,8 @@ def weigh_logs(lin: Posterior) -> Pooled:
     inverse = np.linalg.inv((total + total.T) / 2)
     between = BetweenLogs(
         np.where(shown, step - pooled[nine], 0.0) * scales[nine],
-        np.where(shown, std, 0.0) * scales[nine],
+        std * scales[nine],
         shown,
         np.sqrt(variance[nine]) * scales[nine],
     )
-    return Pooled(between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales))
+    return between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales)

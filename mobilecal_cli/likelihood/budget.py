@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.posterior import Posterior, roots
 from mobilecal_cli.likelihood.processes import COUNT, LEVELS
 from mobilecal_cli.model import FloatArray
 
@@ -63,15 +63,6 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     return product
 
 
-def _roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
-    values, vectors = np.linalg.eigh(information)
-    size = np.sqrt(np.maximum(values, 0.0))
-    positive = size > 1e-9 * size.max(axis=1, keepdims=True).clip(1e-300)
-    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
-
-
 def influences(lin: Posterior) -> Iterator[Influence]:
     """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
     yield from _of_images(lin)
@@ -120,7 +111,7 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
         stations = np.flatnonzero(of_kind)
         if not len(stations):
             continue
-        root, inverse = _roots(views.information[stations])
+        root, inverse = roots(views.information[stations])
         transposed = np.swapaxes(root, 1, 2)
         base, own, board = (
             np.swapaxes(part[stations], 1, 2) @ root[:, :6]
@@ -153,7 +144,7 @@ def _of_processes(lin: Posterior) -> Influence:
 def _of_legs(lin: Posterior) -> Influence:
     data, legs = lin.data, lin.legs
     i, j = data.legs.T
-    root, _ = _roots(lin.leg_weight)
+    root, _ = roots(lin.leg_weight)
     shared = np.swapaxes(legs.by_shared, 1, 2) @ root
     onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, shared=shared)
     onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
-from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions
+from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, legs_between
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
@@ -55,11 +54,6 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     """
     observations = extraction.observations
     log = np.array([o.log for o in observations])
-    legs = [
-        pair
-        for number in range(len(extraction.wheels))
-        for pair in itertools.pairwise(np.flatnonzero(log == number).tolist())
-    ]
     times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     joints = np.stack([o.joints for o in observations])
     steps = encoder_steps_rad(extraction.wheels)
@@ -88,7 +82,8 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     shown = np.stack([[view.seen for view in o.views] for o in observations])
     claims = np.hypot([[view.sigma_px for view in o.views] for o in observations], _LEAST_CLAIM_PX)
     usual = math.sqrt(np.mean(claims[shown.any(axis=2)] ** 2)) if shown.any() else 1.0
-    sides, turned = _approach_direction(extraction, widths_ns, joint_noise)
+    of_tracks = [*zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)]
+    sides, turned = _approach_direction(of_tracks, log, times_ns, joints)
     on_the_way = between_readings(extraction.joint_tracks, log, times_ns, moving, joints.shape[1])
     play = kind("backlash").sigma * np.array(units)
     return Dataset(
@@ -111,13 +106,12 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         wheels_between=between_readings([(t.right, t.left) for t in tracks], log, times_ns, moving, 2),
         joints_between=np.hypot(on_the_way, play * (turned & moving[:, None])),
         log=log,
-        legs=np.array(legs, dtype=np.int64).reshape(-1, 2),
+        legs=legs_between(log),
         tracks=tracks,
         motions=motions,
         times_ns=times_ns,
         encoder_step_rad=steps,
         several_wheels=extraction.rig.sources.several_wheels,
-        first_log=0,
         layout=Layout(tuple(constants)),
     )
 
@@ -186,7 +180,10 @@ def _whitening(observations: Sequence[Observation], relative_sigma: FloatArray) 
 
 
 def _approach_direction(
-    extraction: Extraction, widths_ns: Sequence[Sequence[int]], joint_noise: Sequence[Sequence[float]]
+    tracks: Sequence[tuple[Sequence[Track], Sequence[int], Sequence[float]]],
+    log: IntArray,
+    times_ns: IntArray,
+    joints: FloatArray,
 ) -> tuple[FloatArray, BoolArray]:
     """(N, J) the direction of each joint's last motion before each station, from -1 to 1, and where it just turned.
 
@@ -194,14 +191,11 @@ def _approach_direction(
     it has come back by more than noise, the side may be the other one.
 
     Args:
-        extraction: the stations.
-        widths_ns, joint_noise: of each recording's joints, see `Measurements`, and the noise of one reading.
+        tracks: of each recording, those of its joints, their widths, see `Measurements`, and the noise of one reading.
+        log, times_ns, joints: of the stations.
     """
-    observations = extraction.observations
-    log, joints = np.array([o.log for o in observations]), np.stack([o.joints for o in observations])
-    times_ns = np.array([o.time_ns for o in observations], dtype=np.int64)
     sides, turned = np.zeros(joints.shape), np.zeros(joints.shape, dtype=np.bool_)
-    for number, of_log in enumerate(zip(extraction.joint_tracks, widths_ns, joint_noise, strict=True)):
+    for number, of_log in enumerate(tracks):
         mine = np.flatnonzero(log == number)
         for j, (track, width_ns, noise) in enumerate(zip(*of_log, strict=True)):
             moved = max(_MOVED_RAD, _NOISE_SIGMAS * noise)

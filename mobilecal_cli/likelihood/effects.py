@@ -50,7 +50,7 @@ class Clock(Effect):
     def stations(self, data: Measurements) -> BoolArray:
         """(N,) those of the recording."""
         every = np.ones(data.stations, dtype=np.bool_)
-        return every if self.log is None else np.asarray(data.first_log + data.log == self.log)
+        return every if self.log is None else np.asarray(data.log == self.log)
 
     def offered(self, data: Measurements) -> bool:
         """Only stations in motion show an offset."""
@@ -429,9 +429,9 @@ class FloorEffect(Effect, ABC):
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses (N, 3), see `State.base`."""
 
-    @abstractmethod
     def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3, 3) derivative of these by a step of the base along its own x and y (m), and of its heading (rad)."""
+        return np.zeros((*base.shape, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,10 +443,6 @@ class BaseLean(FloorEffect):
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
         return np.broadcast_to(np.eye(3)[self.axis], base.shape)
-
-    def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
-        """(N, 3, 3) zero."""
-        return np.zeros((*base.shape, 3))
 
 
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
@@ -468,15 +464,12 @@ class FloorShape(FloorEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only the images of a base that drives to more places than a floor has terms show it."""
-        return data.motions is None and int((self._stations(data) & data.drives).sum()) > self.terms
-
-    def _stations(self, data: Measurements) -> BoolArray:
-        return np.asarray(data.first_log + data.log == self.log)
+        return data.motions is None and int(((data.log == self.log) & data.drives).sum()) > self.terms
 
     def _derivative(self, data: Measurements, base: FloatArray, by_x: int, by_y: int) -> FloatArray:
         """(N,) so many times by x and by y, 0 in other recordings."""
         (a, b), (x, y) = self.powers, np.clip(base[:, :2].T, -_FLOOR_REACH_M, _FLOOR_REACH_M)
-        factor = math.perm(a, by_x) * math.perm(b, by_y) * self._stations(data)
+        factor = math.perm(a, by_x) * math.perm(b, by_y) * (data.log == self.log)
         return np.asarray(factor * x ** max(a - by_x, 0) * y ** max(b - by_y, 0))
 
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:

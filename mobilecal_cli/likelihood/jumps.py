@@ -165,8 +165,7 @@ class _Test:
             GV = self._G @ V
             Vt = np.swapaxes(V, 1, 2)
             base = np.swapaxes(views.by_base, 1, 2) @ GV[:, :6]
-            shared = np.swapaxes(views.by_shared, 1, 2) @ GV[:, :6]
-            shared[:, views.direct] += GV[:, 6:]
+            shared = np.swapaxes(views.onto_shared(np.swapaxes(GV, 1, 2)), 1, 2)
             board = np.swapaxes(views.by_board, 1, 2) @ GV[:, :6]
             return (Vt @ views.gradient[..., None])[..., 0], Vt @ GV, base, np.zeros_like(base), board, shared
         assert part.legs is not None
@@ -205,10 +204,7 @@ def without(lin: Posterior, jump: Jump) -> Posterior:
     after = _after(lin, jump.station)
     views, offset = lin.views, lin.leg_offset
     if part.views is not None:
-        moved = np.where(after[:, None], part.views @ jump.value, 0.0)
-        change = (views.information @ moved[..., None])[..., 0]
-        cost = views.cost + np.sum(moved * (2 * views.gradient + change), axis=1)
-        views = replace(views, gradient=views.gradient + change, cost=cost)
+        views = views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
     if part.legs is not None:
         offset = offset + np.where(after[data.legs[:, 1], None], part.legs @ jump.value, 0.0)
     return lin.changed(known={"views": views}, leg_offset=offset)

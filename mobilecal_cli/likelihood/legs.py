@@ -46,11 +46,6 @@ class Legs:
         change: FloatArray = by_ends[..., 0] + self.by_shared @ step.shared
         return replace(self, residual=self.residual + change)
 
-    def followed_by(self, other: Legs) -> Legs:
-        """The residuals of both, leg by leg."""
-        parts = ("residual", "by_start", "by_end", "by_shared")
-        return Legs(*(np.concatenate([getattr(self, at), getattr(other, at)], axis=1) for at in parts))
-
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
@@ -69,12 +64,6 @@ def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray
     return out
 
 
-def _wider(data: Dataset, state: State, above: FloatArray) -> FloatArray:
-    """(n,) effective over mean separation in each step; `above`: see `Increments.above_mean_rate`."""
-    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
-    return np.asarray(1 + slip * above)
-
-
 def base_legs(data: Dataset, state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
     i, j = data.legs.T
@@ -89,7 +78,10 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     i, j = data.legs.T
     steps = _steps(data, state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
-    arcs = integrate(steps, state.parameters.wheels, 1.0 if above is None else _wider(data, state, above))
+    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
+    # Effective over mean separation in each step.
+    wider = 1.0 if above is None else np.asarray(1 + slip * above)
+    arcs = integrate(steps, state.parameters.wheels, wider)
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(data, state)
     count = len(between)
@@ -128,11 +120,14 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     for column, _, _ in data.layout.of(TurnSlip):
         if above is not None:
             by_shared[:, :, column] = arcs.by_widening(above)
-    odometry = Legs(residual, by_start, by_end, by_shared)
-    return odometry if data.motions is None else odometry.followed_by(_of_sensor(data, state, data.motions))
+    odometry = residual, by_start, by_end, by_shared
+    if data.motions is None:
+        return Legs(*odometry)
+    sensor = _of_sensor(data, state, data.motions)
+    return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
-def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> Legs:
+def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     i = data.legs[:, 0]
     X, between = state.parameters.T_h_c, base_legs(data, state)
@@ -158,7 +153,7 @@ def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> Legs:
     heading = np.arctan2(T[:, 1, 0], T[:, 0, 0])
     residual = motions.motion - np.concatenate([T[:, :2, 3], heading[:, None]], axis=1)
     residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
-    return Legs(residual, by_start, by_end, by_shared)
+    return residual, by_start, by_end, by_shared
 
 
 def all_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:

@@ -13,12 +13,12 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
-from mobilecal_cli.likelihood.noise import Inliers, encoder_sigmas, own_sigmas
+from mobilecal_cli.likelihood.noise import LEAST_READING, Inliers, joint_sigmas
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
-from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.likelihood.views import Views, linearize_views, view_rates, with_stations
-from mobilecal_cli.model import FloatArray, Noise
+from mobilecal_cli.likelihood.state import State, Step, board_in_camera
+from mobilecal_cli.likelihood.views import Views, images_of, linearize_views, view_rates
+from mobilecal_cli.model import EXACT, FloatArray, Noise
 
 
 @contextmanager
@@ -131,24 +131,18 @@ class Linearization:
         if "views" in self.__dict__:
             differ = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
             differ |= inliers.views != self.inliers.views
-            known["views"] = with_stations(
-                self.views, self.data, self.state, inliers, self.noise, self.rates, np.flatnonzero(differ)
-            )
+            at, T_c_k = np.flatnonzero(differ), board_in_camera(self.data, self.state)
+            images = images_of(self.data, self.state, T_c_k, inliers, self.noise, self.rates, at)
+            known["views"] = self.views.with_images(at, images)
         return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
     def of_log(self, log: int) -> Self:
-        """The part that belongs to one recording."""
-        data = self.data
-        legs = np.flatnonzero(data.log[data.legs[:, 0]] == log)
-        return replace(
-            self,
-            data=data.of_log(log),
-            state=self.state.of_log(data, log),
-            inliers=self.inliers.of_log(data, log),
-            leg_covariances={name: share[legs] for name, share in self.leg_covariances.items()},
-            processes=self.processes.select(np.flatnonzero(data.log == log), legs),
-            rates=self.rates[data.log == log],
-        )
+        """The same point with the measurements of one recording alone."""
+        mine = self.data.log == log
+        legs = self.inliers.legs & mine[self.data.legs[:, 0]]
+        inliers = replace(self.inliers, views=self.inliers.views & mine, legs=legs)
+        views = self.views.scaled(np.where(mine, 1.0, np.inf))
+        return self.changed(("legs", "leg_covariance", "own_sigmas"), {"views": views}, inliers=inliers)
 
     # -- residuals --------------------------------------------------------------------------------
 
@@ -177,8 +171,13 @@ class Linearization:
 
     @cached_property
     def own_sigmas(self) -> FloatArray:
-        """(N, J + 3) sigma of each joint reading (rad or m), and of the sway's roll, pitch (rad) and height (m)."""
-        return own_sigmas(self.data, self.inliers, self.noise)
+        """(N, J + 3) sigma of each joint reading (rad or m), and of the sway's roll, pitch (rad) and height (m).
+
+        A base that never moves does not sway.
+        """
+        data, noise = self.data, self.noise
+        sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
+        return np.concatenate([joint_sigmas(data, self.inliers, noise), sway], axis=1)
 
     @property
     def own_errors(self) -> FloatArray:
@@ -188,7 +187,8 @@ class Linearization:
     @cached_property
     def encoder_sigmas(self) -> FloatArray:
         """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
-        return encoder_sigmas(self.data, self.noise)
+        readings = np.maximum(self.noise.encoder_rad * self.data.encoder_shares, LEAST_READING)
+        return np.hypot(readings, self.data.wheels_between)
 
     @cached_property
     def cost(self) -> float:

@@ -2,22 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
-from mobilecal_cli.model import (
-    BoolArray,
-    CameraRig,
-    FloatArray,
-    HeadChain,
-    IntArray,
-    Track,
-    WheelTrack,
-)
+from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, IntArray, Track, WheelTrack
 
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
@@ -49,9 +41,36 @@ class MotionPairs:
     chain: IntArray
     steps: Increments
 
+    @classmethod
+    def of(
+        cls, T_v_h: FloatArray, T_c_k: FloatArray, points_c: FloatArray, log: IntArray, steps: Increments
+    ) -> MotionPairs:
+        """All legs of stations in recordings (N,)."""
+        legs = legs_between(log)
+        of_leg = log[legs[:, 0]]
+        return cls(T_v_h, T_c_k, points_c, legs, np.searchsorted(of_leg, of_leg), steps)
+
     def select(self, legs: IntArray) -> MotionPairs:
         """Some legs alone (increasing indices), each as a recording of its own."""
         return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
+
+
+def legs_between(log: IntArray) -> IntArray:
+    """(L, 2) each two consecutive stations of one recording, of stations in recordings (N,), sorted."""
+    first = np.flatnonzero(log[:-1] == log[1:])
+    return np.stack([first, first + 1], axis=1)
+
+
+def steps_between(
+    tracks: Sequence[WheelTrack], log: IntArray, stamps_ns: IntArray, rates: bool = False
+) -> Increments:
+    """Wheel rotations of the legs between stations in recordings (N,), cut at stamps (N,); rates: see `cut_at`."""
+    parts = []
+    for number, track in enumerate(tracks):
+        times = stamps_ns[log == number]
+        if len(times) > 1:
+            parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=rates))
+    return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +110,6 @@ class Measurements:
         wheels_between, joints_between: (N, 2) and (N, J) sigma of what is interpolated between two readings, rad or m,
             and of the side of its play of a joint that just turned back; 0 at rest.
         log: (N,) the recording of each station. Each recording has a board pose of its own.
-        first_log: number of the first of these recordings among all.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
         motions: of a planar sensor over each leg; None where there is none.
@@ -125,7 +143,6 @@ class Measurements:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     several_wheels: bool
-    first_log: int
 
     @property
     def stations(self) -> int:
@@ -225,47 +242,18 @@ class Measurements:
         """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
         if not (np.any(time_offset_s) and self.moving.any()):
             return self._steps_as_stamped
-        return self._cut(self.stamps_ns(time_offset_s))
+        stamps_ns = self.stamps_ns(time_offset_s)
+        return steps_between(self.tracks, self.log, stamps_ns, rates=self.several_wheels)
 
     @cached_property
     def _steps_as_stamped(self) -> Increments:
-        return self._cut(self.times_ns)
-
-    def _cut(self, stamps_ns: IntArray) -> Increments:
-        parts = []
-        for number, track in enumerate(self.tracks):
-            times = stamps_ns[self.log == number]
-            if len(times) > 1:
-                at = np.clip(times, track.time_ns[0], track.time_ns[-1])
-                parts.append(cut_at(track, at, rates=self.several_wheels))
-        return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+        return steps_between(self.tracks, self.log, self.times_ns, rates=self.several_wheels)
 
     @cached_property
     def pairs(self) -> MotionPairs:
         """The legs as the linear method and eqs. 18 and 19 take them."""
         T_v_h = head_pose(self.chain, self.joints)
-        log = self.log[self.legs[:, 0]]
-        chain = np.searchsorted(log, log)
-        return MotionPairs(T_v_h, self.T_c_k, self.points_c, self.legs, chain, self.steps())
-
-    # -- parts ------------------------------------------------------------------------------------
-
-    def of_log(self, log: int) -> Self:
-        """The stations and legs of one recording."""
-        mine = self.log == log
-        legs = mine[self.legs[:, 0]]
-        number = np.cumsum(mine) - 1
-        return replace(
-            self,
-            **{name: getattr(self, name)[mine] for name in BY_STATION},
-            joint_tracks=self.joint_tracks[log : log + 1],
-            joint_widths_ns=self.joint_widths_ns[log : log + 1],
-            log=np.zeros(int(mine.sum()), dtype=np.int64),
-            first_log=self.first_log + log,
-            legs=number[self.legs[legs]],
-            motions=self.motions and SensorMotions(self.motions.motion[legs], self.motions.covariance[legs]),
-            tracks=self.tracks[log : log + 1],
-        )
+        return MotionPairs.of(T_v_h, self.T_c_k, self.points_c, self.log, self.steps())
 
 
 BY_STATION = (

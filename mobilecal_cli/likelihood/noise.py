@@ -7,15 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.model import EXACT, BoolArray, FloatArray, Noise
+from mobilecal_cli.model import BoolArray, FloatArray, Noise
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
-_LEAST_READING = 1e-6  # rad: of an encoder without steps
+LEAST_READING = 1e-6  # rad: of an encoder without steps
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 FEWEST_CORNERS = 4  # of one station, in both images together: fewer do not hold a board pose
+
+#: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
+#: and a joint reading.
+DEGREES = {"views": 6, "legs": 3, "readings": 1}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,42 +48,15 @@ class Inliers:
             np.ones(data.joints.shape, dtype=np.bool_),
         )
 
-    def of_log(self, data: Dataset, log: int) -> Inliers:
-        """The part that belongs to one recording of a data set."""
-        mine = data.log == log
-        legs = mine[data.legs[:, 0]]
-        return Inliers(self.corners[mine], self.views[mine], self.legs[legs], self.readings[mine])
-
     def same(self, other: Inliers) -> bool:
         """Whether both are the same measurements."""
-        return all(
-            np.array_equal(getattr(self, name), getattr(other, name))
-            for name in ("corners", "views", "legs", "readings")
-        )
+        kinds = ("corners", *DEGREES)
+        return all(np.array_equal(getattr(self, kind), getattr(other, kind)) for kind in kinds)
 
     @property
     def used_corners(self) -> BoolArray:
         """(N, C, M) corners of the stations whose images are used."""
         return self.corners & self.views[:, None, None]
-
-    @property
-    def count(self) -> int:
-        """How many numbers were measured: two per corner, three per leg, one per joint reading."""
-        return 2 * int(self.used_corners.sum()) + 3 * int(self.legs.sum()) + int(self.readings.sum())
-
-
-def encoder_sigmas(data: Dataset, noise: Noise) -> FloatArray:
-    """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
-    return np.hypot(np.maximum(noise.encoder_rad * data.encoder_shares, _LEAST_READING), data.wheels_between)
-
-
-def own_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:
-    """(N, J + 3) sigma of each joint reading (rad or m), and of the base's sway: roll, pitch (rad) and height (m).
-
-    A base that never moves does not sway.
-    """
-    sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
-    return np.concatenate([joint_sigmas(data, inliers, noise), sway], axis=1)
 
 
 def joint_sigmas(data: Dataset, inliers: Inliers, noise: Noise) -> FloatArray:

@@ -56,48 +56,59 @@ class Kind:
     Attributes:
         name: as `priors:` in rig.yaml, `--estimate` and `--prior` take it.
         unit: of the values in the code: "s", "rad", "m", or "1" for a ratio (of the image width for pixels).
-        sigma: default prior standard deviation, in that unit.
         shown_unit, shown: unit for people, and how many of it one `unit` is.
+        sigma: default prior standard deviation, in `unit`.
         meaning: in words.
+        names: pattern of the names of its constants that depend on the robot.
     """
 
     name: str
     unit: str
-    sigma: float
     shown_unit: str
     shown: float
+    sigma: float
     meaning: str
+    names: str = ""
 
 
 _DEGREE = math.pi / 180
+# Units in the code and for people, and how many of these it is.
+_TIME, _LENGTH, _ANGLE = ("s", "ms", 1e3), ("m", "mm", 1e3), ("rad", "deg", 1 / _DEGREE)
+_SHARE, _OF_WIDTH = ("1", "%", 100), ("1", "% of the image width", 100)
 # fmt: off
 KINDS: tuple[Kind, ...] = (
-    Kind("clock", "s", 0.2, "ms", 1e3, "offset of a clock against the cameras' clock"),
-    Kind("stereo_clock", "s", 0.002, "ms", 1e3, "delay of a camera against the first one"),
-    Kind("readout", "s", 0.0005, "ms", 1e3, "time between the first and the last row of an image"),
-    Kind("focal_length", "1", 0.002, "%", 100, "focal length of a camera"),
-    Kind("focal_aspect", "1", 0.001, "%", 100, "horizontal focal length of a camera against the vertical one"),
-    Kind("principal_point", "1", 0.003, "% of the image width", 100, "principal point of a camera"),
-    Kind("distortion", "1", 0.0008, "% of the image width", 100, "distortion of a camera, at the image corner"),
-    Kind("lens_waves", "1", 0.0002, "% of the image width", 100, "what a lens does beside its distortion, rms"),
-    Kind("stereo_rotation", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "rotation between the two cameras"),
-    Kind("baseline_direction", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of the stereo baseline"),
-    Kind("baseline_length", "1", 0.002, "%", 100, "length of the stereo baseline"),
-    Kind("camera_rotation", "rad", 1.0 * _DEGREE, "deg", 1 / _DEGREE, "rotation of a camera against the first"),
-    Kind("camera_position", "m", 0.005, "mm", 1e3, "position of a camera against the first"),
-    Kind("square_size", "1", 0.001, "%", 100, "size of the board's squares"),
-    Kind("square_aspect", "1", 0.001, "%", 100, "width of the board's squares against their height"),
-    Kind("board_bend", "m", 0.0005, "mm", 1e3, "bend of the board"),
-    Kind("board_shear", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "angle between the board's rows and columns"),
-    Kind("board_corners", "m", 0.00015, "mm", 1e3, "place of a corner on the board (across it, twice as much)"),
-    Kind("lean", "rad", 0.05 * _DEGREE, "deg", 1 / _DEGREE, "lean of the base against the floor's normal"),
-    Kind("floor_shape", "m", 0.001, "mm", 1e3, "deviation of the floor from a plane, 1 m from the first station"),
-    Kind("joint_zero", "rad", 0.5 * _DEGREE, "deg", 1 / _DEGREE, "zero position of a head joint"),
-    Kind("joint_scale", "1", 0.001, "%", 100, "scale of a head joint's reading"),
-    Kind("joint_axis", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "direction of a head joint's axis"),
-    Kind("joint_position", "m", 0.001, "mm", 1e3, "position of a head joint's axis"),
-    Kind("turn_slip", "1", 0.03, "%", 100, "effective wheel separation at twice the mean turning rate (four wheels)"),
-    Kind("backlash", "rad", 0.1 * _DEGREE, "deg", 1 / _DEGREE, "backlash of a head joint"),
+    Kind("clock", *_TIME, 0.2, "offset of a clock against the cameras' clock", r"time_(joints|wheels)_\d+"),
+    Kind("stereo_clock", *_TIME, 0.002, "delay of a camera against the first one",
+         r"time_(?!(joints|wheels)_\d+$).+"),
+    Kind("readout", *_TIME, 0.0005, "time between the first and the last row of an image"),
+    Kind("focal_length", *_SHARE, 0.002, "focal length of a camera", r"focal_.+"),
+    Kind("focal_aspect", *_SHARE, 0.001, "horizontal focal length of a camera against the vertical one",
+         r"focal_aspect_.+"),
+    Kind("principal_point", *_OF_WIDTH, 0.003, "principal point of a camera", r"principal_.+_[xy]"),
+    Kind("distortion", *_OF_WIDTH, 0.0008, "distortion of a camera, at the image corner",
+         r"distortion_.+_(radial|tangential)_[12xy]"),
+    Kind("lens_waves", *_OF_WIDTH, 0.0002, "what a lens does beside its distortion, rms",
+         r"lens_waves_.+_\d+"),
+    Kind("stereo_rotation", *_ANGLE, 0.05 * _DEGREE, "rotation between the two cameras"),
+    Kind("baseline_direction", *_ANGLE, 0.1 * _DEGREE, "direction of the stereo baseline", r"baseline_[xyz]"),
+    Kind("baseline_length", *_SHARE, 0.002, "length of the stereo baseline"),
+    Kind("camera_rotation", *_ANGLE, 1.0 * _DEGREE, "rotation of a camera against the first",
+         r"turn_.+_[xyz]"),
+    Kind("camera_position", *_LENGTH, 0.005, "position of a camera against the first", r"shift_.+_[xyz]"),
+    Kind("square_size", *_SHARE, 0.001, "size of the board's squares"),
+    Kind("square_aspect", *_SHARE, 0.001, "width of the board's squares against their height"),
+    Kind("board_bend", *_LENGTH, 0.0005, "bend of the board"),
+    Kind("board_shear", *_ANGLE, 0.05 * _DEGREE, "angle between the board's rows and columns"),
+    Kind("board_corners", *_LENGTH, 0.00015, "place of a corner on the board (across it, twice as much)"),
+    Kind("lean", *_ANGLE, 0.05 * _DEGREE, "lean of the base against the floor's normal"),
+    Kind("floor_shape", *_LENGTH, 0.001, "deviation of the floor from a plane, 1 m from the first station",
+         r"floor_[xy]+(_\d+)?"),
+    Kind("joint_zero", *_ANGLE, 0.5 * _DEGREE, "zero position of a head joint", r".+_zero"),
+    Kind("joint_scale", *_SHARE, 0.001, "scale of a head joint's reading", r".+_scale"),
+    Kind("joint_axis", *_ANGLE, 0.1 * _DEGREE, "direction of a head joint's axis", r".+_axis_[xyz]"),
+    Kind("joint_position", *_LENGTH, 0.001, "position of a head joint's axis", r".+_position_[xyz]"),
+    Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
+    Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
 _BY_NAME = {kind.name: kind for kind in KINDS}
@@ -152,16 +163,17 @@ class Constant:
         return _BY_NAME[self.kind]
 
 
-def _row(name: str, kind: str, part: str, meaning: str, effect: Effect) -> Constant:
-    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma)
+def _row(name: str, kind: str, part: str, meaning: str, effect: Effect, unit: float = 1.0) -> Constant:
+    """The row with the kind's prior; `unit`: of a joint whose unit is not 1 rad."""
+    return Constant(name, kind, part, meaning, effect, _BY_NAME[kind].sigma * unit)
 
 
-_LENS_TERMS = (
-    ("radial_1", "radial distortion, third order"),
-    ("radial_2", "radial distortion, fifth order"),
-    ("tangential_x", "tangential distortion, x"),
-    ("tangential_y", "tangential distortion, y"),
-)
+_LENS_TERMS = {
+    "radial_1": "radial distortion, third order",
+    "radial_2": "radial distortion, fifth order",
+    "tangential_x": "tangential distortion, x",
+    "tangential_y": "tangential distortion, y",
+}
 _SHAPES = (
     ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
     (
@@ -181,66 +193,54 @@ _FLOOR_POWERS = tuple((a, degree - a) for degree in (2, 3) for a in range(degree
 _CLOCKS: tuple[tuple[Literal["joints", "wheels"], str], ...] = (("joints", "joint"), ("wheels", "wheel"))
 
 
-def _unit(size: int, axis: int) -> tuple[float, ...]:
-    return tuple(float(k == axis) for k in range(size))
+def _each_number(
+    name: str, kind: str, part: str, meaning: str, effect: tuple[str, int], terms: Mapping[str, str]
+) -> Iterator[Constant]:
+    """A row for each number of a camera's vector.
+
+    Args:
+        name, kind, part, meaning: of the rows; name and meaning as they begin.
+        effect: attribute of `CameraChange`, and index of the camera.
+        terms: how the name and the meaning end, number by number.
+    """
+    for (end, word), along in zip(terms.items(), np.eye(len(terms)).tolist(), strict=True):
+        of, camera = effect
+        yield _row(f"{name}_{end}", kind, part, meaning + word, CameraEffect(of, tuple(along), camera))
 
 
 def _of_each_camera(names: Sequence[str]) -> Iterator[Constant]:
     """Rows of the cameras themselves, one property after the other."""
     parts = [(k, name, camera_words(name)) for k, name in enumerate(names)]
     for k, name, part in parts:
-        yield _row(
-            f"focal_{name}", "focal_length", part, "focal length", CameraEffect("focal", (1.0, 1.0), k)
-        )
+        size = CameraEffect("focal", (1.0, 1.0), k)
+        yield _row(f"focal_{name}", "focal_length", part, "focal length", size)
     for k, name, part in parts:
         aspect = CameraEffect("focal", (0.5, -0.5), k)
         yield _row(f"focal_aspect_{name}", "focal_aspect", part, "fx against fy", aspect)
     for k, name, part in parts:
-        for axis, letter in enumerate("xy"):
-            row = f"principal_{name}_{letter}", "principal_point", part, f"principal point, {letter}"
-            yield _row(*row, CameraEffect("principal", _unit(2, axis), k))
+        row = f"principal_{name}", "principal_point", part, "principal point, "
+        yield from _each_number(*row, ("principal", k), _letters("xy"))
     for k, name, part in parts:
-        for term, (term_name, meaning) in enumerate(_LENS_TERMS):
-            yield _row(
-                f"distortion_{name}_{term_name}",
-                "distortion",
-                part,
-                meaning,
-                CameraEffect("lens", _unit(4, term), k),
-            )
+        yield from _each_number(f"distortion_{name}", "distortion", part, "", ("lens", k), _LENS_TERMS)
+
+
+def _letters(axes: str) -> dict[str, str]:
+    return dict(zip(axes, axes, strict=True))
 
 
 def _of_poses(names: Sequence[str], calibrated: bool) -> Iterator[Constant]:
     """Rows of the other cameras' poses in the first one, without the direction of a baseline."""
     first = camera_words(names[0])
     for k, name in enumerate(names[1:], 1):
-        for axis, letter in enumerate(_LETTERS):
-            row = (
-                (f"stereo_r_{letter}", "stereo_rotation")
-                if calibrated
-                else (f"turn_{name}_{letter}", "camera_rotation")
-            )
-            yield _row(
-                *row,
-                camera_words(name),
-                f"rotation about the {first}'s {letter}",
-                CameraEffect("turn", _unit(3, axis), k),
-            )
+        part, about = camera_words(name), f"rotation about the {first}'s "
+        turn = ("stereo_r", "stereo_rotation") if calibrated else (f"turn_{name}", "camera_rotation")
+        yield from _each_number(*turn, part, about, ("turn", k), _letters("xyz"))
         if calibrated:
-            yield _row(
-                "baseline_scale",
-                "baseline_length",
-                "stereo pair",
-                "length of the baseline",
-                CameraEffect("length", (1.0,), k),
-            )
-            continue
-        for axis, letter in enumerate(_LETTERS):
-            row, meaning = (
-                (f"shift_{name}_{letter}", "camera_position"),
-                f"position along the {first}'s {letter}",
-            )
-            yield _row(*row, camera_words(name), meaning, CameraEffect("shift", _unit(3, axis), k))
+            longer = CameraEffect("length", (1.0,), k)
+            yield _row("baseline_scale", "baseline_length", "stereo pair", "length of the baseline", longer)
+        else:
+            shift = f"shift_{name}", "camera_position", part, f"position along the {first}'s "
+            yield from _each_number(*shift, ("shift", k), _letters("xyz"))
 
 
 def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
@@ -285,13 +285,8 @@ def _of_baseline(cameras: CameraRig) -> Iterator[Constant]:
         t = cameras.T_c_each[1][:3, 3]
         for letter, e in _across(t / np.linalg.norm(t)):
             meaning = f"direction of the baseline about the {camera_words(cameras.names[0])}'s {letter}"
-            yield _row(
-                f"baseline_{letter}",
-                "baseline_direction",
-                "stereo pair",
-                meaning,
-                CameraEffect("swing", e, 1),
-            )
+            swing = CameraEffect("swing", e, 1)
+            yield _row(f"baseline_{letter}", "baseline_direction", "stereo pair", meaning, swing)
 
 
 def joint_keys(chain: HeadChain) -> Mapping[int, str]:
@@ -313,38 +308,25 @@ def _of_joints(chain: HeadChain) -> Iterator[Constant]:
     for index, key in keys.items():
         link = chain.links[index]
         assert isinstance(link, JointLink)
-        part, column = f"{link.joint}", columns[link.joint]
+        part, column = link.joint, columns[link.joint]
         if link.joint not in done:
             done.add(link.joint)
             unit = chain.joint_units[column]
             if index != max(keys):  # the head-eye transform absorbs the last zero exactly
-                yield _scaled(
-                    _row(f"{key}_zero", "joint_zero", part, "zero position", JointReading(column, "zero")),
-                    unit,
+                yield _row(
+                    f"{key}_zero", "joint_zero", part, "zero position", JointReading(column, "zero"), unit
                 )
             yield _row(
                 f"{key}_scale", "joint_scale", part, "scale of the reading", JointReading(column, "scale")
             )
-            yield _scaled(
-                _row(f"backlash_{key}", "backlash", part, "backlash", JointReading(column, "play")), unit
-            )
+            yield _row(f"backlash_{key}", "backlash", part, "backlash", JointReading(column, "play"), unit)
         for letter, e in _across(link.axis):
             meaning = f"direction of the axis, about {letter}"
             yield _row(f"{key}_axis_{letter}", "joint_axis", part, meaning, ChainEffect(index, "turn", e))
             if link.kind == "revolute":
                 meaning = f"position of the axis along {letter}"
-                yield _row(
-                    f"{key}_position_{letter}",
-                    "joint_position",
-                    part,
-                    meaning,
-                    ChainEffect(index, "shift", e),
-                )
-
-
-def _scaled(row: Constant, unit: float) -> Constant:
-    """The same for a joint whose unit is not 1 rad."""
-    return replace(row, sigma=row.sigma * unit)
+                shift = ChainEffect(index, "shift", e)
+                yield _row(f"{key}_position_{letter}", "joint_position", part, meaning, shift)
 
 
 def table(cameras: CameraRig, chain: HeadChain) -> tuple[Constant, ...]:

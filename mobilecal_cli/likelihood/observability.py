@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import solvable
@@ -14,32 +12,8 @@ from mobilecal_cli.model import NINE, FloatArray
 _SCATTERS = 5.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Directions:
-    """Singular values and directions of the whitened, column-scaled Jacobian of the nine parameters.
-
-    Attributes:
-        scales: (9,) units: prior sigmas of nominal values.
-        singular_values: (9,) falling: scale over standard deviation along each direction of the free
-            parameters.
-        directions: (9, 9) rows, orthonormal, in units of `scales`.
-        least: (9,) a direction with a smaller singular value is unobservable: the measurements show less than a
-            drawing, or no more than their noise alone would.
-    """
-
-    scales: FloatArray
-    singular_values: FloatArray
-    directions: FloatArray
-    least: FloatArray
-
-    @property
-    def unobservable(self) -> FloatArray:
-        """(K, 9) directions that the measurements do not show."""
-        return self.directions[self.singular_values < self.least]
-
-
 @solvable()
-def directions(lin: Posterior, user_weight: FloatArray) -> Directions:
+def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Singular directions of the information about the nine, the constants (with their priors) eliminated.
 
     Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
@@ -50,6 +24,11 @@ def directions(lin: Posterior, user_weight: FloatArray) -> Directions:
     Args:
         lin: where.
         user_weight: (P,) inverse variances of priors that count as measurements: the user's, and the constants'.
+
+    Returns:
+        (9,) falling singular values: prior sigma of a nominal value over standard deviation along each direction of
+        the free parameters; and the unobservable directions, (K, 9) rows, orthonormal in units of these sigmas: of
+        which the measurements show less than a drawing, or no more than their noise alone would.
 
     Raises:
         SolveError: the constants are not determined.
@@ -71,4 +50,4 @@ def directions(lin: Posterior, user_weight: FloatArray) -> Directions:
     legs = len(lin.data.legs)
     by_noise = WHEEL_SIGMA**2 * (legs + _SCATTERS * np.sqrt(2 * legs))
     least = np.sqrt(1 + by_noise * np.sum(along[:, 6:] ** 2, axis=1))
-    return Directions(scales, singular, along, least)
+    return singular, along[singular < least]

@@ -70,13 +70,8 @@ def _of_lenses(images: _Images) -> Iterator[Constant]:
             continue
         for number, mode in enumerate(_modes(*images.informations(*images.by_lens(camera))), 1):
             along = CameraEffect("lens", (0.0,) * 4 + tuple((_WAVE * mode).tolist()), camera)
-            row = (
-                f"{_LENS}_{name}_{number}",
-                _LENS,
-                camera_words(name),
-                f"waves over the image, pattern {number}",
-            )
-            yield Constant(*row, along, kind(_LENS).sigma)
+            part, meaning = camera_words(name), f"waves over the image, pattern {number}"
+            yield Constant(f"{_LENS}_{name}_{number}", _LENS, part, meaning, along, kind(_LENS).sigma)
 
 
 def _displaced(points_k: FloatArray, pattern: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
 from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.likelihood.state import Step
@@ -50,7 +50,9 @@ class Posterior(Linearization):
         basis = self.priors.basis
         reduced = basis.T @ self.information @ basis
         with solvable():
-            scale = 1 / np.sqrt(_positive(np.diag(reduced)))
+            if not np.all(np.diag(reduced) > 0):
+                raise np.linalg.LinAlgError("not positive definite")
+            scale = 1 / np.sqrt(np.diag(reduced))
             inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
         C: FloatArray = basis @ inverse @ basis.T
         return C
@@ -94,7 +96,6 @@ class Marginals:
         legs: (L, 3, 3) of the legs' residuals.
         encoders: (N, 2) variances of the encoder errors.
         stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
-        bases: (N, 3, 3) of the base poses, as body twists (x, y, heading).
         processes: (N, 5, 5) of the processes.
         before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
     """
@@ -106,7 +107,6 @@ class Marginals:
     legs: FloatArray
     encoders: FloatArray
     stamps: FloatArray
-    bases: FloatArray
     processes: FloatArray
     before: FloatArray
 
@@ -141,15 +141,13 @@ class Marginals:
         return out
 
 
-def _positive(values: FloatArray) -> FloatArray:
-    """The values.
-
-    Raises:
-        LinAlgError: one is not positive.
-    """
-    if not np.all(values > 0):
-        raise np.linalg.LinAlgError("not positive definite")
-    return values
+def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    values, vectors = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(values, 0.0))
+    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
+    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
+    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
 
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
@@ -200,7 +198,6 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
         encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
         stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
-        bases=bases[:, BASE, BASE],
         processes=bases[:, along, along],
         before=before,
     )

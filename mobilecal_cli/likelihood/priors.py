@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from mobilecal_cli.likelihood.nuisance import Layout, family
 from mobilecal_cli.likelihood.state import State
@@ -45,13 +46,6 @@ class Priors:
     wider: Mapping[str, float]
     bias: FloatArray | float = 0.0
 
-    @classmethod
-    def none(cls, layout: Layout, anchor: Parameters) -> Priors:
-        """No prior: every parameter is free, from the measurements alone."""
-        zero = np.zeros(layout.size)
-        scales = layout.prior_sigmas(anchor.wheels)
-        return cls(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})
-
     def widened(self, wider: Mapping[str, float]) -> Priors:
         """The same, so many times as wide as stated."""
         return replace(self, wider=wider)
@@ -83,10 +77,8 @@ class Priors:
     @cached_property
     def scaled_basis(self) -> FloatArray:
         """(P, F) free directions of the parameters, orthonormal in units of `scales`."""
-        constants = np.eye(self.layout.size)[:, len(NINE) :][:, ~self.fixed[len(NINE) :]]
-        nine = np.zeros((self.layout.size, self.nine_basis.shape[1]))
-        nine[: len(NINE)] = self.nine_basis
-        return np.concatenate([nine, constants], axis=1)
+        free = ~self.fixed[len(NINE) :]
+        return np.asarray(block_diag(self.nine_basis, np.eye(len(free))[:, free]), dtype=np.float64)
 
     @cached_property
     def nine_basis(self) -> FloatArray:

@@ -15,7 +15,7 @@ import numpy as np
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.model import EXACT, FloatArray, IntArray, Noise, WheelGeometry
+from mobilecal_cli.model import EXACT, FloatArray, Noise, WheelGeometry
 
 #: Noise level of each process, and of its correlation length: roll, pitch, height, right wheel, left wheel.
 LEVELS = ("floor_rad", "floor_rad", "floor_m", "wheel_share", "wheel_share")
@@ -29,14 +29,12 @@ class Processes:
     """Prior of the processes at N stations: one innovation w for each, in units rad, rad, m, 1, 1.
 
     Attributes:
-        previous: (N,) the station before; the first of a recording has itself, with rho 0.
-        distance_m: (N, 5) driven since then.
-        rho: (N, 5) correlation with the station before.
+        distance_m: (N, 5) driven since the station before.
+        rho: (N, 5) correlation with it, 0 for the first of a recording.
         variance: (N, 5) of the innovations.
         mean_share: (L, 2) c of each leg and wheel: the mean scale error over a leg is expected at c (s_i + s_j).
     """
 
-    previous: IntArray
     distance_m: FloatArray
     rho: FloatArray
     variance: FloatArray
@@ -44,14 +42,8 @@ class Processes:
 
     def innovations(self, values: FloatArray) -> FloatArray:
         """(N, 5) w = f_j - rho f_i of the processes' values, (N, 5)."""
-        out: FloatArray = values - self.rho * values[self.previous]
+        out: FloatArray = values - self.rho * np.roll(values, 1, axis=0)
         return out
-
-    def select(self, stations: IntArray, legs: IntArray) -> Processes:
-        """Those of one recording: increasing indices of its stations and legs."""
-        previous = np.searchsorted(stations, self.previous[stations])
-        distance, rho, variance = (part[stations] for part in (self.distance_m, self.rho, self.variance))
-        return Processes(previous, distance, rho, variance, self.mean_share[legs])
 
 
 def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
@@ -62,20 +54,18 @@ def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
 
 def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: Inliers) -> Processes:
     """The processes along the legs. A leg that is no inlier joins nothing: the floor behind it is another one."""
-    i, j = data.legs.T
+    j = data.legs[:, 1]
     rolled = rolled_m(data.steps(), wheels)
     distance = np.zeros((data.stations, COUNT))
     distance[j, :3], distance[j, 3:] = rolled.mean(axis=1, keepdims=True), rolled
     joined = np.zeros(data.stations, dtype=np.bool_)
     joined[j] = inliers.legs
-    previous = np.arange(data.stations)
-    previous[j] = i
     lengths = np.array([getattr(noise, name) for name in LENGTHS])
     sigma = np.array([getattr(noise, name) for name in LEVELS])
     x = distance / lengths
     rho = np.where(joined[:, None], np.exp(-x), 0.0)
     variance = np.maximum(np.where(joined[:, None], -np.expm1(-2 * x), 1.0) * sigma**2, EXACT**2)
-    return Processes(previous, distance, rho, variance, _half_tanh(x[j, 3:]))
+    return Processes(distance, rho, variance, _half_tanh(x[j, 3:]))
 
 
 def _half_tanh(x: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from scipy.special import fdtri
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
-from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.posterior import Posterior, roots
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
@@ -118,10 +118,7 @@ def _left_out(G: FloatArray, g: FloatArray, predicted: FloatArray, used: BoolArr
         predicted: (n, k, k) H, covariance that the unknowns give the gradient.
         used: (n,) which are part of the fit.
     """
-    values, vectors = np.linalg.eigh(G)
-    size = np.sqrt(np.maximum(values, 0.0))
-    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
-    whiten = vectors * np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)[:, None, :]
+    whiten = np.swapaxes(roots(G)[1], 1, 2)
     v = np.einsum("nab,na->nb", whiten, g)
     leverage = np.swapaxes(whiten, 1, 2) @ predicted @ whiten
     sign = np.where(used, -1.0, 1.0)[:, None, None]

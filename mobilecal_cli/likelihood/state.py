@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 import numpy as np
@@ -22,7 +22,7 @@ from mobilecal_cli.likelihood.effects import (
 )
 from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Layout, camera_change
-from mobilecal_cli.model import CameraRig, FloatArray, HeadChain, Parameters
+from mobilecal_cli.model import CameraRig, FloatArray, Parameters
 
 _E = TypeVar("_E", bound=Effect)
 
@@ -112,20 +112,6 @@ class State:
             stamp_errors=self.stamp_errors + step.base[:, STAMP:].sum(axis=1),
         )
 
-    def of_log(self, data: Dataset, log: int) -> State:
-        """The part that belongs to one recording of a data set."""
-        mine = data.log == log
-        return replace(
-            self,
-            T_w_k=self.T_w_k[log : log + 1],
-            base=self.base[mine],
-            joint_errors=self.joint_errors[mine],
-            encoder_errors=self.encoder_errors[mine],
-            processes=self.processes[mine],
-            sway=self.sway[mine],
-            stamp_errors=self.stamp_errors[mine],
-        )
-
 
 def joints_at(data: Dataset, state: State) -> FloatArray:
     """(N, J) joint positions: readings, their errors, and the constants that shift joints."""
@@ -157,14 +143,9 @@ def chain_change(data: Dataset, state: State) -> ChainChange:
     return change
 
 
-def chain_at(data: Dataset, state: State) -> HeadChain:
-    """The head's chain with the constants that change it."""
-    return chain_change(data, state).apply(data.chain)
-
-
 def head_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_v_h of every station."""
-    return head_pose(chain_at(data, state), joints_at(data, state))
+    return head_pose(chain_change(data, state).apply(data.chain), joints_at(data, state))
 
 
 def cameras_at(data: Dataset, state: State) -> CameraRig:

@@ -148,14 +148,13 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
         several_wheels=False,  # how fast a stop's turns will be is not known
         joint_tracks=(),
         joint_widths_ns=(),
-        log=np.zeros(count, dtype=np.int64),
-        first_log=data.first_log + last,
-        tracks=(WheelTrack.at_same_times(np.arange(len(right)), right, left),),
+        log=np.full(count, last),
+        tracks=(WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1),
         motions=None,
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),
     )
     base = np.concatenate([state.base[[-1, -1]], _bases(state, ways)])
-    there = State.without_errors(wide, state.parameters, state.T_w_k[[last]], base)
+    there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
     return Posterior.at(wide, there, Inliers.all_of(wide), lin.noise, lin.priors)
 

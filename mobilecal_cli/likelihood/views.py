@@ -16,13 +16,7 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import (
-    ChainEffect,
-    Clock,
-    FloorEffect,
-    JointEffect,
-    Sight,
-)
+from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointEffect, Sight
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -50,7 +44,6 @@ class Views:
     """Residuals of all stations' images at a state, whitened.
 
     Attributes:
-        residual_px: (N, C, M, 2) predicted minus detected.
         information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
@@ -62,7 +55,6 @@ class Views:
         direct: (Q - 6,) columns of the direct constants among these parameters.
     """
 
-    residual_px: FloatArray
     information: FloatArray
     gradient: FloatArray
     cost: FloatArray
@@ -80,15 +72,28 @@ class Views:
         return out
 
     def moved(self, step: Step) -> Views:
-        """The same after a step of all unknowns, to first order; `residual_px` stays."""
+        """The same after a step of all unknowns, to first order."""
         delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
         delta += self.by_board @ step.boards[self.log, :, None]
         shift = np.empty_like(self.gradient)
         shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
         shift[:, 6:] = step.shared[self.direct]
+        return self.shifted(shift)
+
+    def shifted(self, shift: FloatArray) -> Views:
+        """The same after a step (N, Q) of each station's (delta, direct constants)."""
         change = (self.information @ shift[..., None])[..., 0]
         cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
         return replace(self, gradient=self.gradient + change, cost=cost)
+
+    def with_images(self, stations: IntArray, images: tuple[FloatArray, FloatArray, FloatArray]) -> Views:
+        """The same with other images at some stations, see `images_of`."""
+        changed = []
+        for before, after in zip((self.information, self.gradient, self.cost), images, strict=True):
+            changed.append(before.copy())
+            changed[-1][stations] = after
+        information, gradient, cost = changed
+        return replace(self, information=information, gradient=gradient, cost=cost)
 
     def scaled(self, factor: FloatArray) -> Views:
         """The same with a noise of corners or measured poses that is (N,) so many times larger."""
@@ -288,33 +293,14 @@ def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise,
     """Residuals and information of all stations' images; rates: (N, 6) see `view_rates`."""
     T_c_k = board_in_camera(data, state)
     parts = [
-        _measured(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
+        images_of(data, state, T_c_k, inliers, noise, rates, block) for block in blocks_of(data.stations)
     ]
-    residuals, information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
+    information, gradient, cost = (np.concatenate(part) for part in zip(*parts, strict=True))
     direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
-    return Views(residuals, information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
+    return Views(information, gradient, cost, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
-def with_stations(
-    views: Views,
-    data: Dataset,
-    state: State,
-    inliers: Inliers,
-    noise: Noise,
-    rates: FloatArray,
-    stations: IntArray,
-) -> Views:
-    """The same with the images of some stations taken anew, for inliers that differ there."""
-    T_c_k = board_in_camera(data, state)
-    fields = ("residual_px", "information", "gradient", "cost")
-    parts = {name: getattr(views, name).copy() for name in fields}
-    taken = _measured(data, state, T_c_k, inliers, noise, rates, stations)
-    for name, values in zip(fields, taken, strict=True):
-        parts[name][stations] = values
-    return replace(views, **parts)
-
-
-def _measured(
+def images_of(
     data: Dataset,
     state: State,
     T_c_k: FloatArray,
@@ -322,8 +308,8 @@ def _measured(
     noise: Noise,
     rates: FloatArray,
     stations: slice | IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Residuals, information, gradient and cost of some stations' images or poses, see `Views`."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Information, gradient and cost of some stations' images or poses, see `Views`; T_c_k: of all, (N, 4, 4)."""
     if data.posed.any():
         return _measured_poses(data, T_c_k, inliers, noise, stations)
     residual, J = corner_residuals(data, state, T_c_k[stations], stations, rates[stations])
@@ -337,7 +323,7 @@ def _measured(
         At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
         information[:, columns[:, None], columns] += At @ np.swapaxes(At, 1, 2)
         gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
-    return residual, information, gradient, np.sum(r**2, axis=(1, 2, 3))
+    return information, gradient, np.sum(r**2, axis=(1, 2, 3))
 
 
 def _columns_of(data: Dataset, camera: int) -> IntArray:
@@ -347,7 +333,7 @@ def _columns_of(data: Dataset, camera: int) -> IntArray:
 
 def _measured_poses(
     data: Dataset, T_c_k: FloatArray, inliers: Inliers, noise: Noise, stations: slice | IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
     off = se3.log(T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
     by_delta = _by_left_twist(off)
@@ -356,7 +342,7 @@ def _measured_poses(
     pull = (weight @ off[..., None])[..., 0]
     information = np.swapaxes(by_delta, 1, 2) @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
-    return np.zeros_like(data.pixels[stations]), information, gradient, np.sum(off * pull, axis=1)
+    return information, gradient, np.sum(off * pull, axis=1)
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:

@@ -210,5 +210,5 @@ class Diagnosis:
 
     cause: str
     cure: str
-    error_share: float | None
-    corrected_share: float | None
+    error_share: float | None = None
+    corrected_share: float | None = None

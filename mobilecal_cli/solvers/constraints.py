@@ -12,12 +12,7 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, Nominal
 
-_GROUPS = {
-    "head_eye": NINE[:6],
-    "rotation": NINE[:3],
-    "translation": NINE[3:6],
-    "wheels": NINE[6:],
-}
+_GROUPS = {"head_eye": NINE[:6], "rotation": NINE[:3], "translation": NINE[3:6], "wheels": NINE[6:]}
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _OFTEN = ("pan_zero", "pan_scale", "tilt_scale", "backlash_pan", "backlash_tilt")
 _KINDS = tuple(kind.name for kind in nuisance.KINDS)
@@ -31,25 +26,6 @@ _KIND_GROUPS = {
 #: A constant is at most so many of its default prior sigmas from its stated value: more is another quantity or unit.
 _MOST_SIGMAS = 20.0
 _MOST = {"readout": 0.1}  # s: unknown for most cameras, and stated as 0 then
-#: Patterns of names of constants that depend on the robot → their kind. The names are checked when it is known.
-_KIND_OF = {
-    r".+_zero": "joint_zero",
-    r".+_scale": "joint_scale",
-    r".+_axis_[xyz]": "joint_axis",
-    r".+_position_[xyz]": "joint_position",
-    r"backlash_.+": "backlash",
-    r"baseline_[xyz]": "baseline_direction",
-    r"focal_aspect_.+": "focal_aspect",
-    r"focal_.+": "focal_length",
-    r"principal_.+_[xy]": "principal_point",
-    r"distortion_.+_(radial|tangential)_[12xy]": "distortion",
-    r"turn_.+_[xyz]": "camera_rotation",
-    r"shift_.+_[xyz]": "camera_position",
-    r"time_(joints|wheels)_\d+": "clock",
-    r"time_.+": "stereo_clock",
-    r"floor_[xy]+(_\d+)?": "floor_shape",
-    r"lens_waves_.+_\d+": "lens_waves",
-}
 _PRIOR = re.compile(rf"({_NUMBER})(?:\u00b1|\+-|\+/-)({_NUMBER})")
 
 
@@ -261,7 +237,10 @@ def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
 
 
 def _kind_of_the_robot(name: str) -> str | None:
-    return next((kind for pattern, kind in _KIND_OF.items() if re.fullmatch(pattern, name)), None)
+    """The kind of a constant that depends on the robot, by its name, which is checked when the robot is known."""
+    # The last that matches: `focal_aspect_left` is no focal length.
+    kinds = (kind for kind in reversed(nuisance.KINDS) if kind.names and re.fullmatch(kind.names, name))
+    return next((kind.name for kind in kinds), None)
 
 
 def _in_range(flag: str, name: str, value: float) -> float:

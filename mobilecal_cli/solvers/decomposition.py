@@ -12,27 +12,22 @@ from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.model import CameraRig, ErrorPart, Extraction, FloatArray, Noise, Parameters, Residuals
 
 
 def error_parts(
-    data: Dataset,
-    extraction: Extraction,
-    pairs: MotionPairs,
-    parameters: Parameters,
-    residuals: Residuals,
-    noise: Noise,
-    stance: FloatArray,
+    lin: Posterior, extraction: Extraction, pairs: MotionPairs, residuals: Residuals
 ) -> dict[str, ErrorPart]:
     """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
 
     Args:
-        data: the measurements.
+        lin: the estimate.
         extraction, pairs: with the estimated constants, see `residuals.at_state`.
-        parameters, residuals: of the estimate.
-        noise: its levels.
-        stance: (N, 3) see `constant_stance`.
+        residuals: of the estimate.
     """
+    data, noise, parameters = lin.data, lin.noise, lin.state.parameters
     if not len(residuals.legs):
         return {}
     X, (i, j) = parameters.T_h_c, residuals.legs.T
@@ -41,7 +36,7 @@ def error_parts(
     by_point = _by_point(extraction.rig.cameras, data, points_c)
     base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
     turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
-    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], stance)
+    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], constant_stance(data, lin.state))
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
         @ head_jacobian(data.chain, data.joints)
@@ -99,8 +94,7 @@ def _wheel_covariance(
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
     wheels = parameters.wheels
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
-    number = {(a, b): k for k, (a, b) in enumerate(data.legs.tolist())}
-    covariance = np.asarray(every)[[number[a, b] for a, b in residuals.legs.tolist()]]
+    covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
     if noise.encoder_rad:
         steps = data.encoder_step_rad
         path_m = noise.encoder_rad * steps / max(steps.max(), 1e-12) * wheels.vector[:2]

@@ -8,15 +8,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import (
-    Drift,
-    Evaluation,
-    Extraction,
-    FloatArray,
-    Parameters,
-    Solution,
-    WheelGeometry,
-)
+from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
 from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
 
@@ -89,10 +81,8 @@ def _without_clocks(constants: Mapping[str, float]) -> dict[str, float]:
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
     """(L,) path length, m, and (L,) absolute rotation, rad, of each leg."""
     steps = pairs.steps
-    path_m = (wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
-    turn_rad = (
-        wheels.radius_right_m * steps.right_rad - wheels.radius_left_m * steps.left_rad
-    ) / wheels.separation_m
+    right_m, left_m = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
+    path_m, turn_rad = (right_m + left_m) / 2, (right_m - left_m) / wheels.separation_m
     return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
 
 

@@ -145,10 +145,10 @@ def pool_recordings(fit: Fit) -> Fit:
     lin = fit.lin
     if len(np.unique(lin.data.log)) < 2 or lin.data.motions is not None:
         return fit
-    pooled = weigh_logs(lin)
-    if np.any(pooled.step):
-        lin = lin.after(lin.normal.step(pooled.step))
-    return replace(fit, lin=lin, between=pooled.between, pooled_covariance=pooled.covariance)
+    between, step, covariance = weigh_logs(lin)
+    if np.any(step):
+        lin = lin.after(lin.normal.step(step))
+    return replace(fit, lin=lin, between=between, pooled_covariance=covariance)
 
 
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:

@@ -11,14 +11,10 @@ import numpy as np
 from mobilecal_cli.likelihood.budget import Influence, influences, shares
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.observability import Directions
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.model import BetweenLogs, BoolArray, FloatArray, Noise
-from mobilecal_cli.solvers.noise import (
-    Component,
-    guess_worth,
-)
+from mobilecal_cli.solvers.noise import Component, guess_worth
 
 _GUESS_FREEDOM = 4.0  # a guessed level's variance is uncertain like that of so many residuals and two
 #: Levels whose effects differ little, each with the other.
@@ -34,7 +30,7 @@ class Fit:
         lin: the likelihood there.
         costs: (n,) sums of squares of the optimization, from its start on.
         components: what each noise level rests on.
-        directions: what the data show.
+        singular_values: (9,) what the data show, see `directions`.
         given: names of the noise levels that are not estimated.
         noisy: kinds of measurements whose many outliers were taken as noise.
         between: the recordings one by one, where there are several.
@@ -44,7 +40,7 @@ class Fit:
     lin: Posterior
     costs: FloatArray
     components: Mapping[str, Component]
-    directions: Directions
+    singular_values: FloatArray
     given: frozenset[str]
     noisy: tuple[str, ...] = ()
     between: BetweenLogs | None = None

@@ -231,19 +231,10 @@ def _delays(readings: Readings) -> Iterator[Hypothesis]:
     shortest_s = min((float(np.ptp(track.time_ns)) * 1e-9 for track in readings.wheels), default=0.0)
     most = int(min(_LONGEST_DELAY_S, shortest_s / 2) / _DELAY_STEP_S)
     shifts_s = _DELAY_STEP_S * np.arange(-most, most + 1)
-    wheels = (
-        ("readings of both wheels are", SIDES),
-        ("readings of the right wheel are", ("right",)),
-        ("readings of the left wheel are", ("left",)),
-    )
-    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[..., Readings]]] = [
-        (
-            cause,
-            [tuple(getattr(track, side) for side in sides) for track in readings.wheels],
-            partial(_wheels_earlier, sides=sides),
-        )
-        for cause, sides in wheels
-    ]
+    parts: list[tuple[str, Sequence[tuple[Track, ...]], Callable[..., Readings]]] = []
+    for which, sides in (("both wheels", SIDES), *((f"the {side} wheel", (side,)) for side in SIDES)):
+        own = [tuple(getattr(track, side) for side in sides) for track in readings.wheels]
+        parts.append((f"readings of {which} are", own, partial(_wheels_earlier, sides=sides)))
     every = [
         (*joints, track.right, track.left)
         for joints, track in zip(readings.joint_tracks, readings.wheels, strict=False)  # none without tracks
@@ -311,26 +302,17 @@ def _neighbors(readings: Readings) -> Iterator[Hypothesis]:
 # -- stage 3: readings that say nothing: a joint, or the wheels, as the images show them --------------
 
 
-def _frozen_joints(readings: Readings) -> Iterator[Hypothesis]:
-    """Readings of one joint that never change."""
+def _joints_as_seen(readings: Readings, frozen: bool) -> Iterator[Hypothesis]:
+    """Readings of one joint that never change, or that have nothing to do with it."""
     for column, name in enumerate(readings.rig.chain.joints):
-        if np.ptp(readings.joints[:, column]) < STILL:
-            yield Hypothesis(
-                f"the reading of {name} never changes, and the images do not fit a joint at rest",
-                "check that the state of this joint is recorded while it moves",
-                partial(_joint_as_seen, column=column),
-            )
-
-
-def _free_joints(readings: Readings) -> Iterator[Hypothesis]:
-    """Readings of one joint that have nothing to do with it."""
-    for column, name in enumerate(readings.rig.chain.joints):
-        if np.ptp(readings.joints[:, column]) >= STILL:
-            yield Hypothesis(
-                f"the readings of {name} do not fit; the images, the wheels and the other joints do",
-                "check the topic, the clock, the sign and the unit of this joint, and its gear",
-                partial(_joint_as_seen, column=column),
-            )
+        if (np.ptp(readings.joints[:, column]) < STILL) != frozen:
+            continue
+        cause = f"the readings of {name} do not fit; the images, the wheels and the other joints do"
+        cure = "check the topic, the clock, the sign and the unit of this joint, and its gear"
+        if frozen:
+            cause = f"the reading of {name} never changes, and the images do not fit a joint at rest"
+            cure = "check that the state of this joint is recorded while it moves"
+        yield Hypothesis(cause, cure, partial(_joint_as_seen, column=column))
 
 
 def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
@@ -444,5 +426,5 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 #: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
 #: say nothing.
 WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, interruptions), (_delays, _neighbors))
-FROZEN: Stages = ((_frozen_joints,),)
-FREE: Stages = ((_free_joints,), (_free_wheels,))
+FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
+FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))

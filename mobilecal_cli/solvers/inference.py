@@ -14,11 +14,11 @@ from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, un
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.observability import Directions, directions
+from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.likelihood.processes import LENGTHS
+from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import (
@@ -55,16 +55,8 @@ _OBSERVABILITY_ROUNDS = 8
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
-#: Noise levels that a jump may make large.
-_CONCEALING = (
-    "joint_rad",
-    "floor_rad",
-    "floor_m",
-    "sway_rad",
-    "sway_m",
-    "wheel_rad_per_sqrt_rad",
-    "wheel_share",
-)
+#: Noise levels that a jump may make large: those of the processes, and others.
+_CONCEALING = (*dict.fromkeys(LEVELS), "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -286,26 +278,23 @@ class Inference:
     def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
-            unobservable = directions(start, user).unobservable
+            _, unobservable = directions(start, user)
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
-            optimum = optimize(start, near, self.on_step, most_steps)
-            shown = directions(optimum.lin, user)
-            again = self.priors(optimum.lin.state, unobservable)
+            lin, costs = optimize(start, near, self.on_step, most_steps)
+            singular_values, hidden = directions(lin, user)
+            again = self.priors(lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
-            if _same_space(shown.unobservable, unobservable) and still:
+            if _same_space(hidden, unobservable) and still:
                 break
-            start = optimum.lin.under(self.priors(optimum.lin.state))
-        return self._fitted(optimum.lin, optimum.history, shown)
+            start = lin.under(self.priors(lin.state))
+        return Fit(lin, costs, components(lin), singular_values, self.given)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
         start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
-        optimum = optimize(start, self.coarse.near, self.on_step)
-        return self._fitted(optimum.lin, optimum.history, fit.directions)
-
-    def _fitted(self, lin: Posterior, costs: FloatArray, shown: Directions) -> Fit:
-        return Fit(lin, costs, components(lin), shown, self.given)
+        lin, costs = optimize(start, self.coarse.near, self.on_step)
+        return replace(fit, lin=lin, costs=costs, components=components(lin))
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
         """A fit of other inliers, with noise levels of its own, to first order: residuals follow the parameters.

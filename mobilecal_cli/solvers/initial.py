@@ -8,8 +8,10 @@ head-eye transform comes from the head's motion alone (Tsai and Lenz 1989).
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,17 +75,6 @@ def _iterate(rounds: Rounds, ratios: FloatArray, tolerance: float, limit: int) -
     return history
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Answer:
-    history: list[Parameters]
-    start: Start
-    point_rms_m: float
-
-    @property
-    def parameters(self) -> Parameters:
-        return self.history[-1]
-
-
 def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
     """Where the starts lead on the legs that turn least, which are hard to unwrap wrongly; best first."""
     Phi = pairs.steps.totals_rad
@@ -106,17 +97,21 @@ def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
     return [start for _, start in sorted(scouted, key=lambda item: item[0])]
 
 
-def _answers(pairs: MotionPairs, starts: list[Start]) -> list[_Answer]:
+def _answers(pairs: MotionPairs, starts: list[Start]) -> Iterator[LinearEstimate]:
+    """Where each start leads, without its rivals."""
     rounds = Rounds(pairs)
-    answers: list[_Answer] = []
     for start in starts:
         history = _iterate(rounds, start.ratios, FIXED_POINT, MAX_ROUNDS)
         if history:
-            answers.append(_Answer(history, start, point_rms_m(pairs, history[-1])))
-    return answers
+            steps = [math.inf, *(change(a, b) for a, b in itertools.pairwise(history))]
+            converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))
+            rms_m = point_rms_m(pairs, history[-1])
+            yield LinearEstimate(
+                history[-1], tuple(history), converged, rms_m, start.ratios, start.origin, math.inf
+            )
 
 
-def _unambiguous(pairs: MotionPairs, nominal: WheelGeometry, answer: _Answer) -> bool:
+def _unambiguous(pairs: MotionPairs, nominal: WheelGeometry, answer: LinearEstimate) -> bool:
     """Whether an answer is near the nominal wheels, and no leg turns so far that it could be unwrapped otherwise."""
     turns = np.abs(pairs.steps.totals_rad @ ratios_of(nominal))
     apart = answer.parameters.wheels.vector / nominal.vector - 1
@@ -147,7 +142,7 @@ def linear_estimate(
         starts.append(Start(given, "given"))
     if nominal is not None:
         starts.append(Start(ratios_of(nominal), "nominal"))
-    answers = _answers(pairs, starts)
+    answers = list(_answers(pairs, starts))
     if nominal is None or not any(_unambiguous(pairs, nominal, answer) for answer in answers):
         answers += _answers(pairs, _scouted(pairs, starts + grid_of_starts())[:4])
     if not answers:
@@ -155,13 +150,10 @@ def linear_estimate(
             f"the iterative linear method found no answer on {len(pairs.legs)} legs between stations",
             "record stations between which the base turns and drives and the head pans and tilts",
         )
-    # min() keeps the first of equals: a given or nominal start before the grid's.
-    best = min(answers, key=lambda a: round(a.point_rms_m, 9))
-    positive = min(
-        (a for a in answers if a.parameters.wheels.positive),
-        key=lambda a: round(a.point_rms_m, 9),
-        default=best,
-    )
+    # The sort keeps the order of equals: a given or nominal start before the grid's.
+    answers.sort(key=lambda a: round(a.point_rms_m, 9))
+    best = answers[0]
+    positive = next((a for a in answers if a.parameters.wheels.positive), best)
     kept = best if best.point_rms_m < CLEARLY_BETTER * positive.point_rms_m else positive
     ratios = ratios_of(kept.parameters.wheels)
     rivals = [
@@ -170,17 +162,7 @@ def linear_estimate(
         if np.abs(ratios_of(a.parameters.wheels) / ratios - 1).max() > _ANOTHER
         and (a.parameters.wheels.positive or not kept.parameters.wheels.positive)
     ]
-    steps = [math.inf, *(change(a, b) for a, b in zip(kept.history, kept.history[1:], strict=False))]
-    converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))
-    return LinearEstimate(
-        parameters=kept.parameters,
-        history=tuple(kept.history),
-        rounds_to_tolerance=converged,
-        point_rms_m=kept.point_rms_m,
-        start_ratios=kept.start.ratios,
-        start_from=kept.start.origin,
-        rival_point_rms_m=min(rivals, default=math.inf),
-    )
+    return replace(kept, rival_point_rms_m=min(rivals, default=math.inf))
 
 
 def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSeen) -> Parameters:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,10 +22,8 @@ _HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
 _NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
-_NO_SIZE_M, _NO_RATIO = (
-    1e-12,
-    1e-9,
-)  # a radius or separation, and a ratio of them, that is zero but for rounding
+# A radius or separation, and a ratio of them, that is zero but for rounding.
+_NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
@@ -212,23 +211,20 @@ class Rounds:
                 weight[3] = _LEG_M / (_NOMINAL_SHARE * mean[3])
         return mean, weight
 
-    def once(self, ratios: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Rotation and wheel ratios after one round; None where the ratios are of no use."""
-        psi = self._Phi @ ratios  # eq. 10
-        R_h_c = self.rotation(psi)
-        ratios = self.ratios(R_h_c, psi)
-        if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < _NO_RATIO:
-            return None
-        return R_h_c, ratios
+    def _rotations(self, ratios: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Rotation and wheel ratios after each round, without end unless the ratios become useless."""
+        while True:
+            psi = self._Phi @ ratios  # eq. 10
+            R_h_c = self.rotation(psi)
+            ratios = self.ratios(R_h_c, psi)
+            if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < _NO_RATIO:
+                return
+            yield R_h_c, ratios
 
     def run(self, ratios: FloatArray) -> Iterator[Parameters]:
         """The parameters after each round, without end unless the iteration breaks down."""
-        while (rotation_and_ratios := self.once(ratios)) is not None:
-            ratios = rotation_and_ratios[1]
-            parameters = self.translation(*rotation_and_ratios)
-            if _without_size(parameters.wheels):
-                return
-            yield parameters
+        each = (self.translation(*round_) for round_ in self._rotations(ratios))
+        return itertools.takewhile(lambda parameters: not _without_size(parameters.wheels), each)
 
     def after(self, ratios: FloatArray, rounds: int) -> Parameters:
         """The parameters after some rounds.
@@ -236,13 +232,8 @@ class Rounds:
         Raises:
             SolveError: the iteration breaks down.
         """
-        rotation_and_ratios: tuple[FloatArray, FloatArray] | None = None
-        for _ in range(rounds):
-            rotation_and_ratios = self.once(ratios)
-            if rotation_and_ratios is None:
-                break
-            ratios = rotation_and_ratios[1]
-        parameters = None if rotation_and_ratios is None else self.translation(*rotation_and_ratios)
+        last = next(itertools.islice(self._rotations(ratios), rounds - 1, None), None)
+        parameters = None if last is None else self.translation(*last)
         if parameters is None or _without_size(parameters.wheels):
             raise SolveError(
                 f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",

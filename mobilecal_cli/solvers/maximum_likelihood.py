@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.noise import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, IntArray, Parameters
 from mobilecal_cli.solvers import outliers
@@ -139,7 +139,7 @@ def _swapped(inference: Inference, fit: Fit) -> Fit | None:
 
 def once_decided(inference: Inference, fit: Fit) -> Fit | None:
     """A fit with measurements restored or rejected; None where all are consistent."""
-    for kind in ("views", "legs", "readings"):
+    for kind in DEGREES:
         used = getattr(fit.inliers, kind)
         agree = ~used & (outliers.beyond(fit, kind) < 1)
         if kind == "views":

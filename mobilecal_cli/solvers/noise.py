@@ -63,13 +63,18 @@ def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views, marginal, state = lin.views, lin.marginals, lin.state
     taken, posed = marginal.leverage(views.information), lin.data.posed
+    result: dict[str, Component] = {}
+
+    def add(level: str, squares: FloatArray, left: FloatArray) -> None:
+        """Squares of whitened residuals of a level, and how much of each is redundant."""
+        more = Component(float(np.sum(squares)), float(np.sum(left)))
+        result[level] = result.get(level, Component(0.0, 0.0)) + more
+
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
-    result = {
-        level: Component(float(views.cost[of].sum()), float((count - taken)[of].sum()))
-        for level, of, count in zip(("pixel_px", "pose_scale"), (~posed, posed), counts, strict=True)
-        if of.any()
-    }
+    for level, of, count in zip(("pixel_px", "pose_scale"), (~posed, posed), counts, strict=True):
+        if of.any():
+            add(level, views.cost[of], (count - taken)[of])
 
     processes = lin.processes
     ratio = processes.innovations(_within(lin)) ** 2 / processes.variance
@@ -77,17 +82,13 @@ def components(lin: Posterior) -> dict[str, Component]:
     left = 1 - np.diagonal(innovations, axis1=1, axis2=2) / processes.variance
     means = int(lin.data.log.max())
     for level, squares, free in zip(LEVELS, ratio.sum(axis=0), left.sum(axis=0), strict=True):
-        of_one = Component(float(squares), max(float(free) - means, 0.0))
-        result[level] = result.get(level, Component(0.0, 0.0)) + of_one
+        add(level, squares, np.maximum(free - means, 0.0))
 
     e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
     left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
     for level, share in lin.leg_covariances.items():
-        if level == SUPPOSED:
-            continue
-        squares = float(np.einsum("la,lab,lb->", e, share, e))
-        of_legs = Component(squares, float(np.einsum("lab,lba->", share, left_over)))
-        result[level] = result.get(level, Component(0.0, 0.0)) + of_legs
+        if level != SUPPOSED:
+            add(level, np.einsum("la,lab,lb->", e, share, e), np.einsum("lab,lba->", share, left_over))
 
     sigma, joints = lin.own_sigmas, lin.data.joints.shape[1]
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
@@ -97,23 +98,18 @@ def components(lin: Posterior) -> dict[str, Component]:
     of_level[:, :joints] *= (lin.noise.joint_rad * lin.data.joint_units / sigma[:, :joints]) ** 2
     ratio = of_level * (lin.own_errors / sigma) ** 2
     left = of_level * (1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2)
-    columns = {
-        "joint_rad": slice(0, joints),
-        "sway_rad": slice(joints, joints + 2),
-        "sway_m": slice(joints + 2, None),
-    }
-    for level, at in columns.items():
-        result[level] = Component(float(ratio[:, at].sum()), float(left[:, at].sum()))
+    ends = [joints, joints + 2]
+    columns = zip(np.split(ratio, ends, axis=1), np.split(left, ends, axis=1), strict=True)
+    for level, of_columns in zip(("joint_rad", "sway_rad", "sway_m"), columns, strict=True):
+        add(level, *of_columns)
 
     if lin.noise.encoder_rad:
         of_level = (lin.noise.encoder_rad * lin.data.encoder_shares / lin.encoder_sigmas) ** 2
-        ratio = of_level * (state.encoder_errors / lin.encoder_sigmas) ** 2
-        left = of_level * (1 - marginal.encoders / lin.encoder_sigmas**2)
-        result["encoder_rad"] = Component(float(ratio.sum()), float(left.sum()))
+        squares = of_level * (state.encoder_errors / lin.encoder_sigmas) ** 2
+        add("encoder_rad", squares, of_level * (1 - marginal.encoders / lin.encoder_sigmas**2))
     if lin.data.base_width > STAMP:
-        ratio = (state.stamp_errors / lin.noise.stamp_s) ** 2
-        left = 1 - marginal.stamps / lin.noise.stamp_s**2
-        result["stamp_s"] = Component(float(ratio.sum()), float(left.sum()))
+        stamp_s = lin.noise.stamp_s
+        add("stamp_s", (state.stamp_errors / stamp_s) ** 2, 1 - marginal.stamps / stamp_s**2)
     return result
 
 

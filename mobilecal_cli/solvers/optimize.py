@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -26,19 +25,6 @@ _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts 
 # for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
 # leaps, or where a step that promises less does not help.
 _KINKED, _LEAP = 1e-3, 0.05
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Optimum:
-    """A minimum of the sum of squares.
-
-    Attributes:
-        lin: the likelihood there.
-        history: (n,) costs from the start on.
-    """
-
-    lin: Posterior
-    history: FloatArray
 
 
 def _stalls(history: list[float]) -> bool:
@@ -71,7 +57,7 @@ def optimize(
     near: float = NEAR,
     on_step: Callable[[], None] = lambda: None,
     most_steps: int = MOST_STEPS,
-) -> Optimum:
+) -> tuple[Posterior, FloatArray]:
     """Minimize the sum of squares of all inliers and priors.
 
     The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
@@ -83,6 +69,9 @@ def optimize(
             from the minimum, in standard deviations.
         on_step: called before each step.
         most_steps: tried, within which a minimum must be reached.
+
+    Returns:
+        The likelihood at the minimum, and (n,) costs from the start on.
 
     Raises:
         SolveError: no minimum within these steps, or a singular matrix even under the largest damping.
@@ -103,7 +92,7 @@ def optimize(
                 raise
             continue
         if converged or (damping == 0 and gain <= near + _ROUNDING * lin.cost):
-            return Optimum(lin, np.array(history))
+            return lin, np.array(history)
         trial = lin.after(step)
         before = lin.cost
         with np.errstate(over="ignore", invalid="ignore"):  # far off, the cost may overflow: no improvement

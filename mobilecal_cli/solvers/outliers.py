@@ -10,7 +10,7 @@ from scipy.special import chdtri
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
+from mobilecal_cli.likelihood.noise import DEGREES, FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, whitened
@@ -23,7 +23,6 @@ _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is reje
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
 _LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
 _MANY = 1e6
-_DEGREES = {"readings": 1, "legs": 3, "views": 6}
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
 FEWEST_VIEWS = 4
 _STRETCH = 3  # longest run of legs that nothing confirms: beyond it, something moved
@@ -108,7 +107,7 @@ def worst(fit: Fit) -> float:
     return max(
         float(np.max(getattr(fit.tests, kind)[getattr(fit.inliers, kind)], initial=0))
         / limit(count, dof, _MANY)
-        for kind, dof in _DEGREES.items()
+        for kind, dof in DEGREES.items()
     )
 
 
@@ -130,7 +129,7 @@ def with_reading_freed(fit: Fit) -> Inliers | None:
         ~fit.inliers.views & usable(fit), fit.tests.views_freed.min(axis=1, initial=np.inf), np.inf
     )
     best = int(np.argmin(least))
-    if least[best] > limit(fit.data.stations, _DEGREES["views"] - 1, known_by(fit, "views")):
+    if least[best] > limit(fit.data.stations, DEGREES["views"] - 1, known_by(fit, "views")):
         return None
     reading = best, int(np.argmin(fit.tests.views_freed[best]))
     return changed(changed(fit.inliers, "views", [(best,)], to=True), "readings", [reading], to=False)
@@ -140,7 +139,7 @@ def candidates(fit: Fit) -> list[tuple[float, str, list[tuple[int, ...]]]]:
     """Inliers that stand out, of each kind the most striking: (by how much, kind, indices)."""
     tests = fit.tests
     striking_most = []
-    for kind, dof in _DEGREES.items():
+    for kind, dof in DEGREES.items():
         values = np.where(getattr(fit.inliers, kind), getattr(tests, kind), 0.0)
         if not values.size:
             continue
@@ -171,7 +170,7 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
 
 def beyond(fit: Fit, kind: str) -> FloatArray:
     """Statistic of each measurement over its limit, against what all others predict; 0 where it does not matter."""
-    statistic = getattr(fit.tests, kind) / limit(fit.data.stations, _DEGREES[kind], known_by(fit, kind))
+    statistic = getattr(fit.tests, kind) / limit(fit.data.stations, DEGREES[kind], known_by(fit, kind))
     return np.where(getattr(fit.tests, f"small_{kind}"), 0.0, statistic)
 
 
@@ -184,7 +183,7 @@ def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
     """
     data, inliers = fit.data, fit.inliers
     count = np.zeros(data.log.max() + 1, dtype=np.int64)
-    for kind in _DEGREES:
+    for kind in DEGREES:
         back = getattr(inliers, kind) & ~getattr(was, kind)
         if agreeing and back.any():
             back &= beyond(fit, kind) < 1

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import MotionSeen, cut_at, encoder_steps_rad, head_pose, join, motion_seen
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.kinematics import MotionSeen, encoder_steps_rad, head_pose, motion_seen
+from mobilecal_cli.likelihood.measurements import MotionPairs, steps_between
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
@@ -73,18 +73,9 @@ class Readings:
     @cached_property
     def pairs(self) -> MotionPairs:
         """The legs, with the outer corners of the board."""
-        steps, legs = [], []
-        for number, track in enumerate(self.wheels):
-            mine = np.flatnonzero(self.log == number)
-            if len(mine) > 1:
-                times = self.time_ns[mine]
-                steps.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1])))
-                legs.append(np.stack([mine[:-1], mine[1:]], axis=1))
-        between = np.concatenate(legs)
-        log = self.log[between[:, 0]]
         points_c = se3.act(self.T_c_k, np.broadcast_to(self.corners_k, (len(self.T_c_k), 4, 3)))
-        chain, T_v_h = np.searchsorted(log, log), head_pose(self.rig.chain, self.joints)
-        return MotionPairs(T_v_h, self.T_c_k, points_c, between, chain, join(steps))
+        steps = steps_between(self.wheels, self.log, self.time_ns)
+        return MotionPairs.of(head_pose(self.rig.chain, self.joints), self.T_c_k, points_c, self.log, steps)
 
     @cached_property
     def motion(self) -> MotionSeen:
@@ -93,19 +84,15 @@ class Readings:
         return motion_seen(pairs.T_v_h, pairs.steps.totals_rad, encoder_steps_rad(self.wheels))
 
     @property
-    def distinguishes(self) -> bool:
-        """Whether the motion can tell mistakes apart: the head tilts, and the base drives and turns."""
-        return self._roams and self.motion.tilts
-
-    @property
-    def planar(self) -> bool:
-        """Whether the motion can tell mistakes apart, of a camera that no joint tilts."""
-        return self._roams and not self.motion.tilts
-
-    @property
-    def _roams(self) -> bool:
+    def roams(self) -> bool:
+        """Whether the base drives and turns, on enough legs: that can tell mistakes apart."""
         enough = self.legs >= FEWEST_STATIONS - 1
         return enough and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+
+    @property
+    def distinguishes(self) -> bool:
+        """Whether the head tilts, too: then the motion shows all nine parameters."""
+        return self.roams and self.motion.tilts
 
 
 def readings_of(extraction: Extraction) -> Readings:

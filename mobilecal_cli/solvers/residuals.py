@@ -15,13 +15,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
 from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
 from mobilecal_cli.likelihood.views import board_poses, view_rates
-from mobilecal_cli.model import (
-    BoolArray,
-    Extraction,
-    FloatArray,
-    Parameters,
-    Residuals,
-)
+from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
 _LEAST_DEPTH_M = 0.01  # of a point that a camera does not show

@@ -17,18 +17,16 @@ from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.linearization import solvable
-from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers
+from mobilecal_cli.likelihood.noise import DEGREES, FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.optimize import proposed
 
 _CHANCE = 1e-4  # that a good measurement is beyond its limit
-#: Degrees of freedom of a station's images, of a leg and of a joint reading.
-_DEGREES = {"views": 6, "legs": 3, "readings": 1}
 #: Largest squared distance of each kind: chi-squared. And the median of good measurements over it.
-_LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in _DEGREES.items()}
-_USUAL = {kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in _DEGREES.items()}
+_LIMIT = {kind: float(chdtri(dof, _CHANCE)) for kind, dof in DEGREES.items()}
+_USUAL = {kind: float(chdtri(dof, 0.5)) / _LIMIT[kind] for kind, dof in DEGREES.items()}
 _FIRST_WIDTH = 2.0  # over the largest squared distance: all measurements count
 _NEAR_WIDTH = 300.0  # over the limit, from a start that may be near: what is farther off pulls at nothing
 _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and rejected

@@ -53,9 +53,7 @@ _USED = 0.8  # share of the legs that must fit; the others may be outliers
 _PROMISING = 10 * FITS  # linear solutions beyond this are not refined
 _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not grow with its length
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
-_CHANGED_SCALE = (
-    0.05  # of a wheel's readings: less is within the noise of the linear method on a few stations
-)
+_CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
@@ -170,7 +168,6 @@ class Search:
             "check that camera_info is of these cameras and of this resolution, the board's size"
             f"{', that the images of all cameras are of one moment, and that no camera moved' * several}",
             self._base,
-            None,
         )
 
     def _free_part(self) -> Diagnosis | None:
@@ -211,8 +208,7 @@ class Search:
 
     def _scores(self, readings: Readings) -> list[_Score]:
         """A fit of some readings from each start, the best first."""
-        full = readings.distinguishes
-        shown = full or readings.planar
+        full, shown = readings.distinguishes, readings.roams
         if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
             return []
         pairs, X = _thinned(readings.pairs), readings.nominal_head_eye
@@ -233,15 +229,10 @@ class Search:
             except (SolveError, np.linalg.LinAlgError):
                 continue
             turn = np.eye(3) if X is None else X[:3, :3].T @ parameters.T_h_c[:3, :3]
-            scores.append(
-                _Score(
-                    misfit,
-                    point_rms_m(pairs, parameters) / distance_m,
-                    float(np.linalg.norm(se3.log_so3(turn))),
-                    parameters.wheels,
-                    not shown or parameters.wheels.positive,
-                )
-            )
+            of_all = point_rms_m(pairs, parameters) / distance_m
+            possible = not shown or parameters.wheels.positive
+            turned_rad = float(np.linalg.norm(se3.log_so3(turn)))
+            scores.append(_Score(misfit, of_all, turned_rad, parameters.wheels, possible))
         return sorted(scores, key=lambda score: score.misfit)
 
     def _limit(self, fits: float) -> float:
@@ -362,8 +353,6 @@ def _same_view(readings: Readings) -> Diagnosis | None:
     return Diagnosis(
         "all stations show the board at the same place, but the base or the head moves",
         "check that the images are not frozen, and that the board does not move with the robot",
-        None,
-        None,
     )
 
 
@@ -384,8 +373,6 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     return Diagnosis(
         f"{cause}, or the nominal pose of the camera is that of another frame",
         f"{cure}, or correct nominal.head_eye",
-        None,
-        None,
     )
 
 
@@ -403,15 +390,11 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
         return Diagnosis(
             f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
             "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
-            None,
-            None,
         )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
     return Diagnosis(
         f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
         "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
-        None,
-        None,
     )
 
 
@@ -430,8 +413,6 @@ def other_focal_lengths(extraction: Extraction) -> Diagnosis | None:
                 f"the {name} images show focal lengths of about {factor:.2g} times those in camera_info, "
                 "which belongs to another resolution or zoom",
                 "record the camera_info of these images, or calibrate the camera with them",
-                None,
-                None,
             )
     return None
 

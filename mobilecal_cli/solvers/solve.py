@@ -18,7 +18,6 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import constant_stance
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
@@ -61,9 +60,8 @@ from mobilecal_cli.solvers.uncertainty import uncertainty_of
 # distance to the board and than the steps of the encoders make it, or where more than this share of the stations of a
 # recording have an outlier.
 _BAD_SHARE, _MANY_OUTLIERS = 0.015, 0.3
-_LENS_SIGMAS = (
-    3.0  # rms of the patterns of lenses and board over their priors, beyond which they are no patterns
-)
+# Rms of the patterns of lenses and board over their priors, beyond which they are no patterns.
+_LENS_SIGMAS = 3.0
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
@@ -147,23 +145,9 @@ def _by_likelihood(
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(
-        corrected_extraction,
-        corrected,
-        refinement,
-        linear=linear,
-        inliers=inliers,
-        rejected=data.seen & ~fit.inliers.corners,
-    )
-    parts = error_parts(
-        data,
-        corrected_extraction,
-        corrected,
-        parameters,
-        solution.residuals,
-        fit.noise,
-        constant_stance(data, state),
-    )
+    used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
+    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
+    parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
     parts |= _of_lenses(extraction, fit, solution)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
@@ -264,7 +248,7 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     noise = inference.first_noise(np.array([data.claimed_px]))
     first = Posterior.at(data, state, everything, noise, inference.priors(state))
     try:
-        state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS).lin.state
+        state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS)[0].state
     except SolveError:
         return False
     each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)
@@ -381,9 +365,8 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     distance_m = extraction.board_distance_m
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
-    step_rad = (
-        float(right_m + left_m) / solution.parameters.wheels.separation_m
-    )  # heading by one step of each wheel
+    # Heading by one step of each wheel.
+    step_rad = float(right_m + left_m) / solution.parameters.wheels.separation_m
     error_m = max(_BAD_SHARE, step_rad) * distance_m
     of_wheels_m, parts = 0.0, solution.error_parts
     of_lenses_m = parts["lenses"].m if "lenses" in parts else 0.0

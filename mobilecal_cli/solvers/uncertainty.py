@@ -41,7 +41,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         observable=observable,
         unobservable=fit.lin.priors.unobservable[:, :9],
         scales=scales,
-        singular_values=fit.directions.singular_values,
+        singular_values=fit.singular_values,
         noise=NoiseLevels(
             **fit.noise.levels,
             wider=fit.noise.wider,
@@ -80,21 +80,15 @@ def _budget_of(fit: Fit, shows: FloatArray) -> Budget:
     kinds |= {f"prior {name}": "nominal" for name in NINE}
     kinds |= {"slip": "wheel_rad_per_sqrt_rad", "free": "other"}
     weights = {name: shows @ W @ shows for name, W in weights_at(lin).items()}
-    nine: dict[str, FloatArray] = {}
-    figures: dict[str, FloatArray] = {}
+    sources: dict[str, FloatArray] = {}
     for name, share in fit.budget.items():
         source = kinds.get(name, name)
-        nine[source] = nine.get(source, np.zeros(9)) + np.diag(share)[:9]
-        of = [float(np.sum(W * share)) for W in weights.values()]
-        figures[source] = figures.get(source, np.zeros(len(of))) + np.array(of)
-    shares = np.array(list(nine.values()))
-    whole = np.array(list(figures.values()))
-    parts = [
-        values / np.where(total > 0, total, 1.0)
-        for values in (shares, whole)
-        for total in [values.sum(axis=0)]
-    ]
-    return Budget(tuple(nine), parts[0], dict(zip(weights, parts[1].T, strict=True)))
+        figures = [np.sum(W * share) for W in weights.values()]
+        sources[source] = sources.get(source, 0.0) + np.concatenate([np.diag(share)[:9], figures])
+    values = np.array(list(sources.values()))
+    total = values.sum(axis=0)
+    nine, at_work = np.split(values / np.where(total > 0, total, 1.0), [9], axis=1)
+    return Budget(tuple(sources), nine, dict(zip(weights, at_work.T, strict=True)))
 
 
 def _jackknife_covariance(fit: Fit) -> FloatArray:

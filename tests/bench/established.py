@@ -15,7 +15,6 @@ from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.initial import initial_state, linear_estimate
@@ -23,6 +22,7 @@ from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
 from tests.bench.study import kernel_mb, measured, table
 from tests.extractions import ideal_extraction
+from tests.truth import no_priors
 
 SIZES = (12, 200, 2000)
 SOLVERS = ("mobilecal", "ceres", "gtsam")
@@ -54,13 +54,13 @@ def start_of(path: Path) -> tuple[Dataset, State]:
 
 def likelihood_at(data: Dataset, state: State) -> Posterior:
     """The likelihood of all measurements, without priors."""
-    priors = Priors.none(data.layout, state.parameters)
+    priors = no_priors(data.layout, state.parameters)
     return Posterior.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
 
 
 def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:
     """The optimizer of mobilecal, which needs no callbacks."""
-    return optimize(likelihood_at(data, start)).lin.state, 0.0
+    return optimize(likelihood_at(data, start))[0].state, 0.0
 
 
 def one(solver: str, path: str) -> dict[str, Any]:

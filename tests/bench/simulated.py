@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import (
     EXACT,
     Corners,
@@ -26,7 +25,7 @@ from tests import extractions
 from tests.pairs import measured_anew
 from tests.robots import in_cameras
 from tests.truth import errors as errors
-from tests.truth import parameters_of
+from tests.truth import no_priors, parameters_of
 
 PIXEL_PX, WHEEL, JOINT_RAD = 0.2, 0.003, float(np.radians(0.05))  # method.md, last table but one
 DISTURBED = extractions.Noise(PIXEL_PX, WHEEL, 0.0, JOINT_RAD)
@@ -53,7 +52,7 @@ def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None 
     extraction = extractions.ideal_extraction(robot, route)
     data, true = dataset_of(extraction), parameters_of(robot)
     everything = Inliers.all_of(data)
-    state, priors = initial_state(data, true, everything), Priors.none(data.layout, true)
+    state, priors = initial_state(data, true, everything), no_priors(data.layout, true)
     return Posterior.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S
 
 

@@ -9,7 +9,6 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import table
-from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import processes_of
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals, view_rates
@@ -20,7 +19,7 @@ from mobilecal_cli.solvers.initial import initial_state
 from tests.extractions import simulated
 from tests.robots import chain_of
 from tests.solvers import test_measured
-from tests.truth import parameters_of
+from tests.truth import no_priors, parameters_of
 
 LEVELS = Noise.exact(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
 
@@ -82,7 +81,7 @@ def test_the_mean_scale_error_of_a_leg_with_known_ends_is_that_of_a_bridge():
 def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
     extraction = simulated(robot="tick", stations=4, seed=1)
     data = dataset_of(extraction, table(extraction.rig.cameras, extraction.rig.chain))
-    priors = Priors.none(data.layout, parameters_of(tick_robot()))
+    priors = no_priors(data.layout, parameters_of(tick_robot()))
     stated = np.ones(data.layout.size)
     priors = replace(priors, stated_weight=stated, alike=stated > 0).widened({"focal_length": 2.0})
     wide = np.array([name in ("focal_left", "focal_right") for name in data.layout.names])

@@ -12,7 +12,6 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.state import Step, board_in_camera
 from mobilecal_cli.likelihood.views import corner_residuals
 from mobilecal_cli.model import Noise
@@ -21,7 +20,7 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.robots import chain_of
-from tests.truth import parameters_of
+from tests.truth import no_priors, parameters_of
 
 NOISE = Noise(
     0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002, 1.0, {}
@@ -60,7 +59,7 @@ class Case:
         shared = random.normal(size=self.sizes[0]) * 1e-3
         boards = random.normal(size=(logs, 6)) * 1e-3
         step = Step(shared, boards, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
-        priors = Priors.none(self.data.layout, truth.parameters)
+        priors = no_priors(self.data.layout, truth.parameters)
         self.lin = Posterior.at(self.data, truth.plus(self.data, step), inliers, NOISE, priors)
 
     def displaced(self, x):

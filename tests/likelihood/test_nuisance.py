@@ -35,7 +35,7 @@ SHAKY = Constant("shaky_joint", "shaky", "torso", "shift of the torso at odd sta
 @pytest.fixture
 def table(monkeypatch):
     monkeypatch.setattr(nuisance, "CONSTANTS", (*nuisance.CONSTANTS, SHAKY))
-    kind = Kind("shaky", "rad", 0.005, "deg", 180 / np.pi, "a made-up kind")
+    kind = Kind("shaky", "rad", "deg", 180 / np.pi, 0.005, "a made-up kind")
     monkeypatch.setattr(nuisance, "_BY_NAME", {**nuisance._BY_NAME, "shaky": kind})
 
 

@@ -11,14 +11,18 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.decomposition import _by_point, error_parts
+from mobilecal_cli.solvers.initial import initial_state
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
 from tests.report.example import drawn, made, recorded
+from tests.truth import no_priors
 
 QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=1e-6)
 
@@ -26,8 +30,10 @@ QUIET = extractions.Noise(pixel_px=0.02, wheel_rad_per_sqrt_rad=1e-5, joint_rad=
 def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     """The parts at true levels, for cameras as stated."""
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
-    flat = np.zeros((data.stations, 3))
-    return error_parts(data, extraction, data.pairs, solution.parameters, solution.residuals, true, flat)
+    all_of, parameters = Inliers.all_of(data), solution.parameters
+    state = initial_state(data, parameters, all_of)
+    lin = Posterior.at(data, state, all_of, true, no_priors(data.layout, parameters))
+    return error_parts(lin, extraction, data.pairs, solution.residuals)
 
 
 @pytest.mark.parametrize(

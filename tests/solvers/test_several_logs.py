@@ -18,6 +18,7 @@ from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
+from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import truth
 from tests.extractions import (
     STATION_NOISE,
@@ -285,6 +286,16 @@ def with_late_readings(extraction, late_s):
     )
     track = WheelTrack(later(wheels.right), later(wheels.left))
     return replace(extraction, observations=observations, joint_tracks=(joints,), wheels=(track,))
+
+
+def test_the_information_of_all_recordings_is_the_sum_of_that_of_each():
+    lin = maximum_likelihood(joined(*(recorded("standard", seed) for seed in (1, 2, 3)))).lin
+    each = [lin.of_log(log).normal for log in range(3)]
+    scale = np.sqrt(np.diag(lin.normal.S))
+    assert np.allclose(
+        sum(normal.S for normal in each) / np.outer(scale, scale), lin.normal.S / np.outer(scale, scale)
+    )
+    assert np.allclose(sum(normal.s for normal in each) / scale, lin.normal.s / scale, atol=1e-6)
 
 
 def test_each_recording_in_motion_has_clocks_of_its_own():
