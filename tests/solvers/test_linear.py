@@ -8,10 +8,10 @@ import pytest
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import Parameters, WheelGeometry
+from mobilecal_cli.model import WheelGeometry
 from mobilecal_cli.solvers import initial
 from mobilecal_cli.solvers.initial import linear_estimate
-from mobilecal_cli.solvers.linear import Rounds, ratios_of
+from mobilecal_cli.solvers.linear import Rounds
 from tests.solvers.world import WHEELS, make_pairs, relative_errors
 
 EXACT = 1e-9
@@ -138,14 +138,10 @@ def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
 def test_impossible_wheels_are_no_rivals_of_possible_ones(monkeypatch):
     """Mirrored, with negative radii, a solution may be nearly as good."""
     pairs = make_pairs(3)
-    known = linear_estimate(pairs).parameters
-    mirrored = Parameters(known.T_h_c, WheelGeometry(*(known.wheels.vector * [-1.0, -1.0, 1.0])))
-
-    def answers(_, starts):
-        start = initial.Start(ratios_of(known.wheels), "grid")
-        return [initial._Answer([each], start, rms) for each, rms in ((known, 0.02), (mirrored, 0.022))]
-
-    monkeypatch.setattr(initial, "_answers", answers)
+    known = replace(linear_estimate(pairs), point_rms_m=0.02)
+    wheels = WheelGeometry(*(known.parameters.wheels.vector * [-1.0, -1.0, 1.0]))
+    mirrored = replace(known, parameters=replace(known.parameters, wheels=wheels), point_rms_m=0.022)
+    monkeypatch.setattr(initial, "_answers", lambda *_: [known, mirrored])
     estimate = linear_estimate(pairs)
-    assert estimate.parameters is known
+    assert estimate.parameters is known.parameters
     assert estimate.rival_point_rms_m == np.inf
