@@ -209,17 +209,50 @@ def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
     for block in blocks_of(0 if data.posed.any() else data.stations):
-        seen, W, T = counted[block], data.whitening[block], poses[block]
-        for _ in range(_POSE_STEPS):
-            residual, J = corner_residuals(data, state, T, block, rates[block], by_constants=False)
-            r = np.where(seen[..., None], whitened(W, residual), 0.0).reshape(len(T), -1)
-            At = np.where(seen[:, None, ..., None], whitened(W, J), 0.0).reshape(len(T), 6, -1)
-            step = np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0]
-            T = se3.exp(step) @ T
-            if np.abs(step).max() < _STILL:
-                break
-        poses[block] = T
+        poses[block] = fitted_poses(data, state, poses[block], block, counted[block], rates[block])
     return poses
+
+
+def median_size(size: FloatArray, corners: BoolArray) -> FloatArray:
+    """(N,) median over the corners (N, C, M) that count."""
+    return np.asarray(np.nanmedian(np.where(corners, size, np.nan), axis=(1, 2)))
+
+
+def fitted_poses(
+    data: Dataset,
+    state: State,
+    T_c_k: FloatArray,
+    stations: slice | IntArray,
+    corners: BoolArray,
+    rates: FloatArray | None = None,
+    robust: bool = False,
+) -> FloatArray:
+    """Poses (n, 4, 4) of the board at some stations that fit the corners best, each station by itself.
+
+    Args:
+        data, state: all stations.
+        T_c_k: (n, 4, 4) where to start.
+        stations: which.
+        corners: (n, C, M) those that count.
+        rates: see `corner_residuals`.
+        robust: whether the pull of a corner fades with its distance (Cauchy's weight, in units of the median).
+    """
+    for _ in range(_POSE_STEPS):
+        residual, J = corner_residuals(data, state, T_c_k, stations, rates, by_constants=False)
+        W = data.whitening[stations]
+        residual, J = whitened(W, residual), whitened(W, J)
+        root = corners.astype(np.float64)[..., None]
+        if robust:
+            size = np.linalg.norm(residual, axis=-1)
+            scale = np.maximum(median_size(size, corners), 1e-9)[:, None, None]
+            root = (corners / np.sqrt(1 + (size / (2 * scale)) ** 2))[..., None]
+        At = (J * root[:, None]).reshape(len(T_c_k), 6, -1)
+        r = (residual * root).reshape(len(T_c_k), -1)
+        step = np.asarray(np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0])
+        T_c_k = se3.exp(step) @ T_c_k
+        if np.abs(step).max() < _STILL:
+            break
+    return T_c_k
 
 
 def view_rates(data: Dataset, state: State) -> FloatArray:

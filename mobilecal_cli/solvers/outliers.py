@@ -8,12 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import DEGREES, FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, whitened
+from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, fitted_poses, median_size, whitened
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.noise import guess_worth
@@ -21,7 +20,6 @@ from mobilecal_cli.solvers.noise import guess_worth
 _CORNER_SIGMAS = 5.5
 _BAD_IMAGE = 0.4  # share of gross corners from which on the whole board is rejected
 _BAD_BOARD = 6.0  # corner noise of one station against the usual
-_LOCAL_STEPS, _STILL = 12, 1e-6  # steps of a board pose, rad and m: the last ones move no corner visibly
 _MANY = 1e6
 _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidate
 FEWEST_VIEWS = 4
@@ -42,29 +40,9 @@ _JUDGED_BY = {
 }
 
 
-def _median(size: FloatArray, detected: BoolArray) -> FloatArray:
-    """(N,) median over the detected corners, (N, C, M)."""
-    return np.asarray(np.nanmedian(np.where(detected, size, np.nan), axis=(1, 2)))
-
-
 def _own_misfit(data: Dataset, state: State, stations: IntArray, detected: BoolArray) -> FloatArray:
     """(n, C, M) distance of the detected corners of some stations from the boards that fit each best, robustly."""
-    T = data.T_c_k[stations]
-    for _ in range(_LOCAL_STEPS):
-        residual, J = corner_residuals(data, state, T, stations, by_constants=False)
-        W = data.whitening[stations]
-        residual, J = whitened(W, residual), whitened(W, J)
-        size = np.linalg.norm(residual, axis=-1)
-        scale = np.maximum(_median(size, detected), 1e-9)
-        # Cauchy's weight, whose pull fades with distance.
-        root = (detected / np.sqrt(1 + (size / (2 * scale[:, None, None])) ** 2))[..., None]
-        At = (J * root[:, None]).reshape(len(T), 6, -1)
-        r = (residual * root).reshape(len(T), -1)
-        A = np.swapaxes(At, 1, 2)
-        step = np.linalg.solve(At @ A, -(At @ r[..., None]))[..., 0]
-        T = se3.exp(step) @ T
-        if np.abs(step).max() < _STILL:
-            break
+    T = fitted_poses(data, state, data.T_c_k[stations], stations, detected, robust=True)
     residual, _ = corner_residuals(data, state, T, stations, by_constants=False)
     return np.asarray(np.linalg.norm(whitened(data.whitening[stations], residual), axis=-1))
 
@@ -92,7 +70,7 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
             mine = shown[block]
             size[mine] += detected[mine] * _own_misfit(data, state, mine, detected[mine])
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
-    own = _median(size, data.seen) / 1.1774
+    own = median_size(size, data.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)
     near = size <= _CORNER_SIGMAS * np.maximum(common, np.minimum(own, _BAD_BOARD * common))[:, None, None]
     inliers = near & data.seen
