@@ -37,6 +37,7 @@ _BLOCK = 200
 _LEAST_DEPTH_M = 0.01
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
 _POSE_STEPS, _STILL = 12, 1e-6
+_LARGEST_DEEPER = 0.5  # of its depth: the board's way along the camera's axis in one step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,7 +250,10 @@ def fitted_poses(
         At = (J * root[:, None]).reshape(len(T_c_k), 6, -1)
         r = (residual * root).reshape(len(T_c_k), -1)
         step = np.asarray(np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0])
-        T_c_k = se3.exp(step) @ T_c_k
+        # Far off, a step may lead behind the camera, where nothing leads back.
+        deeper = np.abs(np.cross(step[:, :3], T_c_k[:, :3, 3])[:, 2] + step[:, 5])
+        share = np.minimum(_LARGEST_DEEPER * np.abs(T_c_k[:, 2, 3]) / np.maximum(deeper, _STILL), 1.0)
+        T_c_k = se3.exp(share[:, None] * step) @ T_c_k
         if np.abs(step).max() < _STILL:
             break
     return T_c_k
