@@ -72,9 +72,7 @@ def readable_words(board: Board | None) -> str:
         return f"squares of {MIN_EDGE_PX:.0f} pixels or more"
     markers = board.markers
     side = _READ_PX * _cells(markers)
-    return (
-        f"markers of {side} pixels or more, and check that board.dictionary ({markers.dictionary}) is theirs"
-    )
+    return f"markers of {side} pixels or more, and check that board.dictionary ({markers.dictionary}) matches the board"
 
 
 def _dictionary(markers: Markers, count: int) -> cv2.aruco.Dictionary:
