@@ -76,7 +76,7 @@ def evaluate(
     )
     used = used_for(robot, extraction)
     gated = gate_checks(limits, evaluated_figures(evaluation))
-    verdict = judge_evaluation(evaluation, extraction.rig.cameras, robot, own, cure, used, gated)
+    verdict = judge_evaluation(evaluation, extraction, robot, own, cure, used, gated)
     return Evaluated(evaluation, extraction, verdict, used)
 
 

@@ -21,9 +21,11 @@ from mobilecal_cli.model import (
     NINE,
     NO_IMAGES,
     WHEEL_NOISE,
+    ErrorPart,
     Evaluation,
     Extraction,
     FloatArray,
+    Solution,
     camera_words,
 )
 from mobilecal_cli.model.text import visible
@@ -54,7 +56,7 @@ from mobilecal_cli.report.use import (
 MIN_STATIONS = 8
 #: Stations that show whether a camera is where the description says: its pose has six unknowns.
 FEWEST_OF_A_CAMERA = 4
-#: Largest point error as a share of the distance, and reprojection error as an angle (depth noise does not affect it).
+#: Largest point error as a share of the distance, and reprojection error as an angle.
 ERROR_BAD = 0.015
 #: Priors that are taken wider by a smaller factor do not show it in two digits.
 _SHOWN_WIDER = 1.05
@@ -635,10 +637,10 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
 
     Errors of consistent legs are distributed like |x| of a normal x: the largest of 11 is about 3 times the median, the
     largest of 1000 about 5 times. Short legs have small errors, so an outlier must also be large in absolute terms: as
-    a share of the distance, in mm or in the image. With coarse encoders, that is more than an error of one step on both
-    wheels, with a margin for the joints.
+    a share of the distance, in mm or in the image, beyond three standard deviations of the leg's own depth noise. With
+    coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints.
     """
-    least_legs, times, bad, encoder_steps = 5, 5.0, 0.01, 1.5
+    least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
     residuals, names = made.solution.residuals, station_names(made.extraction)
     if len(residuals.legs) < least_legs:
         return
@@ -647,13 +649,15 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     step_rad = (wheels.radius_right_m * right_rad + wheels.radius_left_m * left_rad) / wheels.separation_m
     bad = max(bad, encoder_steps * step_rad)
     distance_mm, focal_px = made.extraction.board_distance_m * 1e3, float(made.solution.cameras.first.K[0, 0])
+    depth_noise = sigmas * residuals.leg_corner_noise_m * 1e3 / distance_mm
     for metric, kind, errors, scale in (
         (metrics[0], "point", residuals.leg_point_rms_m * 1e3, distance_mm),
         (metrics[1], "reprojection", residuals.leg_reprojection_px, focal_px),
     ):
-        worst, median = int(np.argmax(errors)), float(np.median(errors))
+        limits = (bad + depth_noise) * scale
+        worst, median = int(np.argmax(errors - limits)), float(np.median(errors))
         first, second = (names[end] for end in residuals.legs[worst])
-        error, limit = float(errors[worst]), bad * scale
+        error, limit = float(errors[worst]), float(limits[worst])
         yield metric.check(
             error, limit, f"largest {kind} error of a leg",
             "Check for wheel slip and for a moved board between these stations, and record again.",
@@ -677,45 +681,55 @@ _ERROR_CURES = {
 }
 
 
+def unexplained(solution: Solution, corners: int) -> ErrorPart:
+    """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
+
+    Noise of corners, joints, floor and wheels has limits of its own, and what lenses do beside their models is
+    estimated: none of it is an error of the calibration. Each is counted with three standard deviations of its mean
+    square.
+
+    Args:
+        solution: with legs.
+        corners: number of the board's.
+    """
+    legs = len(solution.residuals.legs)
+    parts = {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m), **solution.error_parts}
+    left = np.square([solution.reprojection_rms_px, solution.point_rms_m])
+    for name, part in parts.items():
+        left -= np.square(part) * (1 + 3 * math.sqrt(2 / (legs * corners if name == "corners" else legs)))
+    return ErrorPart(*np.sqrt(np.maximum(left, 0.0)).tolist())
+
+
 @criterion(
     Metric("point_error", "%", section="stations"), Metric("reprojection_error", "px", section="stations")
 )
 def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
-    """Point error and reprojection error, without what is no error of the calibration.
+    """Point error and reprojection error, without what is no error of the calibration: see `unexplained`.
 
-    That is the depth noise of the cameras, what their lenses do beside their models, and what joints, floor and wheels
-    cause at their noise levels, which have limits of their own; all within three standard deviations of their own mean
-    squares. Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is
-    0.9 degrees of heading, more than a wheel without slip loses on one leg.
+    Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9
+    degrees of heading, more than a wheel without slip loses on one leg.
     """
-    solution, sigmas = made.solution, 3.0
+    solution, distance = made.solution, made.extraction.board_distance_m
     if not len(solution.residuals.legs):
         return
-    error, distance = solution.point_rms_m, made.extraction.board_distance_m
-    predicted, every = solution.residuals.corner_noise_m, solution.error_parts
-    parts = [part for name, part in every.items() if name != "corners"]
-    legs = len(solution.residuals.legs)
-    of_corners, of_legs = (
-        1 + sigmas * math.sqrt(2 / n) for n in (legs * len(made.extraction.board.grid()), legs)
-    )
-    explained = predicted**2 * of_corners + sum(part.m**2 for part in parts) * of_legs
-    unexplained = 100 * math.sqrt(max(error**2 - explained, 0.0)) / distance
-    cause = max(every, key=lambda name: every[name].px, default="")
-    depth = f"(depth noise alone: {predicted * 1e3:.1f} mm)"
+    error, error_px = solution.point_rms_m, solution.reprojection_rms_px
+    beyond = unexplained(solution, made.extraction.board.corners)
+    parts, without = solution.error_parts, "without corner noise, lenses and uneven floor"
+    cause = max(parts, key=lambda name: parts[name].px, default="")
+    depth = f"(depth noise alone: {solution.residuals.corner_noise_m * 1e3:.1f} mm)"
     yield of_points.check(
-        unexplained, 100 * ERROR_BAD, "point error", _ERROR_CURES[cause],
+        100 * beyond.m / distance, 100 * ERROR_BAD, "point error", _ERROR_CURES[cause],
         measured=f"{1e3 * error:.1f} mm, {100 * error / distance:.2f} % of the distance {depth}",
-        at_limit=f"at most {100 * ERROR_BAD:g} % without depth noise, lenses and uneven floor",
+        at_limit=f"at most {100 * ERROR_BAD:g} % {without}",
         why=f"The point error is {1e3 * error:.1f} mm at {distance:.1f} m {depth}.",
     )  # fmt: skip
-    error_px, limit = solution.reprojection_rms_px, ERROR_BAD * float(solution.cameras.first.K[0, 0])
-    of_px = f" The {cause} contribute {std_text(every[cause].px)} px of it." if cause else ""
+    limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
+    of_px = f" The {cause} contribute {std_text(parts[cause].px)} px of it." if cause else ""
     yield of_pixels.check(
-        math.sqrt(max(error_px**2 - sum(part.px**2 for part in parts) * of_legs, 0.0)), limit,
-        "reprojection error", _ERROR_CURES[cause],
+        beyond.px, limit, "reprojection error", _ERROR_CURES[cause],
         measured=f"{error_px:.2f} px",
-        at_limit=f"at most {limit:.1f} px",
-        why=f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px).{of_px}",
+        at_limit=f"at most {limit:.1f} px {without}",
+        why=f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px {without}).{of_px}",
     )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     CalibratedRobot,
-    CameraRig,
     Evaluation,
     Extraction,
     FloatArray,
@@ -23,7 +22,7 @@ from mobilecal_cli.model import (
     Solution,
 )
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
+from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
@@ -77,7 +76,7 @@ class Evaluated:
 
 def judge_evaluation(
     evaluation: Evaluation,
-    cameras: CameraRig,
+    extraction: Extraction,
     robot: CalibratedRobot,
     own: Solution | MobilecalError,
     cure: str,
@@ -88,7 +87,7 @@ def judge_evaluation(
 
     Args:
         evaluation: errors of the calibration on the recording.
-        cameras: of the recording.
+        extraction: the recording's measurements.
         robot: the calibration under test.
         own: the recording solved by itself, or the error that prevented it.
         cure: the motion that the recording lacks to determine all parameters; "" if it lacks none.
@@ -98,11 +97,11 @@ def judge_evaluation(
     enough_stations = _STATIONS.check(
         evaluation.stations,
         MIN_STATIONS,
-        f"stations with the board in {cameras.images_words}",
+        f"stations with the board in {extraction.rig.cameras.images_words}",
         "Record at least ten stations.",
     )
     agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
-    checks = Checks((enough_stations, _corner_error(evaluation, cameras, own), *agreement, *gates))
+    checks = Checks((enough_stations, _corner_error(evaluation, extraction, own), *agreement, *gates))
     for outcome in ("fail", "not_enough"):
         decisive = next((check for check in checks if check.outcome == outcome), None)
         if decisive is not None:
@@ -113,16 +112,17 @@ def judge_evaluation(
     return Verdict("PASS", f"The calibration agrees with this recording: {agreed}.", next_step, checks)
 
 
-def _corner_error(evaluation: Evaluation, cameras: CameraRig, own: Solution | MobilecalError) -> Check:
+def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution | MobilecalError) -> Check:
     """A gross error of the calibration, or of a recording that no calibration explains."""
-    limit_px = ERROR_BAD * float(cameras.first.K[0, 0])
+    limit_px = ERROR_BAD * float(extraction.rig.cameras.first.K[0, 0])
     px = float(np.median(evaluation.reprojection_px))
-    best_px, best = limit_px, ""
+    best_px, unexplained_px, best = limit_px, 0.0, ""
     if not isinstance(own, MobilecalError):
         best_px = float(np.median(own.residuals.leg_reprojection_px))
+        unexplained_px = unexplained(own, extraction.board.corners).px
         best = f"; the recording's own estimate leaves {best_px:.1f} px"
     limit, name = max(limit_px, _TIMES_OWN * best_px), "median station-to-station corner error"
-    if best_px > limit_px:
+    if min(best_px, unexplained_px) > limit_px:
         return _CORNER_ERROR.check(
             px, limit, name, "Check for wheel slip, a moved board and wrong encoder settings, and record again.",
             why=f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px).",
