@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +86,15 @@ def test_names_that_change_all_the_time():
     assert len(joint.series) == 200
     assert len(joint.present) <= 1001
     assert "pan" in joint.present
+
+
+def test_the_limit_holds_for_each_message_that_says_what_a_joint_state_says():
+    """It held for sensor_msgs alone."""
+    name, store = "control_msgs/msg/DynamicJointState", control_store()
+    message = replace(dynamic(store, 1, r.START_NS), joint_names=[*MOVING, "x" * LARGEST_JOINT_STATE])
+    definition, _ = store.generate_msgdef(name, ros_version=2)
+    with pytest.raises(RecordingError, match=r"a joint state of 10\d{5} bytes"):
+        Channel(0, "/joint_states", name, "cdr", definition).decode(store.serialize_cdr(message, name))
 
 
 CONTROL = {

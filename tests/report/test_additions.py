@@ -7,6 +7,7 @@ import pytest
 from mobilecal_cli.report import criteria, plots, tables, verdict
 from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.report.junit import junit_xml
+from mobilecal_cli.report.page import CONTENTS
 from mobilecal_cli.report.svg import Canvas
 from tests.report.example import made, make_extraction, make_solution, page_of
 
@@ -47,6 +48,12 @@ def test_a_table_is_one_function(case, monkeypatch):
     assert (table.heads, table.rows) == ((("wheel", "name"), ("turns", "number")), (("right", "12.5"),))
     assert '"title": "Wheels"' in json_text(report)
     assert '<td class="n">12.5</td>' in page
+
+
+def test_each_section_that_is_named_is_one_of_the_page(case):
+    named = {metric.section for each in criteria.CRITERIA for metric in each.metrics}
+    named |= {section for section, _, _ in plots._PLOTS} | {table.section for table in made(*case).tables}
+    assert named <= {*CONTENTS, ""}
 
 
 def test_a_criterion_is_one_function(case, monkeypatch):
