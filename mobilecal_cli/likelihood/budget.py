@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.posterior import Posterior, roots
-from mobilecal_cli.likelihood.processes import COUNT, LEVELS
 from mobilecal_cli.model import FloatArray
 
 _NO_REDUNDANCY = 1e-6
@@ -21,28 +21,42 @@ _JACKKNIFE_SCATTER = 3.6
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """One kind of measurement in units whose noise is independent: stations, or legs.
+    """One kind of measurement at an optimum, in units whose noise is independent: stations, or legs.
 
     Attributes:
-        by_unit: (n, P, m) derivative of the shared parameters by each unit's m whitened residuals.
-        residual: (n, m) those residuals.
+        lin: the optimum.
+        residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
-        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity;
-            None where it is all of it.
+        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
+        gradients: arguments of `NormalEquations.onto_shared`, whose sum are the residuals' derivatives.
+        share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
+            are interpolated.
     """
 
-    by_unit: FloatArray
+    lin: Posterior
     residual: FloatArray
     leverage: FloatArray
-    parts: Mapping[str, FloatArray | None]
+    parts: Mapping[str, FloatArray]
+    gradients: Sequence[Mapping[str, Any]]
+    share: FloatArray | float = 1.0
+
+    @cached_property
+    def by_unit(self) -> FloatArray:
+        """(n, P, m) derivative of the shared parameters by each unit's residuals."""
+        onto = sum(self.lin.normal.onto_shared(**each) for each in self.gradients)
+        return np.asarray(self.lin.conditional_covariance @ onto)
+
+    def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
+        """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
+        part = self.parts[level]
+        squares = self.share * self.residual * (part @ self.residual[..., None])[..., 0]
+        left = self.share * np.sum(part * (np.eye(self.residual.shape[1]) - self.leverage), axis=2)
+        return squares.sum(axis=0), left.sum(axis=0)
 
     @cached_property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        shares = {
-            level: self.by_unit if part is None else self.by_unit @ part for level, part in self.parts.items()
-        }
-        return {level: _summed(share, self.by_unit) for level, share in shares.items()}
+        return {level: _summed(self.by_unit @ part, self.by_unit) for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
@@ -64,48 +78,70 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
 
 
 def influences(lin: Posterior) -> Iterator[Influence]:
-    """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
+    """Images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
     yield from _of_images(lin)
-    data, marginal = lin.data, lin.marginals
-    errors, sigma = lin.own_errors, lin.own_sigmas
-    joints = data.joints.shape[1]
-    per_sigma = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
-    per_sigma[:, :joints] *= lin.inliers.readings
-    per_sigma[:, joints:] *= data.drives[:, None]
-    for columns, parts in (
-        (slice(0, joints), {"joint_rad": None}),
-        (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
+    yield from of_errors(lin, lin.state.base[:, ERRORS])
+    yield of_legs(lin)
+
+
+def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
+    """Of joint readings and sway, and of the base blocks' errors: encoder readings, floor and wheel scales, stamps.
+
+    Args:
+        lin: an optimum.
+        errors: (N, K) the base blocks' errors there.
+    """
+    data, sigma, marginal, processes = lin.data, lin.own_sigmas, lin.marginals, lin.processes
+    stations = np.arange(data.stations)
+    used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
+    used[:, JOINTS] &= lin.inliers.readings
+    used[:, SWAY] &= data.drives[:, None]
+    share = used.astype(np.float64)
+    share[:, JOINTS] *= (lin.noise.joint_rad * data.joint_units / sigma[:, JOINTS]) ** 2
+    root = np.where(used, 1 / sigma, 0.0)
+    for columns, levels in (
+        (JOINTS, ["joint_rad"] * data.joints.shape[1]),
+        (SWAY, ["sway_rad", "sway_rad", "sway_m"]),
     ):
-        at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
-        at[:, columns] = per_sigma[:, columns, None] * np.eye(at.shape[2])
+        at = _diagonal(root)[:, :, columns]
         leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
-        yield Influence(_onto(lin, own=at), (errors * per_sigma)[:, columns], leverage, parts)
-    yield _of_processes(lin)
-    if len(data.legs):
-        yield _of_legs(lin)
-    base = np.zeros((data.stations, data.base_width, 2))
-    base[:, ENCODERS] = np.eye(2) / lin.encoder_sigmas[:, None]
-    leverage = np.eye(2) * (marginal.encoders / lin.encoder_sigmas**2)[:, None]
-    off = lin.state.encoder_errors / lin.encoder_sigmas
-    yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": None})
-    if data.base_width > STAMP:
-        base = np.zeros((data.stations, data.base_width, 1))
-        base[:, STAMP] = 1 / lin.noise.stamp_s
-        leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
-        off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
-        yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": None})
+        onto = [{"station": stations, "own": at}]
+        residual = (lin.state.own * root)[:, columns]
+        yield Influence(lin, residual, leverage, _by_level(levels), onto, share[:, columns])
+    root = 1 / np.sqrt(processes.variance)
+    leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
+    here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
+    here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
+    residual = processes.innovations(errors) * root
+    for columns in (slice(2), slice(2, 7), slice(7, None)):
+        yield Influence(
+            lin,
+            residual[:, columns],
+            leverage[:, columns, columns],
+            _by_level(processes.levels[columns]),
+            [
+                {"station": stations, "base": here[:, :, columns]},
+                {"station": np.roll(stations, 1), "base": before[:, :, columns]},
+            ],
+            processes.share[:, columns],
+        )
 
 
-def _onto(lin: Posterior, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
-    """(N, P, m) influence of m measurements of each station's base block (N, B, m), or of its own errors (N, E, m)."""
-    stations = np.arange(lin.data.stations)
-    influence: FloatArray = lin.conditional_covariance @ lin.normal.onto_shared(stations, base, own)
-    return influence
+def _diagonal(values: FloatArray) -> FloatArray:
+    """(N, K) → (N, K, K) diagonal matrices."""
+    return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
+
+
+def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
+    """Noise level → (1, m, m) its share in residuals of m levels."""
+    return {
+        level: np.diag([float(level == other) for other in levels])[None] for level in dict.fromkeys(levels)
+    }
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
     """Of corners, and of measured poses."""
-    views, C = lin.views, lin.conditional_covariance
+    views = lin.views
     leverage = lin.marginals.images()
     for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
         stations = np.flatnonzero(of_kind)
@@ -119,41 +155,26 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
         )
         shared = np.swapaxes(views.onto_shared(transposed, stations), 1, 2)
         yield Influence(
-            C @ lin.normal.onto_shared(stations, base, own, board, shared),
+            lin,
             (inverse @ views.gradient[stations, :, None])[..., 0],
             transposed @ leverage[stations] @ root,
-            {level: None},
+            _by_level([level] * root.shape[1]),
+            [{"station": stations, "base": base, "own": own, "board": board, "shared": shared}],
         )
 
 
-def _of_processes(lin: Posterior) -> Influence:
-    data, processes, on = lin.data, lin.processes, np.arange(COUNT)
-    root = 1 / np.sqrt(processes.variance)
-    here = np.zeros((data.stations, data.base_width, COUNT))
-    here[:, on + PROCESSES.start, on] = root
-    by_unit = _onto(lin, base=here)
-    i, j = data.legs.T
-    there = np.zeros((len(j), data.base_width, COUNT))
-    there[:, on + PROCESSES.start, on] = -processes.rho[j] * root[j]
-    by_unit[j] += lin.conditional_covariance @ lin.normal.onto_shared(i, there)
-    parts = {level: np.diag([float(level == other) for other in LEVELS]) for level in dict.fromkeys(LEVELS)}
-    leverage = root[:, :, None] * lin.marginals.innovations(processes.rho) * root[:, None, :]
-    return Influence(by_unit, processes.innovations(lin.state.processes) * root, leverage, parts)
-
-
-def _of_legs(lin: Posterior) -> Influence:
-    data, legs = lin.data, lin.legs
-    i, j = data.legs.T
+def of_legs(lin: Posterior) -> Influence:
+    """Of the legs' wheels, and of a planar sensor."""
+    legs, (i, j) = lin.legs, lin.data.legs.T
     root, _ = roots(lin.leg_weight)
-    shared = np.swapaxes(legs.by_shared, 1, 2) @ root
-    onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, shared=shared)
-    onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root)
     transposed = np.swapaxes(root, 1, 2)
+    start, end, shared = (np.swapaxes(by, 1, 2) @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
     return Influence(
-        lin.conditional_covariance @ onto,
+        lin,
         (transposed @ legs.residual[..., None])[..., 0],
         transposed @ lin.marginals.legs @ root,
         {level: transposed @ share @ root for level, share in lin.leg_covariances.items()},
+        [{"station": i, "base": start, "shared": shared}, {"station": j, "base": end}],
     )
 
 

@@ -427,11 +427,11 @@ class FloorEffect(Effect, ABC):
 
     @abstractmethod
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
-        """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses (N, 3), see `State.base`."""
+        """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses, see `State.base`."""
 
     def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3, 3) derivative of these by a step of the base along its own x and y (m), and of its heading (rad)."""
-        return np.zeros((*base.shape, 3))
+        return np.zeros((len(base), 3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,7 +442,7 @@ class BaseLean(FloorEffect):
 
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
-        return np.broadcast_to(np.eye(3)[self.axis], base.shape)
+        return np.broadcast_to(np.eye(3)[self.axis], (len(base), 3))
 
 
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
@@ -485,7 +485,7 @@ class FloorShape(FloorEffect):
         cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
         T = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
         curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ np.swapaxes(T, 1, 2)
-        by = np.zeros((*base.shape, 3))
+        by = np.zeros((len(base), 3, 3))
         by[:, 0, :2], by[:, 1, :2] = curvature[:, 1], -curvature[:, 0]
         by[:, 0, 2], by[:, 1, 2] = back, -left
         by[:, 2, :2] = np.stack([-back, left], axis=1)

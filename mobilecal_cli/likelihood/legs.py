@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.effects import Clock, TurnSlip
 from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at
+from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at, planar
 from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
@@ -49,9 +49,9 @@ class Legs:
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
-    errors = state.encoder_errors
-    if np.any(state.stamp_errors):
-        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.stamp_errors[:, None]
+    errors = state.base[:, ENCODERS]
+    if np.any(state.base[:, STAMP:]):
+        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.base[:, STAMP:]
     steps = data.steps(clock_s(data, state, "wheels")).with_ends(-errors[i], errors[j])
     right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
     return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
@@ -60,17 +60,16 @@ def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
 def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray:
     """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
     i, j = data.legs.T
-    out: FloatArray = processes.mean_share * (state.processes[i, 3:] + state.processes[j, 3:])
+    out: FloatArray = processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
     return out
 
 
 def base_legs(data: Dataset, state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
     i, j = data.legs.T
-    apart = state.base[j] - state.base[i]
-    cos, sin = np.cos(state.base[i, 2]), np.sin(state.base[i, 2])
-    x, y = cos * apart[:, 0] + sin * apart[:, 1], -sin * apart[:, 0] + cos * apart[:, 1]
-    return np.stack([x, y, apart[:, 2]], axis=1)
+    apart = state.base[j, BASE] - state.base[i, BASE]
+    apart[:, :2] = planar(-state.base[i, 2], apart[:, :2])
+    return apart
 
 
 def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:

@@ -15,10 +15,12 @@ _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 
-#: Columns of a station's base block: base pose (x, y, heading), encoder errors (right, left), processes (roll, pitch
-#: and height of the floor, scale of the right and left wheel), and the stamp's error.
-BASE, ENCODERS, PROCESSES, STAMP = slice(0, 3), slice(3, 5), slice(5, 10), 10
-FLOOR, SCALES = slice(5, 8), slice(8, 10)
+#: Columns of a station's base block: base pose (x, y, heading), and errors: encoders (right, left), roll, pitch and
+#: height of the floor, scale of the right and left wheel, and the stamp.
+BASE, ERRORS = slice(0, 3), slice(3, None)
+ENCODERS, FLOOR, SCALES, STAMP = slice(3, 5), slice(5, 8), slice(8, 10), 10
+#: Columns of a station's own errors: joint readings, and the base's sway (roll, pitch, height).
+JOINTS, SWAY = slice(None, -3), slice(-3, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,12 +163,12 @@ class Measurements:
 
     @property
     def base_width(self) -> int:
-        """Unknowns of a station that legs couple, see `BASE`, `ENCODERS`, `PROCESSES`, and in motion `STAMP`."""
+        """Unknowns of a station that legs couple, see `BASE` and `ERRORS`; the stamp's only in motion."""
         return STAMP + 1 if self.moving.any() and self.joint_tracks else STAMP
 
     @property
     def own_width(self) -> int:
-        """Unknowns of a station that nothing couples to others: its joint errors, and the base's sway (3)."""
+        """Unknowns of a station that nothing couples to others, see `JOINTS` and `SWAY`."""
         return int(self.joints.shape[1]) + 3
 
     @property

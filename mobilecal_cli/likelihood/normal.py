@@ -1,7 +1,7 @@
 """The normal equations with stations and boards eliminated: the cost is linear in the number of stations.
 
-Joint errors and sway belong to one station each and go first, station by station. Base poses, encoder errors, floor,
-wheel scales and stamp errors form a chain along the legs: a banded matrix. Then the board of each recording goes,
+Joint errors and sway belong to one station each and go first, station by station. Base poses and the errors of the base
+blocks form a chain along the legs: a banded matrix. Then the board of each recording goes,
 recording by recording. A small dense system for the shared parameters is left, however many recordings there are.
 """
 
@@ -15,7 +15,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
@@ -163,8 +163,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     b[j] += np.einsum("lab,la->lb", legs.by_end, We)
     H += _summed(shared, Ws)
     h += np.einsum("lap,la->p", shared, We)
-    _process_terms(lin, D, off, b)
-    _weak_terms(lin, D, b)
+    _prior_terms(lin, D, off, b)
 
     for matrix in (D, HK, H):
         diagonal = np.arange(matrix.shape[-1])
@@ -274,14 +273,14 @@ def _eliminated_own(lin: Linearization, damping: float) -> _Own:
     shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
     information, forth = shrink @ G[:, :6], A @ G[:, :6, 6:]
     # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
-    back = lin.own_errors / (1 + damping)
+    back = lin.state.own / (1 + damping)
     wanted = views.gradient - (G[:, :, :6] @ (J @ back[..., None]))[..., 0]
     gradient = (shrink @ wanted[:, :6, None])[..., 0]
     root = np.sqrt(P)
     across = np.swapaxes(J, 1, 2) @ G[:, :6]
     M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
     inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
-    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / sigma**2
+    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.state.own / sigma**2
     return _Own(
         information,
         gradient,
@@ -316,32 +315,19 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     return product
 
 
-def _process_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:
-    """Add the processes' innovations, see `processes`."""
-    processes, at = lin.processes, np.arange(PROCESSES.start, PROCESSES.stop)
-    i, j = lin.data.legs.T
-    weight = 1 / processes.variance
-    pull, rho = weight * processes.innovations(lin.state.processes), processes.rho[j]
+def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:
+    """Add the errors' innovations, see `processes`, the gauge, and bases that no measurement holds."""
+    data, inliers, processes, first = lin.data, lin.inliers, lin.processes, lin.data.first
+    at, gauge = np.arange(data.base_width)[ERRORS], np.arange(data.base_width)[BASE]
+    i, j = data.legs.T
+    weight, rho = 1 / processes.variance, processes.rho[j]
+    pull = weight * processes.innovations(lin.state.base[:, ERRORS])
     D[:, at, at] += weight
     D[i[:, None], at, at] += rho**2 * weight[j]
     off[i[:, None], at, at] -= rho * weight[j]
-    b[:, PROCESSES] += pull
-    b[i, PROCESSES] -= rho * pull[j]
-
-
-def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
-    """Keep the base blocks regular: the gauge, encoder errors, and bases that no measurement holds."""
-    data, inliers = lin.data, lin.inliers
-    first = data.first
-    gauge = np.arange(BASE.start, BASE.stop)
+    b[:, ERRORS] += pull
+    b[i, ERRORS] -= rho * pull[j]
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
-    if data.base_width > STAMP:
-        D[:, STAMP, STAMP] += lin.noise.stamp_s**-2
-        b[:, STAMP] += lin.state.stamp_errors * lin.noise.stamp_s**-2
-    encoders = np.arange(ENCODERS.start, ENCODERS.stop)
-    information = lin.encoder_sigmas**-2
-    D[:, encoders, encoders] += information
-    b[:, ENCODERS] += lin.state.encoder_errors * information

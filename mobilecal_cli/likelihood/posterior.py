@@ -12,9 +12,8 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
-from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
-from mobilecal_cli.likelihood.processes import COUNT
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -94,10 +93,8 @@ class Marginals:
         direct: (D, D) of the direct constants.
         own: (N, J + 3, J + 3) of the joint errors and of the sway.
         legs: (L, 3, 3) of the legs' residuals.
-        encoders: (N, 2) variances of the encoder errors.
-        stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
-        processes: (N, 5, 5) of the processes.
-        before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
+        errors: (N, K, K) of the base blocks' errors.
+        before: (N, K, K) of these at the station before (rows) with those here; 0 for a first station.
     """
 
     views: FloatArray
@@ -105,18 +102,14 @@ class Marginals:
     direct: FloatArray
     own: FloatArray
     legs: FloatArray
-    encoders: FloatArray
-    stamps: FloatArray
-    processes: FloatArray
+    errors: FloatArray
     before: FloatArray
 
     def innovations(self, rho: FloatArray) -> FloatArray:
-        """(N, 5, 5) of the processes' innovations f_j - rho f_i; rho: (N, 5)."""
-        previous = np.zeros_like(self.processes)
-        previous[1:] = self.processes[:-1]
+        """(N, K, K) of the errors' innovations f_j - rho f_i; rho: (N, K)."""
         mixed = rho[:, :, None] * self.before
-        out: FloatArray = self.processes - mixed - np.swapaxes(mixed, 1, 2)
-        return out + rho[:, :, None] * previous * rho[:, None, :]
+        out: FloatArray = self.errors - mixed - np.swapaxes(mixed, 1, 2)
+        return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
 
     def leverage(self, information: FloatArray) -> FloatArray:
         """(N,) how much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
@@ -182,11 +175,11 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
-    bases = own + _sandwich(follow, C)
-
     i, j = lin.data.legs.T
-    along, before = PROCESSES, np.zeros((len(own), COUNT, COUNT))
-    before[j] = cross[i, along, along] + follow[i, along] @ C @ np.swapaxes(follow[j, along], 1, 2)
+    following = follow[:, ERRORS]
+    along, transposed = following @ C, np.swapaxes(following, 1, 2)
+    of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
+    before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
     mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
@@ -196,8 +189,6 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,
         legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
-        encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
-        stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
-        processes=bases[:, along, along],
+        errors=of_errors,
         before=before,
     )

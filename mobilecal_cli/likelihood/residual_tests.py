@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
 from mobilecal_cli.likelihood.posterior import Posterior, roots
 from mobilecal_cli.likelihood.state import board_in_camera
@@ -64,10 +65,10 @@ class ResidualTests:
         """(N, J) of each joint reading, one degree of freedom."""
         lin = self._lin
         sigma = joint_sigmas(lin.data, Inliers.all_of(lin.data), lin.noise)
-        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : sigma.shape[1]] / sigma**2
+        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, JOINTS] / sigma**2
         left = np.where(lin.inliers.readings, 1 - share, 1 + share)
         usable = left > _NO_REDUNDANCY
-        return np.where(usable, (lin.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
+        return np.where(usable, (lin.state.own[:, JOINTS] / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
 
     @cached_property
     def views_freed(self) -> FloatArray:
@@ -102,7 +103,7 @@ class ResidualTests:
     @cached_property
     def small_readings(self) -> BoolArray:
         """(N, J) joint readings that are right to `SMALL_RAD`."""
-        return np.asarray(np.abs(self._lin.state.joint_errors) < SMALL_RAD * self._lin.data.joint_units)
+        return np.asarray(np.abs(self._lin.state.own[:, JOINTS]) < SMALL_RAD * self._lin.data.joint_units)
 
 
 def _small(turn_rad: FloatArray, shift_m: FloatArray) -> BoolArray:

@@ -32,12 +32,10 @@ def expected_gradient(lin: Posterior) -> FloatArray:
 
 def _squares(lin: Posterior) -> float:
     missed, W = lin.legs.residual, lin.leg_weight
-    height = lin.processes.innovations(lin.state.processes)[:, _HEIGHT]
-    sway = lin.own_errors[:, -1] / lin.own_sigmas[:, -1]
+    height = lin.processes.whitened(lin.state.base)[:, _HEIGHT]
+    sway = lin.state.own[:, -1] / lin.own_sigmas[:, -1]
     of_legs = np.einsum("la,lab,lb->", missed[:, :2], W[:, :2], missed)
-    return float(
-        of_legs + np.sum(height**2 / lin.processes.variance[:, _HEIGHT]) + np.sum(sway[_swaying(lin)] ** 2)
-    )
+    return float(of_legs + np.sum(height**2) + np.sum(sway[_swaying(lin)] ** 2))
 
 
 def _redundancy(lin: Posterior) -> float:

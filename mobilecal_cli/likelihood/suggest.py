@@ -11,7 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -37,7 +37,7 @@ _UPRIGHT = 0.5  # component of the vertical beyond which a coordinate is a heigh
 
 def _bases(state: State, ways: FloatArray) -> FloatArray:
     """(C, 3) base poses that ways (C, 3) lead to from the last station: a turn (rad), a drive (m), another turn."""
-    x, y, heading = state.base[-1]
+    x, y, heading = state.base[-1, BASE]
     turn, drive, face = ways.T
     along = heading + turn
     return np.stack([x + drive * np.cos(along), y + drive * np.sin(along), along + face], axis=1)
@@ -153,7 +153,7 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
         motions=None,
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),
     )
-    base = np.concatenate([state.base[[-1, -1]], _bases(state, ways)])
+    base = np.concatenate([state.base[[-1, -1], BASE], _bases(state, ways)])
     there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
     return Posterior.at(wide, there, Inliers.all_of(wide), lin.noise, lin.priors)
@@ -169,15 +169,14 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
         lin: see `_with_stops`.
     """
     views, legs, count, P, B = lin.views, lin.legs, len(lin.data.legs), lin.data.layout.size, STAMP
-    encoders, processes = (np.arange(part.start, part.stop) for part in (ENCODERS, PROCESSES))
+    errors = np.arange(B)[ERRORS]
     # left (a leg's second base) = right (shared, board, its first base) + noise
     left, right = np.tile(np.eye(B), (count, 1, 1)), np.zeros((count, B, P + 6 + B))
     left[:, BASE], right[:, BASE, :P], right[:, BASE, P + 6 :] = legs.by_end, -legs.by_shared, -legs.by_start
-    right[:, processes, P + 6 + processes] = lin.processes.rho[1:]
+    right[:, errors, P + 6 + errors] = lin.processes.rho[1:]
     noise = np.zeros((count, B, B))
     noise[:, BASE, BASE] = lin.leg_covariance
-    noise[:, encoders, encoders] = lin.encoder_sigmas[1:] ** 2
-    noise[:, processes, processes] = lin.processes.variance[1:]
+    noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
     beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ np.swapaxes(J, 1, 2)])
     G = station_information(lin, beside)[2:]

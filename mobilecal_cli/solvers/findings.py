@@ -186,7 +186,7 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     excluded = fit.data.seen & ~inliers.corners
     joints, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     for i, j in ((int(a), int(b)) for a, b in np.argwhere(~inliers.readings)):
-        error = -state.joint_errors[i, j]
+        error = -state.own[i, j]
         by = f"{error * 1e3:+.1f} mm" if joints[j] in prismatic else f"{math.degrees(error):+.2f} degrees"
         text = f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by {by}. It is excluded."
         outliers.append(Outlier("joint", observations[i].log, (i,), observations[i].time_ns, text))

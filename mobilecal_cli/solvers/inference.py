@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
+from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import (
@@ -56,7 +56,7 @@ JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 #: Noise levels that a jump may make large: those of the processes, and others.
-_CONCEALING = (*dict.fromkeys(LEVELS), "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
+_CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -354,7 +354,9 @@ class Inference:
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
             lin = _past(optimum, ranked[0])
-            lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+            lin, _, _ = self._levels_near(
+                lin, components(lin), self.coarse.levels, frozenset(LENGTHS.values())
+            )
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None

@@ -48,7 +48,7 @@ def at_state(
     on_boards = zip(extraction.observations, points_c, strict=True)
     seen = tuple(replace(o, points_c=points) for o, points in on_boards)
     extraction = triangulated_again(replace(extraction, observations=seen), factor)
-    as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
+    as_read = replace(state, own=np.zeros_like(state.own))
     return extraction, replace(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
