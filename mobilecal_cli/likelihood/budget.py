@@ -104,7 +104,7 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
         (SWAY, ["sway_rad", "sway_rad", "sway_m"]),
     ):
         at = _diagonal(root)[:, :, columns]
-        leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
+        leverage = at.mT @ marginal.own @ at
         onto = [{"station": stations, "own": at}]
         residual = (lin.state.own * root)[:, columns]
         yield Influence(lin, residual, leverage, _by_level(levels), onto, share[:, columns])
@@ -148,12 +148,11 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
         if not len(stations):
             continue
         root, inverse = roots(views.information[stations])
-        transposed = np.swapaxes(root, 1, 2)
+        transposed = root.mT
         base, own, board = (
-            np.swapaxes(part[stations], 1, 2) @ root[:, :6]
-            for part in (views.by_base, views.by_own, views.by_board)
+            part[stations].mT @ root[:, :6] for part in (views.by_base, views.by_own, views.by_board)
         )
-        shared = np.swapaxes(views.onto_shared(transposed, stations), 1, 2)
+        shared = views.onto_shared(transposed, stations).mT
         yield Influence(
             lin,
             (inverse @ views.gradient[stations, :, None])[..., 0],
@@ -167,8 +166,8 @@ def of_legs(lin: Posterior) -> Influence:
     """Of the legs' wheels, and of a planar sensor."""
     legs, (i, j) = lin.legs, lin.data.legs.T
     root, _ = roots(lin.leg_weight)
-    transposed = np.swapaxes(root, 1, 2)
-    start, end, shared = (np.swapaxes(by, 1, 2) @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
+    transposed = root.mT
+    start, end, shared = (by.mT @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
     return Influence(
         lin,
         (transposed @ legs.residual[..., None])[..., 0],

@@ -381,7 +381,7 @@ class BoardEffect(ImageEffect):
 
     def pixels(self, sight: Sight) -> FloatArray:
         """(N, M, 2) derivative of a camera's predicted pixels."""
-        return _along(sight.by_stamped_c, self.displacement(sight.points_k) @ np.swapaxes(sight.R_c_k, 1, 2))
+        return _along(sight.by_stamped_c, self.displacement(sight.points_k) @ sight.R_c_k.mT)
 
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:
@@ -484,7 +484,7 @@ class FloorShape(FloorEffect):
         xx, xy, yy = (self._derivative(data, base, *by) for by in ((2, 0), (1, 1), (0, 2)))
         cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
         T = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
-        curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ np.swapaxes(T, 1, 2)
+        curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ T.mT
         by = np.zeros((len(base), 3, 3))
         by[:, 0, :2], by[:, 1, :2] = curvature[:, 1], -curvature[:, 0]
         by[:, 0, 2], by[:, 1, 2] = back, -left

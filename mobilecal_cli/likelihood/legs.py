@@ -202,6 +202,6 @@ def leg_covariances(
     slip[:, 2, 2] = STANDSTILL_RAD**2
     return {
         "wheel_rad_per_sqrt_rad": root,
-        "wheel_share": by_radii @ np.swapaxes(by_radii, 1, 2),
+        "wheel_share": by_radii @ by_radii.mT,
         SUPPOSED: slip,
     }

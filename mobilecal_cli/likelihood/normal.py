@@ -92,12 +92,12 @@ class NormalEquations:
         left = np.zeros(()) if base is None else base
         if own is not None:
             solved = self._E_inverse[station] @ own
-            left = left - np.swapaxes(self._E_base[station], 1, 2) @ solved
-            out = out - np.swapaxes(self._E_shared[station], 1, 2) @ solved
+            left = left - self._E_base[station].mT @ solved
+            out = out - self._E_shared[station].mT @ solved
         if left.ndim:
-            out = out + np.swapaxes(self.base_by_shared[station], 1, 2) @ left
+            out = out + self.base_by_shared[station].mT @ left
         if board is not None:
-            out = out + np.swapaxes(self.board_by_shared[self.log[station]], 1, 2) @ board
+            out = out + self.board_by_shared[self.log[station]].mT @ board
         return out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
@@ -130,20 +130,27 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     data, views, legs, weight = lin.data, lin.views, lin.legs, lin.leg_weight
     count, P, B = data.stations, data.layout.size, data.base_width
 
-    own = _eliminated_own(lin, damping)
-    G, across = own.information, own.across
+    # Own errors: their covariance for a known rest, their gradient, and their information with all else.
+    J, root = views.by_own, lin.own_sigmas / np.sqrt(1 + damping)
+    across = J.mT @ views.information[:, :6]
+    M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
+    E_inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
+    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.state.own / lin.own_sigmas**2
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across)
+
+    information, gradient = own_eliminated(lin, damping)
+    G = information[:, :6]
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
-    Bt, Kt = np.swapaxes(views.by_base, 1, 2), np.swapaxes(views.by_board, 1, 2)
+    Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
-    b = np.einsum("nqb,nq->nb", views.by_base, own.gradient)
-    H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, own.gradient)
+    b = np.einsum("nqb,nq->nb", views.by_base, gradient[:, :6])
+    H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient[:, :6])
     H[views.direct] += _summed(G[:, :, 6:], views.by_shared)
-    H[np.ix_(views.direct, views.direct)] += own.direct_information
-    h[views.direct] += own.direct_gradient
+    H[np.ix_(views.direct, views.direct)] += information[:, 6:, 6:].sum(axis=0)
+    h[views.direct] += gradient[:, 6:].sum(axis=0)
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
-    hK = _by_log(data, Kt @ own.gradient[..., None])
+    hK = _by_log(data, Kt @ gradient[:, :6, None])
     HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
@@ -153,7 +160,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
     Ws = weight @ shared
     We = np.einsum("lab,lb->la", weight, legs.residual)
-    it, jt = np.swapaxes(legs.by_start, 1, 2), np.swapaxes(legs.by_end, 1, 2)
+    it, jt = legs.by_start.mT, legs.by_end.mT
     D[i] += it @ Wi  # a station starts one leg and ends one at most
     D[j] += jt @ Wj
     off[i] += it @ Wj
@@ -174,11 +181,11 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     right = np.concatenate([C, CK, b[..., None]], axis=2).reshape(count * B, -1)
     solved = cho_solve_banded((factor, True), right, check_finite=False).reshape(count, B, -1)
     Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
-    CKt = np.swapaxes(CK, 1, 2)
+    CKt = CK.mT
     V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
     SKS, sK = HKS - _by_log(data, CKt @ Y), hK - _by_log(data, CKt @ y)
     Z, z = V @ SKS, V @ sK
-    gain = float(np.einsum("nj,njk,nk->", own.e, own.inverse, own.e)) + float(np.sum(b * y[..., 0]))
+    gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(
         S=_none_negative(H - _summed(C, Y) - _summed(SKS, Z), np.diag(H)),
         s=h - _summed(C, y)[:, 0] - _summed(SKS, z)[:, 0],
@@ -190,13 +197,13 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         board_covariance=V,
         chain=(D, off),
         factor=factor,
-        _E_inverse=own.inverse,
+        _E_inverse=E_inverse,
         _E_base=E_base,
         _E_board=E_board,
         _E_shared=E_shared - E_board @ Z[data.log],
         _base=(YK @ z[data.log] - y)[..., 0],
         _board=-z[..., 0],
-        _e=own.e - (E_board @ z[data.log])[..., 0],
+        _e=e - (E_board @ z[data.log])[..., 0],
     )
 
 
@@ -237,75 +244,34 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Own:
-    """Joint errors and sway, eliminated station by station.
+def own_eliminated(
+    lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Information (N, Q, Q) and gradient (N, Q) of (delta, direct constants), the stations' own errors eliminated.
 
-    Attributes:
-        information: (N, 6, Q) of delta with (delta, direct constants), without them.
-        gradient: (N, 6) of delta, the same way.
-        direct_information, direct_gradient: (D, D) and (D,) of the direct constants, summed over the stations.
-        inverse: (N, E, E) their covariance for a known rest.
-        e: (N, E) their gradient.
-        across: (N, E, Q) their information with (delta, direct constants).
-    """
-
-    information: FloatArray
-    gradient: FloatArray
-    direct_information: FloatArray
-    direct_gradient: FloatArray
-    inverse: FloatArray
-    e: FloatArray
-    across: FloatArray
-
-
-def _eliminated_own(lin: Linearization, damping: float) -> _Own:
-    """Eliminate each station's own errors without cancellation.
-
-    They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
-    delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
-    matrices that agree to all digits where the corners are much better than the joints.
-    """
-    views, sigma = lin.views, lin.own_sigmas
-    J, G = views.by_own, views.information
-    P = sigma**2 / (1 + damping)
-    A = (J * P[:, None, :]) @ np.swapaxes(J, 1, 2)
-    shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
-    information, forth = shrink @ G[:, :6], A @ G[:, :6, 6:]
-    # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
-    back = lin.state.own / (1 + damping)
-    wanted = views.gradient - (G[:, :, :6] @ (J @ back[..., None]))[..., 0]
-    gradient = (shrink @ wanted[:, :6, None])[..., 0]
-    root = np.sqrt(P)
-    across = np.swapaxes(J, 1, 2) @ G[:, :6]
-    M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
-    inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
-    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.state.own / sigma**2
-    return _Own(
-        information,
-        gradient,
-        G[:, 6:, 6:].sum(axis=0) - _summed(forth, information[:, :, 6:]),
-        wanted[:, 6:].sum(axis=0) - _summed(forth, gradient[..., None])[:, 0],
-        inverse,
-        e,
-        across,
-    )
-
-
-def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
-    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
+    Without cancellation: own errors move the board in the camera by A = J P J^T, with their prior covariance P. The
+    corners' information G about delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual
+    G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two matrices that agree to all digits where the corners are
+    much better than the joints.
 
     Args:
         lin: where.
+        damping: see `eliminated`.
         beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
     """
-    J, G = lin.views.by_own, lin.views.information.copy()
-    A = (J * lin.own_sigmas[:, None, :] ** 2) @ np.swapaxes(J, 1, 2) + beside
-    of_delta = np.linalg.solve(np.eye(6) + G[:, :6, :6] @ A, G[:, :6])  # see `_eliminated_own`
-    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ of_delta[:, :, 6:]
-    G[:, :6] = of_delta
-    G[:, 6:, :6] = np.swapaxes(of_delta[:, :, 6:], 1, 2)
-    return G
+    views, J, sigma = lin.views, lin.views.by_own, lin.own_sigmas
+    G, g = views.information.copy(), views.gradient.copy()
+    A = (J * (sigma**2 / (1 + damping))[:, None]) @ J.mT + beside
+    # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
+    g -= (G[:, :, :6] @ (J @ (lin.state.own / (1 + damping))[..., None]))[..., 0]
+    both = np.concatenate([G[:, :6], g[:, :6, None]], axis=2)
+    both = np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A) @ both
+    taken = G[:, 6:, :6] @ A @ both[:, :, 6:]
+    G[:, 6:, 6:] -= taken[:, :, :-1]
+    g[:, 6:] -= taken[:, :, -1]
+    G[:, :6], g[:, :6] = both[:, :, :-1], both[:, :, -1]
+    G[:, 6:, :6] = G[:, :6, 6:].mT
+    return G, g
 
 
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:

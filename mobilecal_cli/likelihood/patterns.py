@@ -185,7 +185,7 @@ class _Images:
         H[constants, constants] = G[:, 6:, 6:].sum(axis=0) + np.diag(self.known)
         H[constants, errors] = shared[:, 6:].sum(axis=0)
         H[errors, constants] = H[constants, errors].T
-        H[poses, poses] = np.sum(np.swapaxes(moved, 1, 2) @ tie @ moved, axis=0)
+        H[poses, poses] = np.sum(moved.mT @ tie @ moved, axis=0)
         H[poses, poses] += np.diag(np.tile(_ANYWHERE**-2, moved.shape[2] // 6))
         H[errors, errors] = np.eye(len(among)) + among
         of_pose = np.linalg.inv(G[:, :6, :6] + tie)

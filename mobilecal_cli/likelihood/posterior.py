@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
-from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
+from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, own_eliminated
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -37,6 +37,11 @@ class Posterior(Linearization):
     def normal(self) -> NormalEquations:
         """The normal equations without damping."""
         return self.eliminated()
+
+    @cached_property
+    def station_information(self) -> FloatArray:
+        """(N, Q, Q) information of the images about (delta, direct constants), the stations' own errors eliminated."""
+        return own_eliminated(self)[0]
 
     @cached_property
     def information(self) -> FloatArray:
@@ -108,7 +113,7 @@ class Marginals:
     def innovations(self, rho: FloatArray) -> FloatArray:
         """(N, K, K) of the errors' innovations f_j - rho f_i; rho: (N, K)."""
         mixed = rho[:, :, None] * self.before
-        out: FloatArray = self.errors - mixed - np.swapaxes(mixed, 1, 2)
+        out: FloatArray = self.errors - mixed - mixed.mT
         return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
 
     def leverage(self, information: FloatArray) -> FloatArray:
@@ -121,8 +126,8 @@ class Marginals:
     def of_gradient(self, information: FloatArray) -> FloatArray:
         """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
         G, across = information[:, :6, :6], information[:, :6, 6:]
-        mixed = G @ self.mixed @ np.swapaxes(across, 1, 2)
-        out: FloatArray = _sandwich(G, self.views) + mixed + np.swapaxes(mixed, 1, 2)
+        mixed = G @ self.mixed @ across.mT
+        out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
         return out + _sandwich(across, self.direct)
 
     def images(self) -> FloatArray:
@@ -130,7 +135,7 @@ class Marginals:
         count, _, direct = self.mixed.shape
         out = np.empty((count, 6 + direct, 6 + direct))
         out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
-        out[:, 6:, :6] = np.swapaxes(self.mixed, 1, 2)
+        out[:, 6:, :6] = self.mixed.mT
         return out
 
 
@@ -140,11 +145,11 @@ def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     size = np.sqrt(np.maximum(values, 0.0))
     positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
     inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
+    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
-    out: FloatArray = A @ C @ np.swapaxes(A, -1, -2)
+    out: FloatArray = A @ C @ A.mT
     return out
 
 
@@ -165,30 +170,30 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     V = normal.board_covariance[log]
     known, cross = normal.base_covariance()
     own = known + _sandwich(with_board, V)
-    cross[:-1] += with_board[:-1] @ V[:-1] @ np.swapaxes(with_board[1:], 1, 2)
+    cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
     A = views.by_base + views.by_own @ by_base
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
     FC = F @ C
-    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ F.mT
     of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     i, j = lin.data.legs.T
     following = follow[:, ERRORS]
-    along, transposed = following @ C, np.swapaxes(following, 1, 2)
+    along, transposed = following @ C, following.mT
     of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
     before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
-    mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
+    mixed = legs.by_start @ cross[i] @ legs.by_end.mT
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         views=of_views,
         mixed=FC[:, :, views.direct],
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,
-        legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
+        legs=both + mixed + mixed.mT + _sandwich(F_legs, C),
         errors=of_errors,
         before=before,
     )

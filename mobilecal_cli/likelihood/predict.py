@@ -55,7 +55,7 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
     constants = np.eye(len(covariance))[list(own.values())]
     poses = -lin.views.by_shared
     by_shared = np.concatenate([poses, np.broadcast_to(constants, (len(poses), *constants.shape))], axis=1)
-    return np.mean(by_shared @ covariance @ np.swapaxes(by_shared, 1, 2), axis=0), tuple(own)
+    return np.mean(by_shared @ covariance @ by_shared.mT, axis=0), tuple(own)
 
 
 def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
@@ -129,7 +129,7 @@ def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArr
         )
         J.append((ahead - behind)[..., None] / (2 * _STEP))
     by_all = np.concatenate(J, axis=2)
-    covariance = by_all @ solution.uncertainty.camera @ np.swapaxes(by_all, 1, 2)
+    covariance = by_all @ solution.uncertainty.camera @ by_all.mT
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
 
 

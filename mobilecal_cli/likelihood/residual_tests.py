@@ -78,7 +78,7 @@ class ResidualTests:
         predicted, freed = lin.marginals.of_gradient(views.information), np.empty_like(lin.data.joints)
         for j in range(freed.shape[1]):
             by_reading = FREE_JOINT * G @ views.by_own[..., j : j + 1]
-            spread = predicted + by_reading @ np.swapaxes(by_reading, 1, 2)
+            spread = predicted + by_reading @ by_reading.mT
             freed[:, j] = _left_out(G, g, spread, np.zeros_like(lin.inliers.views))
         return freed
 
@@ -119,9 +119,9 @@ def _left_out(G: FloatArray, g: FloatArray, predicted: FloatArray, used: BoolArr
         predicted: (n, k, k) H, covariance that the unknowns give the gradient.
         used: (n,) which are part of the fit.
     """
-    whiten = np.swapaxes(roots(G)[1], 1, 2)
+    whiten = roots(G)[1].mT
     v = np.einsum("nab,na->nb", whiten, g)
-    leverage = np.swapaxes(whiten, 1, 2) @ predicted @ whiten
+    leverage = whiten.mT @ predicted @ whiten
     sign = np.where(used, -1.0, 1.0)[:, None, None]
     values, vectors = np.linalg.eigh(np.eye(G.shape[1]) + sign * leverage)
     along = np.einsum("nki,nk->ni", vectors, v)

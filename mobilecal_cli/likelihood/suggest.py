@@ -13,7 +13,7 @@ from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.normal import station_information
+from mobilecal_cli.likelihood.normal import own_eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, base_at, cameras_at, head_at
 from mobilecal_cli.model import NINE, BoolArray, CameraRig, FloatArray, Suggestion, WheelTrack
@@ -68,13 +68,13 @@ def _aimed(
         distance = np.linalg.norm(sight, axis=1)[:, None]
         sight /= distance
         off = sight - (T_v_c[:, :3, :3] @ rays_c[..., None])[..., 0]
-        twists = np.swapaxes(frames.by_joints(), 1, 2)
+        twists = frames.by_joints().mT
         if turns:
             about_z = np.broadcast_to(np.eye(6)[2], (len(ways), 1, 6))
             twists = np.concatenate([about_z, twists], axis=1)
         moved = (twists[..., 3:] + np.cross(twists[..., :3], middle)) / distance[..., None]
         across = moved - (moved @ sight[..., None]) * sight[:, None]
-        step = (np.linalg.pinv(np.swapaxes(across, 1, 2), rcond=1e-3) @ off[..., None])[..., 0]
+        step = (np.linalg.pinv(across.mT, rcond=1e-3) @ off[..., None])[..., 0]
         step = np.clip(step, -_MOST_STEP, _MOST_STEP)
         ways[:, 2] += step[:, :turns].sum(axis=1)
         joints = joints + step[:, turns:]
@@ -178,8 +178,8 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     noise[:, BASE, BASE] = lin.leg_covariance
     noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
-    beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ np.swapaxes(J, 1, 2)])
-    G = station_information(lin, beside)[2:]
+    beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
+    G = own_eliminated(lin, beside=beside)[0][2:]
     A = np.zeros((*G.shape[:2], P + 6 + B))
     A[:, :6] = J[1:] @ right[1:]
     A[:, :6, :P] += views.by_shared[2:]
@@ -218,7 +218,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     ways, joints = _reachable(lin.data, lin.state)
     A, G = _shown(_with_stops(lin, ways, joints))
     across = A @ joint
-    nine, spread = across[:, :, :9], across @ np.swapaxes(A, 1, 2)
+    nine, spread = across[:, :, :9], across @ A.mT
     shrunk = G @ np.linalg.solve(np.eye(G.shape[1]) + spread @ G, nine)
     then = np.sqrt(np.maximum(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1), 0.0))  # rounding
     gain = 1 - np.max(then / needed, axis=1) / np.max(now / needed)

@@ -249,7 +249,7 @@ def fitted_poses(
             root = (corners / np.sqrt(1 + (size / (2 * scale)) ** 2))[..., None]
         At = (J * root[:, None]).reshape(len(T_c_k), 6, -1)
         r = (residual * root).reshape(len(T_c_k), -1)
-        step = np.asarray(np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0])
+        step = np.asarray(np.linalg.solve(At @ At.mT, -(At @ r[..., None]))[..., 0])
         # Far off, a step may lead behind the camera, where nothing leads back.
         deeper = np.abs(np.cross(step[:, :3], T_c_k[:, :3, 3])[:, 2] + step[:, 5])
         share = np.minimum(_LARGEST_DEEPER * np.abs(T_c_k[:, 2, 3]) / np.maximum(deeper, _STILL), 1.0)
@@ -358,7 +358,7 @@ def images_of(
     for camera in range(cameras):
         columns = _columns_of(data, camera)
         At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
-        information[:, columns[:, None], columns] += At @ np.swapaxes(At, 1, 2)
+        information[:, columns[:, None], columns] += At @ At.mT
         gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
     return information, gradient, np.sum(r**2, axis=(1, 2, 3))
 
@@ -377,7 +377,7 @@ def _measured_poses(
     used = inliers.views[stations] / noise.pose_scale**2
     weight = data.pose_weight[stations] * used[:, None, None]
     pull = (weight @ off[..., None])[..., 0]
-    information = np.swapaxes(by_delta, 1, 2) @ weight @ by_delta
+    information = by_delta.mT @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
     return information, gradient, np.sum(off * pull, axis=1)
 

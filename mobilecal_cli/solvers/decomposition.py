@@ -51,8 +51,8 @@ def error_parts(
     T_w_v = residuals.T_w_v
     T_w_c = T_w_v @ T_v_c
     R = (se3.inverse(T_w_c[i]) @ T_w_c[j])[:, None, :3, :3]
-    carried = R @ points_cov[j] @ np.swapaxes(R, -1, -2)
-    in_image = by_point[i] @ carried @ np.swapaxes(by_point[i], -1, -2)
+    carried = R @ points_cov[j] @ R.mT
+    in_image = by_point[i] @ carried @ by_point[i].mT
     corners_px = np.trace(in_image, axis1=-2, axis2=-1).mean(axis=1) + 2 * noise.pixel_px**2
     # Wheels: x, y and heading of the base at the end of the leg, seen from its start.
     end = (se3.inverse(T_w_v[i]) @ T_w_v[j])[:, None, :2, 3]
@@ -62,7 +62,7 @@ def error_parts(
     by_pose[..., 0, 2], by_pose[..., 1, 2] = -lever[..., 1], lever[..., 0]
     values, vectors = np.linalg.eigh(_wheel_covariance(data, parameters, residuals, noise))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-    motion = np.swapaxes(T_v_c[i][:, None, :3, :3], -1, -2) @ by_pose @ root[:, None]
+    motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
     squares = {
         "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
         **{name: square[:, i] + square[:, j] for name, square in own.items()},

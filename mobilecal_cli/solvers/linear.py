@@ -121,7 +121,7 @@ class Rounds:
         """Pairs of stations further apart than a leg, and the camera's rotation over each."""
         first, last, span = _pairs(self._pairs)
         R_c_k = self._pairs.T_c_k[:, :3, :3]
-        return first, last, span, R_c_k[first] @ np.swapaxes(R_c_k[last], 1, 2)
+        return first, last, span, R_c_k[first] @ R_c_k[last].mT
 
     @cached_property
     def _vertical_h(self) -> FloatArray:
@@ -150,12 +150,12 @@ class Rounds:
         first, last, span, R_pairs_c = self._wide
         heading = np.concatenate([[0.0], np.cumsum(psi_rad)])
         Rz = se3.rotation_z(heading[span[:, 1]] - heading[span[:, 0]])
-        R_hi_hj = np.swapaxes(self._R_v_h[first], 1, 2) @ Rz @ self._R_v_h[last]
+        R_hi_hj = self._R_v_h[first].mT @ Rz @ self._R_v_h[last]
         return head_eye_rotation(R_hi_hj, R_pairs_c)[0]
 
     def ratios(self, R_h_c: FloatArray, psi_rad: FloatArray) -> FloatArray:
         """Step 3: (aR, aL) from the turns that the camera saw (eqs. 12-13), unwrapped by odometry."""
-        R_ci_cj, R_hj_v = self._T_ci_cj[:, :3, :3], np.swapaxes(self._R_v_h[self._j], 1, 2)
+        R_ci_cj, R_hj_v = self._T_ci_cj[:, :3, :3], self._R_v_h[self._j].mT
         R = self._R_v_h[self._i] @ R_h_c @ R_ci_cj @ R_h_c.T @ R_hj_v
         psi_seen = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
         turns = psi_seen + 2 * math.pi * np.round((psi_rad - psi_seen) / (2 * math.pi))

@@ -198,7 +198,7 @@ def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extractio
             by_point.append(np.where(usable[..., None], J @ T_camera_c[:3, :3] if k else J, 0.0))
         A = np.concatenate(by_point, axis=-2)
         A = np.where(several[..., None, None], A, np.eye(A.shape[-2], 3))
-        transposed = np.swapaxes(A, -1, -2)
+        transposed = A.mT
         by_pixel = np.linalg.solve(transposed @ A, transposed)  # (N, M, 3, 2 C)
         step = (by_pixel @ np.concatenate(errors, axis=-1)[..., None])[..., 0]
         depth = points[..., 2:]
@@ -209,7 +209,7 @@ def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extractio
     if several.any():
         of_pixels = np.stack([[view.cov_px2 for view in o.views] for o in observations])  # (N, C, M, 2, 2)
         each = (by_pixel[..., 2 * k : 2 * k + 2] for k in range(len(cameras.each)))
-        parts = (G @ of_pixels[:, k] @ np.swapaxes(G, -1, -2) for k, G in enumerate(each))
+        parts = (G @ of_pixels[:, k] @ G.mT for k, G in enumerate(each))
         covariance = np.where(several[..., None, None], sum(parts), covariance)
     seen = zip(observations, points, factor**2 * covariance, strict=True)
     return replace(extraction, observations=tuple(replace(o, points_c=p, points_cov=c) for o, p, c in seen))

@@ -173,7 +173,7 @@ def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatAr
     J, G = views.by_own, views.information[:, :6, :6]
     g = views.gradient[:, :6] - (G @ (J @ lin.state.own[..., None]))[..., 0]  # without joint errors and sway
     off = (np.linalg.pinv(G, hermitian=True) @ g[..., None])[..., 0]
-    spread = np.eye(6) + G @ ((J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2))
+    spread = np.eye(6) + G @ ((J * sigma[:, None, :] ** 2) @ J.mT)
     of_views = np.einsum("na,na->n", off, np.linalg.solve(spread, g[..., None])[..., 0])
     of_legs = np.einsum("la,lab,lb->l", lin.legs.residual, lin.leg_weight, lin.legs.residual)
     of_readings = (lin.state.own[:, JOINTS] / lin.own_sigmas[:, JOINTS]) ** 2

@@ -439,7 +439,7 @@ def _focal_factor(camera: Camera, pixels: FloatArray, grid: FloatArray) -> tuple
         # across^T across / f^2 + ahead ahead^T is a multiple of the unit matrix, with f over that of K.
         of_f, rest = (
             np.concatenate([M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1]])
-            for M in (np.swapaxes(across, 1, 2) @ across, ahead[:, :, None] * ahead[:, None])
+            for M in (across.mT @ across, ahead[:, :, None] * ahead[:, None])
         )
         information = float(of_f @ of_f)
         inverse_square = -float(of_f @ rest) / information if information else 0.0
