@@ -99,17 +99,16 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     share = used.astype(np.float64)
     share[:, JOINTS] *= (lin.noise.joint_rad * data.joint_units / sigma[:, JOINTS]) ** 2
     root = np.where(used, 1 / sigma, 0.0)
-    for columns, levels in (
-        (JOINTS, ["joint_rad"] * data.joints.shape[1]),
-        (SWAY, ["sway_rad", "sway_rad", "sway_m"]),
-    ):
+    of_joints = {"joint_rad": np.eye(data.joints.shape[1])[None]}
+    for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
         at = _diagonal(root)[:, :, columns]
         leverage = at.mT @ marginal.own @ at
         onto = [{"station": stations, "own": at}]
         residual = (lin.state.own * root)[:, columns]
-        yield Influence(lin, residual, leverage, _by_level(levels), onto, share[:, columns])
+        yield Influence(lin, residual, leverage, parts, onto, share[:, columns])
     root = 1 / np.sqrt(processes.variance)
     leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
+    leverage[:, :2, :2] *= np.eye(2)  # each reading is one by itself
     here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
     here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
     residual = processes.innovations(errors) * root

@@ -19,6 +19,7 @@ NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 _OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `between_readings`
 _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, not a motion
+_LOOKED_BACK = 64  # readings before a station, where a joint's last motion is looked for first
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
 # A joint that moves within the longer of these intervals before and after a station, but hardly there, turns back.
@@ -217,25 +218,16 @@ def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray, moved: 
 
     A smaller difference than `moved` is no motion.
     """
-    stops = np.searchsorted(track.time_ns, times_ns)
-    ends = np.unique(stops[stops > 0])
-    side = np.zeros(len(stops))
-    if not len(ends):
+    side = np.zeros(len(times_ns))
+    if np.ptp(track.value) <= moved:
         return side
-    # The track's least and greatest value between the stations: only one stretch is searched value by value.
-    starts = np.concatenate([[0], ends[:-1]])
-    least = np.minimum.reduceat(track.value[: ends[-1]], starts)
-    greatest = np.maximum.reduceat(track.value[: ends[-1]], starts)
-    counts = np.searchsorted(ends, stops, side="right")  # of the stretches before each station
-    for i, (before, reading) in enumerate(zip(counts.tolist(), readings.tolist(), strict=True)):
-        away, looked = np.zeros(0, dtype=np.bool_), 0
-        while not away.any() and looked < before:  # mostly the stretch just before; else twice as far back
-            looked = min(2 * looked + 1, before)
-            near = slice(before - looked, before)
-            away = np.maximum(greatest[near] - reading, reading - least[near]) > moved
-        if away.any():
-            stretch = before - 1 - int(np.argmax(away[::-1]))
-            values = track.value[starts[stretch] : ends[stretch]]
-            last = values[np.abs(values - reading) > moved][-1]
-            side[i] = np.sign(reading - last)
+    stops = np.searchsorted(track.time_ns, times_ns)
+    for i, (stop, reading) in enumerate(zip(stops.tolist(), readings.tolist(), strict=True)):
+        away, looked = np.zeros(0), 0
+        while not len(away) and looked < stop:  # mostly just before; else twice as far back
+            seen, looked = looked, min(2 * looked + _LOOKED_BACK, stop)
+            values = track.value[stop - looked : stop - seen]
+            away = values[np.abs(values - reading) > moved]
+        if len(away):
+            side[i] = np.sign(reading - away[-1])
     return side

@@ -60,18 +60,8 @@ class Clock(Effect):
 # -- joints -----------------------------------------------------------------------------------------
 
 
-class JointEffect(Effect, ABC):
-    """Changes the joints' positions."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def rate(self, data: Measurements) -> FloatArray:
-        """(N, J) derivative of the joint positions by the value."""
-
-
 @dataclass(frozen=True, slots=True)
-class JointReading(JointEffect):
+class JointReading(Effect):
     """Changes the position of one joint.
 
     Attributes:

@@ -154,10 +154,10 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
         base[:, ends] += driven[:, :, None, None] * (by.mT @ WD)
 
     count, m = len(base), base.shape[-1]
-    base = base.reshape(count, -1, m)
-    flat = np.moveaxis(base, 0, 1).reshape(base.shape[1], -1)
+    base = base.reshape(count, data.stations * data.base_width, m)
+    flat = np.moveaxis(base, 0, 1).reshape(base.shape[1], count * m)
     solved = cho_solve_banded((normal.factor, True), flat, check_finite=False) if flat.size else flat
-    solved = np.moveaxis(solved.reshape(-1, count, m), 1, 0)
+    solved = np.moveaxis(solved.reshape(base.shape[1], count, m), 1, 0)
     log = data.log[first[:, 0]]
     shared += normal.board_by_shared[log].mT @ board
     shared += normal.base_by_shared.reshape(base.shape[1], -1).T @ base

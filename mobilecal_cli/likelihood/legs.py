@@ -11,7 +11,15 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import Clock, TurnSlip
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
+from mobilecal_cli.likelihood.measurements import (
+    BASE,
+    ENCODERS,
+    SCALES,
+    STAMP,
+    SensorMotions,
+    heading_of,
+    planar_pose,
+)
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at, planar
@@ -109,8 +117,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
-    residual = np.concatenate([arcs.t_m, arcs.psi_rad[:, None]], axis=1) - between
-    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    residual = _wrapped(np.column_stack([arcs.t_m, arcs.psi_rad]) - between)
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
     for column, _, clock in data.layout.of(Clock):
@@ -126,12 +133,17 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
+def _wrapped(residual: FloatArray) -> FloatArray:
+    """(L, 3) the same with headings from -pi to pi."""
+    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    return residual
+
+
 def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     i = data.legs[:, 0]
     X, between = state.parameters.T_h_c, base_legs(data, state)
-    flat = np.concatenate([between[:, :2], np.zeros((len(i), 1))], axis=1)
-    T_b = se3.transform(se3.rotation_z(between[:, 2]), flat)
+    T_b = planar_pose(between)
     T_v_c = head_at(data, state)[i] @ X
     T = se3.inverse(T_v_c) @ T_b @ T_v_c
     # Rows of a left twist of T that move x, y and heading.
@@ -145,13 +157,8 @@ def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[Flo
     by_start[data.first[i], :, BASE] = 0.0
     by_shared = np.zeros((len(T), 3, data.layout.size))
     by_pose = rows @ (np.eye(6) - se3.adjoint(T))
-    by_shared[:, :, :3], by_shared[:, :, 3:6] = (
-        by_pose[:, :, :3] @ X[:3, :3].T,
-        by_pose[:, :, 3:] @ X[:3, :3].T,
-    )
-    heading = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-    residual = motions.motion - np.concatenate([T[:, :2, 3], heading[:, None]], axis=1)
-    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    by_shared[:, :, :6] = by_pose @ np.kron(np.eye(2), X[:3, :3].T)
+    residual = _wrapped(motions.motion - np.column_stack([T[:, :2, 3], heading_of(T)]))
     return residual, by_start, by_end, by_shared
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
 from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, IntArray, Track, WheelTrack
 
@@ -55,6 +56,17 @@ class MotionPairs:
     def select(self, legs: IntArray) -> MotionPairs:
         """Some legs alone (increasing indices), each as a recording of its own."""
         return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
+
+
+def planar_pose(pose: FloatArray) -> FloatArray:
+    """(n, 3) x, y (m) and heading (rad) of a frame in a plane, or (3,) → (n, 4, 4) or (4, 4)."""
+    flat = np.concatenate([pose[..., :2], np.zeros_like(pose[..., :1])], axis=-1)
+    return se3.transform(se3.rotation_z(pose[..., 2]), flat)
+
+
+def heading_of(T: FloatArray) -> FloatArray:
+    """Rotation about z of poses (n, 4, 4), rad."""
+    return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
 
 
 def legs_between(log: IntArray) -> IntArray:

@@ -18,9 +18,9 @@ from mobilecal_cli.likelihood.effects import (
     Clock,
     Effect,
     FloorEffect,
-    JointEffect,
+    JointReading,
 )
-from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY
+from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Layout, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, Parameters
 
@@ -119,7 +119,7 @@ def joints_at(data: Dataset, state: State) -> FloatArray:
     """(N, J) joint positions: readings, their errors, and the constants that shift joints."""
     offset_s = clock_s(data, state, "joints")
     joints = data.joints + state.own[:, JOINTS]
-    for value, effect in state.present(data.layout, JointEffect):
+    for value, effect in state.present(data.layout, JointReading):
         joints = joints + value * effect.rate(data)
     if np.any(offset_s):
         joints = joints + data.joint_shift(offset_s)
@@ -186,8 +186,7 @@ def standing(stance: FloatArray) -> FloatArray:
 
 def base_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_w_v of every station."""
-    flat = np.concatenate([state.base[:, :2], np.zeros((len(state.base), 1))], axis=1)
-    T: FloatArray = se3.transform(se3.rotation_z(state.base[:, 2]), flat) @ standing(stance_at(data, state))
+    T: FloatArray = planar_pose(state.base[:, BASE]) @ standing(stance_at(data, state))
     return T
 
 

@@ -11,7 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, STAMP, planar_pose
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import own_eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -45,9 +45,7 @@ def _bases(state: State, ways: FloatArray) -> FloatArray:
 
 def _boards(data: Dataset, state: State, ways: FloatArray) -> FloatArray:
     """(C, 4, 4) the board in the base on a flat floor, at the end of ways."""
-    base = _bases(state, ways)
-    T_w_v = se3.transform(se3.rotation_z(base[:, 2]), base * [1.0, 1.0, 0.0])
-    return np.asarray(se3.inverse(T_w_v) @ state.T_w_k[data.log[-1]])
+    return np.asarray(se3.inverse(planar_pose(_bases(state, ways))) @ state.T_w_k[data.log[-1]])
 
 
 def _aimed(

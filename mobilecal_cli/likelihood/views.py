@@ -16,7 +16,7 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointEffect, Sight
+from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointReading, Sight
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -304,7 +304,7 @@ def _pose_columns(
     if of_chain:
         twists = np.stack([effect.twist(frames, change) for _, _, effect in of_chain], axis=2)
         by_shared[..., [column for column, _, _ in of_chain]] = -Ad_c_v @ twists
-    for column, _, joint in layout.of(JointEffect):
+    for column, _, joint in layout.of(JointReading):
         by_shared[..., column] = (by_own[..., :joints] @ joint.rate(data)[:, :, None])[..., 0]
     for column, _, clock in layout.of(Clock):
         if clock.of == "joints" and data.base_width > STAMP:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of
 from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
 from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
@@ -91,7 +91,7 @@ def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, Float
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     i, j = pairs.legs.T
     moved = se3.inverse(T_k_v[i]) @ T_k_v[j]
-    return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(_heading(moved))
+    return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(heading_of(moved))
 
 
 def _drift(
@@ -116,18 +116,13 @@ def _drift(
         a, b = stations[first], stations[second]
         T_seen, T_reckoned = se3.inverse(T_k_v[a]) @ T_k_v[b], se3.inverse(reckoned[a]) @ reckoned[b]
         place_m.append(np.linalg.norm((T_reckoned - T_seen)[:, :2, 3], axis=-1))
-        heading_rad.append(np.abs(_heading(se3.inverse(T_seen) @ T_reckoned)))
+        heading_rad.append(np.abs(heading_of(se3.inverse(T_seen) @ T_reckoned)))
         path_m.append(so_far[0][second] - so_far[0][first])
         turned_rad.append(so_far[1][second] - so_far[1][first])
     return Drift(
         _over(np.concatenate(place_m), np.concatenate(path_m), _LEAST_M),
         _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),
     )
-
-
-def _heading(T: FloatArray) -> FloatArray:
-    """Rotation about z of (n, 4, 4), rad."""
-    return np.asarray(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
 
 
 def _over(error: FloatArray, covered: FloatArray, least: float) -> float | None:

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood.measurements import heading_of, planar_pose
 from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
@@ -369,8 +370,7 @@ def _wheels_as_seen(readings: Readings) -> Readings:
     T_v_h = head_pose(readings.rig.chain, readings.joints)
 
     def base(planar: FloatArray) -> FloatArray:
-        x, y, heading = np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]).T
-        return se3.transform(se3.rotation_z(heading), np.stack([x, y, np.zeros_like(x)], axis=1))
+        return planar_pose(np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]))
 
     T_v_k = T_v_h @ X @ readings.T_c_k
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
@@ -411,7 +411,7 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
     backward = np.abs(first) > math.pi / 2  # rather drives backwards than turns around
     first = np.where(backward, first - np.copysign(math.pi, first), first)
     length_m = np.where(backward, -1.0, 1.0) * np.hypot(T_vi_vj[:, 0, 3], T_vi_vj[:, 1, 3])
-    last = np.arctan2(T_vi_vj[:, 1, 0], T_vi_vj[:, 0, 0]) - first
+    last = heading_of(T_vi_vj) - first
     zero = np.zeros_like(first)
     turn, drive = np.stack([first, zero, last], axis=1), np.stack([zero, length_m, zero], axis=1)
     rolled = [
