@@ -218,16 +218,13 @@ def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray, moved: 
 
     A smaller difference than `moved` is no motion.
     """
-    side = np.zeros(len(times_ns))
-    if np.ptp(track.value) <= moved:
-        return side
-    stops = np.searchsorted(track.time_ns, times_ns)
-    for i, (stop, reading) in enumerate(zip(stops.tolist(), readings.tolist(), strict=True)):
-        away, looked = np.zeros(0), 0
+    side, stops = np.zeros(len(times_ns)), np.searchsorted(track.time_ns, times_ns)
+    ever = np.maximum(track.value.max() - readings, readings - track.value.min()) > moved
+    for i in np.flatnonzero(ever).tolist():
+        away, looked, stop = np.zeros(0), 0, int(stops[i])
         while not len(away) and looked < stop:  # mostly just before; else twice as far back
             seen, looked = looked, min(2 * looked + _LOOKED_BACK, stop)
             values = track.value[stop - looked : stop - seen]
-            away = values[np.abs(values - reading) > moved]
-        if len(away):
-            side[i] = np.sign(reading - away[-1])
+            away = values[np.abs(values - readings[i]) > moved]
+        side[i] = np.sign(readings[i] - away[-1]) if len(away) else 0.0
     return side
