@@ -179,9 +179,7 @@ def constant_stance(data: Dataset, state: State) -> FloatArray:
 
 def standing(stance: FloatArray) -> FloatArray:
     """(N, 4, 4) base in a frame that stands level where the base is, from its stance (N, 3)."""
-    turn, lift = np.zeros((2, len(stance), 3))
-    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
-    return se3.transform(se3.exp_so3(turn), lift)
+    return se3.transform(se3.exp_so3(stance * [1.0, 1.0, 0.0]), stance * [0.0, 0.0, 1.0])
 
 
 def base_at(data: Dataset, state: State) -> FloatArray:

@@ -317,11 +317,9 @@ def _pose_columns(
 
 def _stance_twists(stance: FloatArray) -> FloatArray:
     """(N, 6, 3) left twists of the base in its level frame by roll, pitch and height."""
-    turn, lift = np.zeros((2, len(stance), 3))
-    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
-    twists = np.zeros((len(turn), 6, 3))
-    twists[:, :3, :2] = se3.left_jacobian_so3(turn)[:, :, :2]
-    twists[:, 3:, :2] = np.cross(lift[:, :, None], twists[:, :3, :2], axis=1)
+    twists = np.zeros((len(stance), 6, 3))
+    twists[:, :3, :2] = se3.left_jacobian_so3(stance * [1.0, 1.0, 0.0])[:, :, :2]
+    twists[:, 3:, :2] = np.cross((stance * [0.0, 0.0, 1.0])[:, :, None], twists[:, :3, :2], axis=1)
     twists[:, 5, 2] = 1.0
     return twists
 

@@ -88,17 +88,20 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
     joints = chain.joints
     if not joints:
         return
-    for column, name in enumerate(joints):
-        yield Hypothesis(
-            f"the sign of joint {name} is reversed",
-            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
-            partial(_joints_times, factor=-1.0, columns=[column]),
-        )
+    signs = [
+        (f"the sign of joint {name} is", f"axis of {name}", "sign of its", [column])
+        for column, name in enumerate(joints)
+    ]
     if len(joints) > 1:
+        everything = list(range(len(joints)))
+        signs.append(
+            ("the signs of all head joints are", "axes of the head joints", "signs of their", everything)
+        )
+    for cause, axes, sign, columns in signs:
         yield Hypothesis(
-            "the signs of all head joints are reversed",
-            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
-            partial(_joints_times, factor=-1.0),
+            f"{cause} reversed",
+            f"reverse the {axes} in head.chain or in the URDF, or the {sign} readings",
+            partial(_joints_times, factor=-1.0, columns=columns),
         )
     if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
         order = np.arange(len(joints))

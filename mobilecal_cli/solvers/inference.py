@@ -46,7 +46,7 @@ from mobilecal_cli.solvers.noise import (
     lengths,
     widths,
 )
-from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, proposed
+from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, to_first_order
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
@@ -207,9 +207,8 @@ class Inference:
         scales = layout.prior_sigmas(anchor.wheels)
         stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
         meant = anchor.seen_from(stated)
-        apart = state.parameters.seen_from(cameras.T_c_reference).minus(meant) - state.parameters.minus(
-            anchor
-        )
+        seen = state.parameters.seen_from(cameras.T_c_reference)
+        apart = seen.minus(meant) - state.parameters.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
         has_prior = np.ones(layout.size, dtype=np.bool_)
         has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
@@ -302,8 +301,7 @@ class Inference:
         Raises:
             SolveError: a singular matrix.
         """
-        lin = fit.lin.with_inliers(inliers)
-        lin = lin.predicted(proposed(lin)[0])
+        lin = to_first_order(fit.lin.with_inliers(inliers))
         lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
         return replace(fit, lin=lin, components=shown)
 
@@ -347,13 +345,12 @@ class Inference:
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
         for _ in range(2):
-            optimum = fit.lin.with_noise(noise)
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-            optimum = optimum.predicted(proposed(optimum)[0])
+            optimum = to_first_order(fit.lin.with_noise(noise))
             ranked = jumps.likeliest(optimum)
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
-            lin = _past(optimum, ranked[0])
+            lin = to_first_order(jumps.without(optimum, ranked[0]))
             lin, _, _ = self._levels_near(
                 lin, components(lin), self.coarse.levels, frozenset(LENGTHS.values())
             )
@@ -368,7 +365,7 @@ class Inference:
             return None
         points = [(jump, lin)]
         for other in jumps.alike(ranked):
-            past = _past(optimum, other)
+            past = to_first_order(jumps.without(optimum, other))
             points.append((replace(jumps.again(past, other), sigmas=jump.sigmas, also=jump.part), past))
         worst = max((_sized(written, *point) for point in points), key=lambda each: each.shift_sigmas)
         return worst, replace(fit, lin=lin)
@@ -390,12 +387,11 @@ class Inference:
         if outliers.restored(was, replace(fit, lin=everything)).max() < _SEVERAL:
             return None
         try:
-            lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
-            lin = lin.predicted(proposed(lin)[0])
+            lin = to_first_order(self.refit(fit, images).lin.with_inliers(everything.inliers))
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
-            lin = _past(lin, ranked[0])
+            lin = to_first_order(jumps.without(lin, ranked[0]))
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
@@ -427,8 +423,7 @@ class Inference:
             noise = replace(noise, **lengths(lin, given, self.guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
-            lin = lin.with_noise(search.next(lin.noise, noise))
-            lin = lin.predicted(proposed(lin)[0])
+            lin = to_first_order(lin.with_noise(search.next(lin.noise, noise)))
             shown = components(lin)
         return lin, shown, noise
 
@@ -436,16 +431,9 @@ class Inference:
 def _unbiased(lin: Posterior) -> Posterior:
     """The same point with the bias of the sum of squares, see `Priors`, at the optimum that the first order shows."""
     try:
-        at_optimum = lin.predicted(proposed(lin)[0])
-        return lin.under(replace(lin.priors, bias=expected_gradient(at_optimum)))
+        return lin.under(replace(lin.priors, bias=expected_gradient(to_first_order(lin))))
     except SolveError:
         return lin
-
-
-def _past(lin: Posterior, jump: jumps.Jump) -> Posterior:
-    """The optimum without a jump, to first order."""
-    lin = jumps.without(lin, jump)
-    return lin.predicted(proposed(lin)[0])
 
 
 def _sized(written: Fit, jump: jumps.Jump, lin: Posterior) -> jumps.Jump:

@@ -9,7 +9,7 @@ from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.budget import usual_jackknife_factor
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.nuisance import camera_change
-from mobilecal_cli.likelihood.predict import camera_covariance, predicted_at, weights_at
+from mobilecal_cli.likelihood.predict import camera_covariance, expected, weights_at
 from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import NINE, Budget, FloatArray, NoiseLevels, Uncertainty
 from mobilecal_cli.solvers.fit import Fit
@@ -53,7 +53,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         noise_std=np.sqrt(np.diag(J @ fit.covariance @ J.T)),
         described=~observable & ~fixed & (but_height < OBSERVABLE_SHARE * scales),
         widened=widened,
-        at_work=predicted_at(fit.lin, at_work),
+        at_work=expected(weights_at(fit.lin), at_work),
         camera=camera,
         camera_constants=camera_constants,
         budget=_budget_of(fit, shows),
