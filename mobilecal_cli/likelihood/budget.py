@@ -73,8 +73,7 @@ def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over n and m of A B^T: (n, P, m) and (n, Q, m) → (P, Q), as one matrix product."""
     flat = (np.moveaxis(part, 1, 0).reshape(part.shape[1], -1) for part in (A, B))
     left, right = flat
-    product: FloatArray = left @ right.T
-    return product
+    return left @ right.T
 
 
 def influences(lin: Posterior) -> Iterator[Influence]:

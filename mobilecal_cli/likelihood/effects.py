@@ -297,8 +297,8 @@ _BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
     "delay_s": lambda sight, along: sight.by_shift(along * sight.velocity_c),
     "readout_s": lambda sight, along: sight.by_shift(along * sight.velocity_c * sight.rows[..., None]),
 }
-#: Those of a camera's pose in the first one but for the baseline's length, and of the camera itself.
-POSE, INTRINSICS = ("turn", "swing", "shift"), ("focal", "principal", "lens")
+#: Those of a camera's pose in the first one but for the baseline's length, of the camera itself, and of its clock.
+POSE, INTRINSICS, TIMES = ("turn", "swing", "shift"), ("focal", "principal", "lens"), ("delay_s", "readout_s")
 
 
 class ImageEffect(Effect, ABC):
@@ -332,7 +332,7 @@ class CameraEffect(ImageEffect):
     def offered(self, data: Measurements) -> bool:
         """Only corners in the camera show it, and a time only in motion."""
         shown = data.seen if self.camera is None else data.seen[:, self.camera]
-        return bool(shown.any()) and (not self.of.endswith("_s") or bool(_in_motion(data).any()))
+        return bool(shown.any()) and (self.of not in TIMES or bool(_in_motion(data).any()))
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add a value to the change."""
@@ -376,14 +376,12 @@ class BoardEffect(ImageEffect):
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:
     """Relative size along the two axes: corners move away from the board's origin."""
-    out: FloatArray = points_k * [x, y, 0.0]
-    return out
+    return points_k * [x, y, 0.0]
 
 
 def sheared(points_k: FloatArray) -> FloatArray:
     """Angle between rows and columns, less 90 degrees: corners move along x, in proportion to y."""
-    out: FloatArray = points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0]
-    return out
+    return np.asarray(points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0])
 
 
 def bent(points_k: FloatArray, axis: int) -> FloatArray:
@@ -403,8 +401,7 @@ def twisted(points_k: FloatArray) -> FloatArray:
 def _from_middle(points_k: FloatArray) -> FloatArray:
     """(M, 3) places from -1 to 1 along each axis of the board."""
     middle = (points_k.max(axis=0) + points_k.min(axis=0)) / 2
-    out: FloatArray = (points_k - middle) / np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9)
-    return out
+    return np.asarray((points_k - middle) / np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9))
 
 
 # -- base and wheels --------------------------------------------------------------------------------

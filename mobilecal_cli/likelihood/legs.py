@@ -68,8 +68,7 @@ def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
 def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray:
     """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
     i, j = data.legs.T
-    out: FloatArray = processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
-    return out
+    return processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
 
 
 def base_legs(data: Dataset, state: State) -> FloatArray:

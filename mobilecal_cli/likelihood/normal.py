@@ -277,8 +277,7 @@ def own_eliminated(
 def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
     rows = A.shape[0] * A.shape[1]
-    product: FloatArray = A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
-    return product
+    return A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
 
 
 def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

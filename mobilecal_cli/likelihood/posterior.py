@@ -58,8 +58,7 @@ class Posterior(Linearization):
                 raise np.linalg.LinAlgError("not positive definite")
             scale = 1 / np.sqrt(np.diag(reduced))
             inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
-        C: FloatArray = basis @ inverse @ basis.T
-        return C
+        return basis @ inverse @ basis.T
 
     @cached_property
     def considered(self) -> FloatArray:
@@ -149,8 +148,7 @@ def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
-    out: FloatArray = A @ C @ A.mT
-    return out
+    return A @ C @ A.mT
 
 
 def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:

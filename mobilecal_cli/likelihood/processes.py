@@ -49,8 +49,7 @@ class Processes:
 
     def innovations(self, errors: FloatArray) -> FloatArray:
         """(N, K) w = f_j - rho f_i of the errors, (N, K)."""
-        out: FloatArray = errors - self.rho * np.roll(errors, 1, axis=0)
-        return out
+        return errors - self.rho * np.roll(errors, 1, axis=0)
 
     def whitened(self, base: FloatArray) -> FloatArray:
         """(N, K) innovations of the errors in base blocks (N, B), in standard deviations."""

@@ -184,12 +184,10 @@ def standing(stance: FloatArray) -> FloatArray:
 
 def base_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_w_v of every station."""
-    T: FloatArray = planar_pose(state.base[:, BASE]) @ standing(stance_at(data, state))
-    return T
+    return planar_pose(state.base[:, BASE]) @ standing(stance_at(data, state))
 
 
 def board_in_camera(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
     T_w_c = base_at(data, state) @ head_at(data, state) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.log]
-    return T
+    return se3.inverse(T_w_c) @ state.T_w_k[data.log]

@@ -385,5 +385,4 @@ def _by_left_twist(twist: FloatArray) -> FloatArray:
     ad = np.zeros((len(twist), 6, 6))
     ad[:, :3, :3] = ad[:, 3:, 3:] = se3.skew(twist[:, :3])
     ad[:, 3:, :3] = se3.skew(twist[:, 3:])
-    out: FloatArray = np.eye(6) - ad / 2 + ad @ ad / 12
-    return out
+    return np.eye(6) - ad / 2 + ad @ ad / 12

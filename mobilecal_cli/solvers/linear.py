@@ -137,14 +137,12 @@ class Rounds:
         if cosine < -1 + 1e-9:
             other = np.cross(n_c, np.eye(3)[np.argmin(np.abs(n_c))])
             return se3.rotation_about(other / np.linalg.norm(other), np.array(math.pi))
-        R: FloatArray = np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
-        return R
+        return np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
 
     def rotation(self, psi_rad: FloatArray) -> FloatArray:
         """Step 2: R_X from the head's rotations, R_hi_hj = R_v_hi^T Rz(psi_ij) R_v_hj (eq. 8)."""
         if self._prior.head_eye_fixed and self._prior.T_h_c is not None:
-            known: FloatArray = self._prior.T_h_c[:3, :3]
-            return known
+            return np.asarray(self._prior.T_h_c[:3, :3])
         if self._common_axis:
             return self._aligned
         first, last, span, R_pairs_c = self._wide
@@ -163,8 +161,7 @@ class Rounds:
         if self._pulled and self._prior.wheels is not None:
             mean = ratios_of(self._prior.wheels)
             weight = _LEG_RAD / (_NOMINAL_SHARE * np.abs(mean))
-        ratios: FloatArray = _least_squares(self._Phi, turns[None], mean, weight)[0]
-        return ratios
+        return np.asarray(_least_squares(self._Phi, turns[None], mean, weight)[0])
 
     def translation(self, R_h_c: FloatArray, ratios: FloatArray) -> Parameters:
         """Step 4: t_X and rL from the closed loop's translation (eqs. 14-17, with the z row).

@@ -11,10 +11,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
+from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
-from mobilecal_cli.likelihood.views import board_poses, view_rates
+from mobilecal_cli.likelihood.views import board_poses, corner_residuals, view_rates
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
@@ -64,30 +65,29 @@ def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: b
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
     lens, which are left in the pixels unless they are asked for.
     """
-    change = camera_change(data.cameras, data.layout.constants, state.constants)
-    if not (patterns or change.readout_s.any() or change.delay_s.any()):
+    rows = data.layout.constants
+    of_lenses = [row for row in rows if isinstance(row.effect, CameraEffect) and row.kind in PATTERNS]
+    of_times = [row for row in rows if isinstance(row.effect, CameraEffect) and row.effect.of in TIMES]
+    undone = [row for row in (*of_lenses * patterns, *of_times) if state.value(row.name)]
+    if not undone:
         return extraction
-    modeled = cameras_at(data, state)
-    actual = change.apply(data.cameras) if patterns else modeled
-    rates = view_rates(data, state)[:, None]
-    points_c = se3.act(data.T_c_k, points_at(data, state))
-    velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
-    moved = []
-    for k, (camera, T_c_camera) in enumerate(zip(modeled.each, modeled.T_c_each, strict=True)):
-        rows = (data.pixels[:, k, :, 1] + 0.5) / camera.height - 0.5
-        late_c = points_c + change.late_s(k, rows)[..., None] * velocity
-        points, late = (se3.act(se3.inverse(T_c_camera), at) for at in (points_c, late_c))
-        ahead = data.seen[:, k, :, None]
-        exposed, stamped = (np.where(ahead, at, [0.0, 0.0, 1.0]) for at in (late, points))
-        moved.append(np.where(ahead, project(actual.each[k], exposed) - project(camera, stamped), 0.0))
+    rates = view_rates(data, state)
+    shown, modeled = (
+        corner_residuals(data.with_constants(kept), state, data.T_c_k, rates=rates, by_constants=False)[0]
+        for kept in (
+            [row for row in rows if row not in of_lenses or row in undone],
+            [row for row in rows if row not in of_lenses and row not in of_times],
+        )
+    )
+    moved = np.where(data.seen[..., None], shown - modeled, 0.0)
     observations = tuple(
         replace(
             o,
             views=tuple(
-                replace(view, pixels=view.pixels - by[i]) for view, by in zip(o.views, moved, strict=True)
+                replace(view, pixels=view.pixels - by) for view, by in zip(o.views, of_views, strict=True)
             ),
         )
-        for i, o in enumerate(extraction.observations)
+        for o, of_views in zip(extraction.observations, moved, strict=True)
     )
     return replace(extraction, observations=observations)
 

@@ -31,16 +31,13 @@ def camera_motion(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     i, j = pairs.legs.T
     T_vi_vj = base_motion(integrate(pairs.steps, parameters.wheels))
     X = parameters.T_h_c
-    T_ci_cj: FloatArray = se3.inverse(pairs.T_v_h[i] @ X) @ T_vi_vj @ pairs.T_v_h[j] @ X
-    return T_ci_cj
+    return np.asarray(se3.inverse(pairs.T_v_h[i] @ X) @ T_vi_vj @ pairs.T_v_h[j] @ X)
 
 
 def residuals_m(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     """Predicted minus detected corners of each leg, p^_i,f - p_i,f: (L, M, 3), m, in frame ci."""
     i, j = pairs.legs.T
-    predicted = se3.act(camera_motion(pairs, parameters), pairs.points_c[j])
-    residuals: FloatArray = predicted - pairs.points_c[i]
-    return residuals
+    return np.asarray(se3.act(camera_motion(pairs, parameters), pairs.points_c[j]) - pairs.points_c[i])
 
 
 def rms_m(residuals: FloatArray) -> float:
