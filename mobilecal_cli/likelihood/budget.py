@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.posterior import Posterior, roots
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import NINE, FloatArray
 
 _NO_REDUNDANCY = 1e-6
 # Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
@@ -179,26 +180,31 @@ def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatA
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
-    that are outliers and bases that no measurement holds count as a source of their own ("free").
+    that are outliers and bases that no measurement holds count as a source of their own ("other").
 
     Args:
         lin: an optimum.
         moved_by: see `influences`.
 
     Returns:
-        Noise levels by name, "prior <name>" for the nine parameters and each constant with a prior, "unobservable" for
-        the prior variance of unobservable directions, and "free".
+        Noise levels by name, "nominal" for the priors of the nine parameters, kinds of constants for theirs,
+        "unobservable" for the prior variance of unobservable directions, and "other".
     """
     C, layout = lin.conditional_covariance, lin.data.layout
     result: dict[str, FloatArray] = {}
+
+    def add(source: str, share: FloatArray) -> None:
+        source = {SUPPOSED: "wheel_rad_per_sqrt_rad"}.get(source, source)
+        result[source] = result.get(source, 0.0) + share
+
     for influence in moved_by:
         for level, covariance in influence.covariances.items():
-            result[level] = result.get(level, 0.0) + covariance
-    for k, name in enumerate(layout.names):
+            add(level, covariance)
+    for k, kind in enumerate(["nominal"] * len(NINE) + [row.kind for row in layout.constants]):
         if lin.priors.weight[k]:
-            result[f"prior {name}"] = lin.priors.weight[k] * np.outer(C[:, k], C[:, k])
-    result["unobservable"] = lin.considered @ lin.considered.T
-    result["free"] = lin.covariance - sum(result.values())
+            add(kind, lin.priors.weight[k] * np.outer(C[:, k], C[:, k]))
+    add("unobservable", lin.considered @ lin.considered.T)
+    add("other", lin.covariance - sum(result.values()))
     return result
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,8 +10,18 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
-from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, IntArray, Track, WheelTrack
+from mobilecal_cli.model import (
+    BoolArray,
+    Camera,
+    CameraRig,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    Track,
+    WheelTrack,
+)
 
+LEAST_DEPTH_M = 0.01  # of a point that a camera may show
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
@@ -85,6 +95,25 @@ def steps_between(
         if len(times) > 1:
             parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=rates))
     return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+
+
+def in_each_camera(
+    rig: CameraRig, points_c: FloatArray, shown: BoolArray
+) -> Iterator[tuple[Camera, FloatArray, FloatArray]]:
+    """Each camera, its rotation R_camera_c (3, 3), and points of the first camera's frame in its own, m.
+
+    Points that are neither shown nor in front of a camera are 1 m ahead: they count for nothing, and stay finite.
+
+    Args:
+        rig: C cameras.
+        points_c: (..., 3).
+        shown: (C, ...) points that a camera shows.
+    """
+    for k, (camera, T_c_camera) in enumerate(zip(rig.each, rig.T_c_each, strict=True)):
+        T_camera_c = se3.inverse(T_c_camera)
+        points = se3.act(T_camera_c, points_c) if k else points_c
+        elsewhere = ~shown[k] & (points[..., 2] < LEAST_DEPTH_M)
+        yield camera, T_camera_c[:3, :3], np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

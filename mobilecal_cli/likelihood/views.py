@@ -17,7 +17,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointReading, Sight
-from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, FLOOR, LEAST_DEPTH_M, STAMP
 from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
@@ -34,7 +34,6 @@ from mobilecal_cli.likelihood.state import (
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise
 
 _BLOCK = 200
-_LEAST_DEPTH_M = 0.01
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
 _POSE_STEPS, _STILL = 12, 1e-6
 _LARGEST_DEEPER = 0.5  # of its depth: the board's way along the camera's axis in one step
@@ -163,7 +162,7 @@ def corner_residuals(
         x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
         points = points_c if k == 0 else se3.act(T_camera_c, points_c)
         # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
-        elsewhere = (points[..., 2] < _LEAST_DEPTH_M) & ~data.seen[stations, k]
+        elsewhere = (points[..., 2] < LEAST_DEPTH_M) & ~data.seen[stations, k]
         points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
         at, terms, through = pixels, None, None

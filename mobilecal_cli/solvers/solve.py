@@ -36,7 +36,6 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.decomposition import error_parts
 from mobilecal_cli.solvers.findings import (
     constants_of,
     contradictions_of,
@@ -45,16 +44,15 @@ from mobilecal_cli.solvers.findings import (
     pool_recordings,
     scale_of,
 )
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import Fit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import at_state, residuals_of
+from mobilecal_cli.solvers.residuals import at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
-from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
 # distance to the board and than the steps of the encoders make it, or where more than this share of the stations of a
