@@ -95,12 +95,9 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
     by_start, by_end = np.zeros((2, count, 3, data.base_width))
     # Seen from a start that is shifted or turned, the end is shifted or turned the other way.
-    by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
+    by_start[:, :, BASE] = np.eye(3)
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
-    cos, sin = np.cos(between[:, 2]), np.sin(between[:, 2])
-    by_end[:, 0, 0], by_end[:, 0, 1] = -cos, sin
-    by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
-    by_end[:, 2, 2] = -1.0
+    by_end[:, :, BASE] = -se3.rotation_z(between[:, 2])
     by_start[data.first[i], :, BASE] = 0.0
     scale = 1 + mean_scales(data, state, processes)[:, None]
     by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale

@@ -246,37 +246,35 @@ class Measurements:
         offset_ns = np.rint(1e9 * np.asarray(time_offset_s)).astype(np.int64)
         return np.asarray(self.times_ns + self.moving * offset_ns)
 
+    def _each_joint(self) -> Iterator[tuple[BoolArray, int, Track, int]]:
+        """Stations of each recording, (N,), and the column, track and width of each joint there."""
+        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
+            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
+                yield self.log == number, j, track, width_ns
+
     def joint_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
-        shift = np.zeros_like(self.joints)
-        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
-            mine = self.log == number
-            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
-            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
-                shift[mine, j] = track.mean(after, width_ns) - track.mean(before, width_ns)
+        shift, after = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
+        for mine, j, track, width_ns in self._each_joint():
+            shift[mine, j] = track.mean(after[mine], width_ns) - track.mean(self.times_ns[mine], width_ns)
         return shift
 
     def joint_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
-        rates = np.zeros_like(self.joints)
-        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
-            mine = np.flatnonzero((self.log == number) & self.moving)
-            at = self.stamps_ns(time_offset_s)[mine]
-            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
-                half = width_ns // 2
-                rates[mine, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
+        rates, stamps_ns = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
+        for mine, j, track, width_ns in self._each_joint():
+            at, half = stamps_ns[mine & self.moving], width_ns // 2
+            rates[mine & self.moving, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
         return rates
 
     def wheel_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
         rates = np.zeros((self.stations, 2))
+        late, early = (self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2) for side in (1, -1))
         for number, track in enumerate(self.tracks):
             mine = self.log == number
-            late, early = (
-                self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
-            )
             for k, wheel in enumerate((track.right, track.left)):
-                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
+                rates[mine, k] = (wheel.at(late[mine]) - wheel.at(early[mine])) / _RATE_INTERVAL_S
         return rates
 
     # -- legs -------------------------------------------------------------------------------------
@@ -300,6 +298,7 @@ class Measurements:
 
 
 BY_STATION = (
+    "log",
     "pixels",
     "seen",
     "whitening",

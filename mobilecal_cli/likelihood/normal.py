@@ -88,17 +88,14 @@ class NormalEquations:
         Returns:
             (n, P, m).
         """
-        out: FloatArray = np.zeros(()) if shared is None else shared
-        left = np.zeros(()) if base is None else base
+        out, left = (np.zeros(()) if part is None else part for part in (shared, base))
         if own is not None:
             solved = self._E_inverse[station] @ own
             left = left - self._E_base[station].mT @ solved
             out = out - self._E_shared[station].mT @ solved
-        if left.ndim:
-            out = out + self.base_by_shared[station].mT @ left
         if board is not None:
             out = out + self.board_by_shared[self.log[station]].mT @ board
-        return out
+        return out + self.base_by_shared[station].mT @ left if left.ndim else out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
         """Covariance of the stations' base block for known boards and shared parameters.
@@ -155,21 +152,15 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 
     # Legs.
     off = np.zeros((count, B, B))
-    i, j = data.legs.T
-    shared = legs.by_shared
-    Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
+    shared, We = legs.by_shared, weight @ legs.residual[..., None]
     Ws = weight @ shared
-    We = np.einsum("lab,lb->la", weight, legs.residual)
-    it, jt = legs.by_start.mT, legs.by_end.mT
-    D[i] += it @ Wi  # a station starts one leg and ends one at most
-    D[j] += jt @ Wj
-    off[i] += it @ Wj
-    C[i] += it @ Ws
-    C[j] += jt @ Ws
-    b[i] += np.einsum("lab,la->lb", legs.by_start, We)
-    b[j] += np.einsum("lab,la->lb", legs.by_end, We)
+    for ends, by in zip(data.legs.T, (legs.by_start, legs.by_end), strict=True):
+        D[ends] += by.mT @ (weight @ by)  # a station starts one leg and ends one at most
+        C[ends] += by.mT @ Ws
+        b[ends] += (by.mT @ We)[..., 0]
+    off[data.legs[:, 0]] += legs.by_start.mT @ (weight @ legs.by_end)
     H += _summed(shared, Ws)
-    h += np.einsum("lap,la->p", shared, We)
+    h += _summed(shared, We)[:, 0]
     _prior_terms(lin, D, off, b)
 
     for matrix in (D, HK, H):

@@ -146,7 +146,6 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
         several_wheels=False,  # how fast a stop's turns will be is not known
         joint_tracks=(),
         joint_widths_ns=(),
-        log=np.full(count, last),
         tracks=(WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1),
         motions=None,
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),

@@ -350,7 +350,7 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels; none if it is at rest or nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels, joints = readings.nominal_head_eye, readings.rig.nominal.wheels, readings.joints.copy()
+    X, wheels, joints = readings.nominal.T_h_c, readings.nominal.wheels, readings.joints.copy()
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
@@ -367,7 +367,7 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints; none if nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels = readings.nominal_head_eye, readings.rig.nominal.wheels
+    X, wheels = readings.nominal.T_h_c, readings.nominal.wheels
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_v_h = head_pose(readings.rig.chain, readings.joints)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
@@ -35,7 +34,7 @@ from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior
+from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
     Component,
@@ -140,16 +139,13 @@ class Inference:
             ConfigError: a constraint that this robot cannot have.
         """
         data = dataset_for(extraction, constraints, data or dataset_of(extraction))
-        nominal, T_h_c = extraction.rig.nominal, None
-        if nominal.T_h_reference is not None:
-            T_h_c = nominal.T_h_reference @ se3.inverse(extraction.rig.cameras.T_c_reference)
         head_eye_fixed = all(name in constraints.fixed for name in NINE[:6])
         encoder_rad = float(data.encoder_step_rad.max()) * UNIFORM
         return cls(
             data=data,
             constraints=constraints,
             motion=motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad),
-            nominal=InitialPrior(T_h_c, nominal.wheels, head_eye_fixed),
+            nominal=nominal_of(extraction.rig, head_eye_fixed),
             levels=extraction.rig.noise,
             guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
             coarse=_QUICK if data.stations >= outliers.LONG_RECORDING else _COARSE,

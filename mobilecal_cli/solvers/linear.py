@@ -14,7 +14,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
+from mobilecal_cli.model import FloatArray, IntArray, Parameters, Rig, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
 _PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the recording, not with its square
@@ -64,6 +64,13 @@ class InitialPrior:
     T_h_c: FloatArray | None = None
     wheels: WheelGeometry | None = None
     head_eye_fixed: bool = False
+
+
+def nominal_of(rig: Rig, head_eye_fixed: bool = False) -> InitialPrior:
+    """The nominal values of a robot."""
+    T_h_reference, wheels = rig.nominal.T_h_reference, rig.nominal.wheels
+    T_h_c = None if T_h_reference is None else T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
+    return InitialPrior(T_h_c, wheels, head_eye_fixed)
 
 
 def ratios_of(wheels: WheelGeometry) -> FloatArray:
