@@ -208,7 +208,7 @@ class Sight:
         change: what was applied.
         pixels: (N, M, 2) predicted pixels before the lens correction.
         terms: (L, N, M, 2) displacements by a lens correction of one, term by term.
-        through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
+        through: (N, M, 2, 2) derivative of the pixels after the correction by those before.
         points_c: (N, M, 3) corners in the first camera's frame, m.
         by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
         by_stamped_c: the same by where the point was at the stamp.
@@ -224,7 +224,7 @@ class Sight:
     change: CameraChange
     pixels: FloatArray
     terms: FloatArray
-    through: FloatArray | None
+    through: FloatArray
     points_c: FloatArray
     by_point_c: FloatArray
     by_stamped_c: FloatArray
@@ -244,7 +244,7 @@ class Sight:
 
     def corrected(self, shift: FloatArray) -> FloatArray:
         """(N, M, 2) displacements of pixels before the correction as displacements after it."""
-        return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
+        return np.asarray((self.through @ shift[..., None])[..., 0])
 
 
 def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:

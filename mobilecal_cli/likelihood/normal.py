@@ -36,6 +36,9 @@ class NormalEquations:
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
         chain: (N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one.
         factor: its Cholesky factor, as `scipy.linalg.cho_solve_banded` takes the lower one.
+        E_inverse: (N, E, E) covariance of the stations' own errors for a known rest.
+        E_base, E_board, E_shared: (N, E, B), (N, E, 6) and (N, E, P) their information with base, board, and shared
+            parameters; in the last one the board follows.
     """
 
     S: FloatArray
@@ -48,10 +51,10 @@ class NormalEquations:
     board_covariance: FloatArray
     chain: tuple[FloatArray, FloatArray]
     factor: FloatArray
-    _E_inverse: FloatArray
-    _E_base: FloatArray
-    _E_board: FloatArray
-    _E_shared: FloatArray
+    E_inverse: FloatArray
+    E_base: FloatArray
+    E_board: FloatArray
+    E_shared: FloatArray
     _base: FloatArray
     _board: FloatArray
     _e: FloatArray
@@ -60,8 +63,8 @@ class NormalEquations:
         """The step of all unknowns that goes with a step (P,) of the shared parameters."""
         boards = self._board + self.board_by_shared @ shared
         base = self._base + self.base_by_shared @ shared
-        coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
-        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
+        coupled = self._e + np.einsum("njb,nb->nj", self.E_base, base) + self.E_shared @ shared
+        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self.E_inverse, coupled))
 
     def after(self, shared: FloatArray) -> NormalEquations:
         """The same after the step of all unknowns that goes with a step (P,) of the shared parameters."""
@@ -90,9 +93,9 @@ class NormalEquations:
         """
         out, left = (np.zeros(()) if part is None else part for part in (shared, base))
         if own is not None:
-            solved = self._E_inverse[station] @ own
-            left = left - self._E_base[station].mT @ solved
-            out = out - self._E_shared[station].mT @ solved
+            solved = self.E_inverse[station] @ own
+            left = left - self.E_base[station].mT @ solved
+            out = out - self.E_shared[station].mT @ solved
         if board is not None:
             out = out + self.board_by_shared[self.log[station]].mT @ board
         return out + self.base_by_shared[station].mT @ left if left.ndim else out
@@ -104,14 +107,6 @@ class NormalEquations:
             (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is empty).
         """
         return chain_covariance(*self.chain)
-
-    def own_conditional(self) -> tuple[FloatArray, ...]:
-        """A station's own errors for a known rest: covariance (N, E, E), slopes by base, board, and shared.
-
-        The slopes are (N, E, B), (N, E, 6) and (N, E, P); in the last one the board follows.
-        """
-        slopes = (-self._E_inverse @ part for part in (self._E_base, self._E_board, self._E_shared))
-        return self._E_inverse, *slopes
 
 
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
@@ -188,10 +183,10 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         board_covariance=V,
         chain=(D, off),
         factor=factor,
-        _E_inverse=E_inverse,
-        _E_base=E_base,
-        _E_board=E_board,
-        _E_shared=E_shared - E_board @ Z[data.log],
+        E_inverse=E_inverse,
+        E_base=E_base,
+        E_board=E_board,
+        E_shared=E_shared - E_board @ Z[data.log],
         _base=(YK @ z[data.log] - y)[..., 0],
         _board=-z[..., 0],
         _e=e - (E_board @ z[data.log])[..., 0],

@@ -162,7 +162,11 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         LinAlgError: a singular matrix.
     """
     follow, with_board = normal.base_by_shared, normal.base_by_board
-    E_inverse, by_base, by_board, by_shared = normal.own_conditional()
+    # A station's own errors for a known rest, by base, board, and shared parameters, where the board follows.
+    E_inverse = normal.E_inverse
+    by_base, by_board, by_shared = (
+        -E_inverse @ part for part in (normal.E_base, normal.E_board, normal.E_shared)
+    )
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]

@@ -165,17 +165,13 @@ def corner_residuals(
         elsewhere = (points[..., 2] < LEAST_DEPTH_M) & ~data.seen[stations, k]
         points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
         pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
-        at, terms, through = pixels, None, None
         shares = change.lens[k]
         if not (direct or np.any(shares[4:])):
             shares = shares[:4]  # the waves are not needed
-        if direct or np.any(shares):
-            terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
-            if np.any(shares):
-                at = pixels + np.tensordot(shares, terms, 1)
-                through = np.eye(2) + by_pixels
-                J_p = through @ J_p
-        residual[:, k] = at - data.pixels[stations, k]
+        terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
+        residual[:, k] = pixels + np.tensordot(shares, terms, 1) - data.pixels[stations, k]
+        through = np.eye(2) + by_pixels
+        J_p = through @ J_p
         J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
         by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
         if np.any(late_s):  # points at the stamp turn until they are exposed
@@ -186,8 +182,6 @@ def corner_residuals(
         J[:, 1, k] = z * by_x - x * by_z
         J[:, 2, k] = x * by_y - y * by_x
         J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
-        if not direct or terms is None:
-            continue
         sights = points_c, by_exposed, by_point, data.points_k, T_c_k[:, :3, :3]
         sight = Sight(k, data.cameras, rig, change, pixels, terms, through, *sights, velocity_c, rows)
         for column, (_, _, effect) in enumerate(direct, 6):
@@ -353,16 +347,13 @@ def images_of(
     count, Q, cameras, corners, _ = J.shape
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
     for camera in range(cameras):
-        columns = _columns_of(data, camera)
+        # Not the constants of other cameras.
+        concerned = [True] * 6 + [effect.concerns(camera) for _, _, effect in data.layout.direct]
+        columns = np.flatnonzero(concerned)
         At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
         information[:, columns[:, None], columns] += At @ At.mT
         gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
     return information, gradient, np.sum(r**2, axis=(1, 2, 3))
-
-
-def _columns_of(data: Dataset, camera: int) -> IntArray:
-    """Those of (delta, direct constants) that move the corners in a camera: not the constants of others."""
-    return np.flatnonzero([True] * 6 + [effect.concerns(camera) for _, _, effect in data.layout.direct])
 
 
 def _measured_poses(
