@@ -13,7 +13,7 @@ from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
 
-_STEP = 1e-6  # of a camera constant, for its derivative
+STEP = 1e-6  # of a constant, rad, m, px or a share, for differences
 #: Distance of the point ahead of the camera whose position error is predicted, m.
 AHEAD_M = 2.0
 
@@ -119,9 +119,9 @@ def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArr
                 camera_change(cameras, rows, values | {name: values[name] + step}).apply(cameras).each[0],
                 points_c,
             )
-            for step in (_STEP, -_STEP)
+            for step in (STEP, -STEP)
         )
-        J.append((ahead - behind)[..., None] / (2 * _STEP))
+        J.append((ahead - behind)[..., None] / (2 * STEP))
     by_all = np.concatenate(J, axis=2)
     covariance = by_all @ solution.uncertainty.camera @ by_all.mT
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))

@@ -11,7 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, STAMP, planar_pose
+from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import own_eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -30,7 +30,6 @@ _REACH_RAD = 0.35  # beyond the joints' range in the log
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 6
 _MOST_STEP = 0.5  # rad or m
-_LEAST_DEPTH_M = 0.1
 _MOST = 3
 _UPRIGHT = 0.5  # component of the vertical beyond which a coordinate is a height
 
@@ -91,7 +90,7 @@ def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: Flo
         if share < usual.max() / 2:
             continue
         points = se3.act(se3.inverse(T_c_camera), points_c)
-        fine &= np.all(points[..., 2] > _LEAST_DEPTH_M, axis=1)
+        fine &= np.all(points[..., 2] > LEAST_DEPTH_M, axis=1)
         at = project(camera, np.where(fine[:, None, None], points, [0.0, 0.0, 1.0]))
         edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
         fine &= np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2))

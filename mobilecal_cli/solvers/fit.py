@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.predict import camera_covariance, expected, weights_at
+from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, weights_at
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
 from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import (
@@ -36,7 +36,6 @@ _PAIRS = (("floor_rad", "sway_rad"), ("floor_m", "sway_m"), ("wheel_rad_per_sqrt
 _ALIKE = dict(_PAIRS) | {b: a for a, b in _PAIRS}
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
 OBSERVABLE_SHARE = 1 / 3
-_STEP = 1e-6  # of a constant, rad, m, px or a share, for differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,11 +215,11 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
     R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], cameras_at(data, state).T_c_reference
     J[3:6, :3] = -se3.skew(R_h_c @ T_c_reference[:3, 3])
     for k, name, _ in data.layout.of(CameraEffect):
-        moved = {**state.constants, name: state.value(name) + _STEP}
+        moved = {**state.constants, name: state.value(name) + STEP}
         T = camera_change(data.cameras, data.layout.constants, moved).apply(data.cameras).T_c_reference
         turn = se3.log_so3(T[:3, :3] @ T_c_reference[:3, :3].T)
-        J[:3, k] = R_h_c @ turn / _STEP
-        J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / _STEP
+        J[:3, k] = R_h_c @ turn / STEP
+        J[3:6, k] = R_h_c @ (T[:3, 3] - T_c_reference[:3, 3]) / STEP
     return J
 
 

@@ -37,7 +37,6 @@ from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
-    Component,
     LevelSearch,
     components,
     converged,
@@ -186,8 +185,8 @@ class Inference:
 
     def _user_weight(self, priors: Priors) -> FloatArray:
         """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
-        given = [name in self.constraints.priors for name in NINE]
-        return np.where(given + [True] * len(self.data.layout.constants), priors.weight, 0.0)
+        nominal = [name in NINE and name not in self.constraints.priors for name in self.data.layout.names]
+        return np.where(nominal, 0.0, priors.weight)
 
     def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
@@ -206,9 +205,9 @@ class Inference:
         seen = state.parameters.seen_from(cameras.T_c_reference)
         apart = seen.minus(meant) - state.parameters.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
-        has_prior = np.ones(layout.size, dtype=np.bool_)
-        has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
-        mean, weight = np.zeros(layout.size), np.where(has_prior, scales**-2, 0.0)
+        mean, weight = np.zeros(layout.size), scales**-2
+        weight[:6] *= self.nominal.T_h_c is not None
+        weight[6:9] *= self.nominal.wheels is not None
         for name, (value, sigma) in self.constraints.priors.items():
             if name in layout.names:  # one of several recordings may not show a constant
                 k = layout.names.index(name)
@@ -218,10 +217,9 @@ class Inference:
             exact = self.constraints.fixed[layout.names[k]]
             mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
         mean[: len(NINE)] -= apart
-        kinds = {row.name: row.kind for row in layout.constants}
-        alike = [
-            name in kinds and kinds[name] not in nuisance.PATTERNS and name not in self.constraints.priors
-            for name in layout.names
+        alike = [False] * len(NINE) + [
+            row.kind not in nuisance.PATTERNS and row.name not in self.constraints.priors
+            for row in layout.constants
         ]
         kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
         return Priors(layout, anchor, mean, weight, fixed, scales, kept, np.array(alike), {})
@@ -298,15 +296,15 @@ class Inference:
             SolveError: a singular matrix.
         """
         lin = to_first_order(fit.lin.with_inliers(inliers))
-        lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
-        return replace(fit, lin=lin, components=shown)
+        lin, _ = self._levels_near(lin, self.coarse.levels)
+        return replace(fit, lin=lin, components=components(lin))
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
         tolerances = tolerances or self.coarse
         fitted = self.coarse.near <= tolerances.near
         for _ in range(_NOISE_FITS):
-            _, _, noise = self._levels_near(fit.lin, fit.components, tolerances.levels)
+            _, noise = self._levels_near(fit.lin, tolerances.levels)
             if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
             lin = fit.lin.with_noise(noise).renewed()
@@ -347,9 +345,7 @@ class Inference:
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
-            lin, _, _ = self._levels_near(
-                lin, components(lin), self.coarse.levels, frozenset(LENGTHS.values())
-            )
+            lin, _ = self._levels_near(lin, self.coarse.levels, frozenset(LENGTHS.values()))
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
@@ -395,33 +391,28 @@ class Inference:
         return (jump, without) if explained >= _SEVERAL else None
 
     def _levels_near(
-        self,
-        lin: Posterior,
-        shown: Mapping[str, Component],
-        tolerance: float,
-        kept: frozenset[str] = frozenset(),
-    ) -> tuple[Posterior, Mapping[str, Component], Noise]:
+        self, lin: Posterior, tolerance: float, kept: frozenset[str] = frozenset()
+    ) -> tuple[Posterior, Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 
         Args:
-            lin, shown: where to start, and what its residuals show.
+            lin: where to start.
             tolerance: relative.
             kept: names of levels that stay, beside those that are given.
 
         Returns:
-            The last point, what its residuals show, and the levels that follow from them.
+            The last point, and the levels that follow from its residuals.
         """
         given = self.given | kept
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, shown, given, self.guess)
+            noise = estimated(lin.noise, components(lin), given, self.guess)
             wider = lin.noise.wider if self.scales_stay else widths(lin)
             noise = replace(noise, **lengths(lin, given, self.guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
             lin = to_first_order(lin.with_noise(search.next(lin.noise, noise)))
-            shown = components(lin)
-        return lin, shown, noise
+        return lin, noise
 
 
 def _unbiased(lin: Posterior) -> Posterior:

@@ -23,13 +23,12 @@ from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, plana
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.state import State, planar
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
-from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
 MAX_ROUNDS = 200  # of a start that does not reach a fixed point
-_SMALLEST = 1e-12  # m: wheels of nothing do not change
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
 _SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only lead to a guess
 #: Share of the point error with positive wheels that impossible ones must reach to be kept.
@@ -58,7 +57,7 @@ def change(before: Parameters, after: Parameters) -> float:
     moved = np.linalg.norm(after.T_h_c[:3, 3] - before.T_h_c[:3, 3])
     scale = max(float(np.linalg.norm(after.T_h_c[:3, 3])), _TRANSLATION_SCALE_M)
     old, new = before.wheels.vector, after.wheels.vector
-    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.maximum(np.abs(new), _SMALLEST))))
+    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.maximum(np.abs(new), NO_SIZE_M))))
 
 
 def _iterate(rounds: Rounds, ratios: FloatArray, tolerance: float, limit: int) -> list[Parameters]:

@@ -14,6 +14,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
 from mobilecal_cli.model import FloatArray, IntArray, Parameters, Rig, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
@@ -21,9 +22,8 @@ _PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the 
 _HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
-_NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
-# A radius or separation, and a ratio of them, that is zero but for rounding.
-_NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
+#: A radius or separation, and a ratio of them, that is zero but for rounding.
+NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
@@ -167,7 +167,7 @@ class Rounds:
         mean, weight = np.zeros(2), np.zeros(2)
         if self._pulled and self._prior.wheels is not None:
             mean = ratios_of(self._prior.wheels)
-            weight = _LEG_RAD / (_NOMINAL_SHARE * np.abs(mean))
+            weight = _LEG_RAD / (WHEEL_SIGMA * np.abs(mean))
         return np.asarray(_least_squares(self._Phi, turns[None], mean, weight)[0])
 
     def translation(self, R_h_c: FloatArray, ratios: FloatArray) -> Parameters:
@@ -206,13 +206,13 @@ class Rounds:
         """Mean and weight of (t_X, rL)."""
         mean, weight = np.zeros(4), np.zeros(4)
         if self._pulled:
-            weight[:3] = _LEG_M / _NOMINAL_M
+            weight[:3] = _LEG_M / NINE_SIGMAS[3:6]
             if self._prior.T_h_c is not None:
                 mean[:3] = self._prior.T_h_c[:3, 3]
                 weight[:3] *= _EXACT if self._prior.head_eye_fixed else 1.0
             if self._prior.wheels is not None:
                 mean[3] = self._prior.wheels.radius_left_m
-                weight[3] = _LEG_M / (_NOMINAL_SHARE * mean[3])
+                weight[3] = _LEG_M / (WHEEL_SIGMA * mean[3])
         return mean, weight
 
     def _rotations(self, ratios: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -248,4 +248,4 @@ class Rounds:
 
 def _without_size(wheels: WheelGeometry) -> bool:
     """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
-    return bool(np.abs(wheels.vector).min() < _NO_SIZE_M)
+    return bool(np.abs(wheels.vector).min() < NO_SIZE_M)
