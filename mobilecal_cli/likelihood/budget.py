@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,12 +11,11 @@ import numpy as np
 
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
-from mobilecal_cli.likelihood.posterior import Posterior, roots
+from mobilecal_cli.likelihood.normal import summed
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
 from mobilecal_cli.model import NINE, FloatArray
 
 _NO_REDUNDANCY = 1e-6
-# Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
-_JACKKNIFE_SCATTER = 3.6
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,24 +55,15 @@ class Influence:
     @cached_property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        return {level: _summed(self.by_unit @ part, self.by_unit) for level, part in self.parts.items()}
+        K = self.by_unit
+        return {level: summed((K @ part).mT, K.mT) for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
         """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T."""
-        values, vectors = np.linalg.eigh(np.eye(self.residual.shape[1]) - self.leverage)
-        usable = values > _NO_REDUNDANCY
-        root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
-        along = np.einsum("nkm,nk->nm", vectors, self.residual) * root
-        shift = (self.by_unit @ (vectors @ along[..., None]))[..., 0]
+        left = np.eye(self.residual.shape[1]) - self.leverage
+        shift = (self.by_unit @ over_redundancy(self.residual, left, _NO_REDUNDANCY)[..., None])[..., 0]
         return np.asarray(shift.T @ shift)
-
-
-def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Sum over n and m of A B^T: (n, P, m) and (n, Q, m) → (P, Q), as one matrix product."""
-    flat = (np.moveaxis(part, 1, 0).reshape(part.shape[1], -1) for part in (A, B))
-    left, right = flat
-    return left @ right.T
 
 
 def influences(lin: Posterior) -> Iterator[Influence]:
@@ -206,8 +195,3 @@ def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatA
     add("unobservable", lin.considered @ lin.considered.T)
     add("other", lin.covariance - sum(result.values()))
     return result
-
-
-def usual_jackknife_factor(legs: int) -> float:
-    """How many times the standard deviations the jackknife's are, at most, if the model is right."""
-    return 1 + _JACKKNIFE_SCATTER / math.sqrt(max(legs, 1))

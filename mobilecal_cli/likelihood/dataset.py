@@ -73,7 +73,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
     widths_ns = tuple(
-        tuple(_width_ns(noise, _STILL_RAD * unit) for noise, unit in zip(noises, units, strict=True))
+        tuple(_width_ns(noise, unit) for noise, unit in zip(noises, units, strict=True))
         for noises in joint_noise
     )
     motions = None
@@ -149,14 +149,10 @@ def _noise(track: Track) -> float:
     return noise if math.isfinite(noise) else 0.0  # damaged readings
 
 
-def _width_ns(noise: float, still: float) -> int:
-    """Interval over which the motion of a joint with noisy readings is taken.
-
-    Args:
-        noise: standard deviation of one reading, rad or m.
-        still: motion within a usual offset of the clocks that may be noise.
-    """
-    return round(min(max(math.sqrt(2) * noise / still * _OFFSET_S, _LEAST_WIDTH_S), _MOST_WIDTH_S) * 1e9)
+def _width_ns(noise: float, unit: float) -> int:
+    """Interval over which the motion of a joint with a noise of its readings, rad or m, is taken; see `joint_units`."""
+    width_s = math.sqrt(2) * noise / (_STILL_RAD * unit) * _OFFSET_S
+    return round(min(max(width_s, _LEAST_WIDTH_S), _MOST_WIDTH_S) * 1e9)
 
 
 def _pose_weight(o: Observation) -> FloatArray:

@@ -21,7 +21,7 @@ from mobilecal_cli.likelihood.measurements import (
     planar_pose,
 )
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
-from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
+from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, path_m, rolled_m
 from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at, planar
 from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
@@ -197,11 +197,8 @@ def leg_covariances(
     variance = bridge_variance if ends_known else mean_variance
     share = noise.wheel_share * np.sqrt(variance(rolled_m(steps, wheels) / noise.wheel_length_m))
     by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * share[:, None]
-    path_m = steps.total(
-        np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
-    )
     slip = np.zeros_like(root)
-    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m
+    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
     slip[:, 2, 2] = STANDSTILL_RAD**2
     return {
         "wheel_rad_per_sqrt_rad": root,

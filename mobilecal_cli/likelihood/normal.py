@@ -137,8 +137,8 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
     b = np.einsum("nqb,nq->nb", views.by_base, gradient[:, :6])
-    H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient[:, :6])
-    H[views.direct] += _summed(G[:, :, 6:], views.by_shared)
+    H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient[:, :6])
+    H[views.direct] += summed(G[:, :, 6:], views.by_shared)
     H[np.ix_(views.direct, views.direct)] += information[:, 6:, 6:].sum(axis=0)
     h[views.direct] += gradient[:, 6:].sum(axis=0)
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
@@ -154,8 +154,8 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         C[ends] += by.mT @ Ws
         b[ends] += (by.mT @ We)[..., 0]
     off[data.legs[:, 0]] += legs.by_start.mT @ (weight @ legs.by_end)
-    H += _summed(shared, Ws)
-    h += _summed(shared, We)[:, 0]
+    H += summed(shared, Ws)
+    h += summed(shared, We)[:, 0]
     _prior_terms(lin, D, off, b)
 
     for matrix in (D, HK, H):
@@ -173,8 +173,8 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Z, z = V @ SKS, V @ sK
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(
-        S=_none_negative(H - _summed(C, Y) - _summed(SKS, Z), np.diag(H)),
-        s=h - _summed(C, y)[:, 0] - _summed(SKS, z)[:, 0],
+        S=_none_negative(H - summed(C, Y) - summed(SKS, Z), np.diag(H)),
+        s=h - summed(C, y)[:, 0] - summed(SKS, z)[:, 0],
         gain=gain + float(np.sum(sK * z)),
         log=data.log,
         base_by_shared=YK @ Z[data.log] - Y,
@@ -260,7 +260,7 @@ def own_eliminated(
     return G, g
 
 
-def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
+def summed(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
     rows = A.shape[0] * A.shape[1]
     return A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])

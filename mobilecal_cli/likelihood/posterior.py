@@ -147,6 +147,15 @@ def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
+def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:
+    """(n, m) residuals times the inverse roots of their redundancies (n, m, m), 0 along what is not above `least`."""
+    values, vectors = np.linalg.eigh(left)
+    usable = values > least
+    root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
+    along = root * np.einsum("nkm,nk->nm", vectors, residual)
+    return np.asarray((vectors @ along[..., None])[..., 0])
+
+
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     return A @ C @ A.mT
 

@@ -62,6 +62,12 @@ def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
     return np.stack([steps.total(np.abs(radius * rad)) for radius, rad in rolled], axis=1)
 
 
+def path_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
+    """(L,) distance that the middle of the axle drives over each leg, forward and backward."""
+    twice_m = wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad
+    return steps.total(np.abs(twice_m) / 2)
+
+
 def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: Inliers) -> Processes:
     """The processes along the legs. A leg that is no inlier joins nothing: the floor behind it is another one."""
     j, width = data.legs[:, 1], data.base_width

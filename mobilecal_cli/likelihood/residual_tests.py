@@ -11,7 +11,7 @@ from scipy.special import fdtri
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
-from mobilecal_cli.likelihood.posterior import Posterior, roots
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
@@ -120,10 +120,8 @@ def _left_out(G: FloatArray, g: FloatArray, predicted: FloatArray, used: BoolArr
         used: (n,) which are part of the fit.
     """
     whiten = roots(G)[1].mT
-    v = np.einsum("nab,na->nb", whiten, g)
-    leverage = whiten.mT @ predicted @ whiten
     sign = np.where(used, -1.0, 1.0)[:, None, None]
-    values, vectors = np.linalg.eigh(np.eye(G.shape[1]) + sign * leverage)
-    along = np.einsum("nki,nk->ni", vectors, v)
-    usable = values > _NO_REDUNDANCY
-    return np.asarray(np.sum(np.where(usable, along**2 / np.where(usable, values, 1.0), 0.0), axis=1))
+    left = np.eye(G.shape[1]) + sign * (whiten.mT @ predicted @ whiten)
+    return np.asarray(
+        np.sum(over_redundancy((whiten.mT @ g[..., None])[..., 0], left, _NO_REDUNDANCY) ** 2, axis=1)
+    )

@@ -350,7 +350,7 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels; none if it is at rest or nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels, joints = readings.nominal.T_h_c, readings.nominal.wheels, readings.joints.copy()
+    joints, wheels, X = readings.joints.copy(), readings.nominal.wheels, readings.nominal.T_h_c
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
@@ -359,15 +359,15 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
         joints[:, column] = angles
         return T_w_v @ head_pose(readings.rig.chain, joints)
 
-    angles = _as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column])))
-    joints[:, column] = angles
-    return replace(readings, joints=joints) if np.ptp(angles) > MOVED else readings.of(slice(0))
+    head(_as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column]))))
+    moves = np.ptp(joints[:, column]) > MOVED
+    return replace(readings, joints=joints) if moves else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints; none if nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels = readings.nominal.T_h_c, readings.nominal.wheels
+    wheels, X = readings.nominal.wheels, readings.nominal.T_h_c
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_v_h = head_pose(readings.rig.chain, readings.joints)

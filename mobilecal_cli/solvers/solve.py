@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
@@ -277,7 +278,6 @@ def _solution(
 ) -> Solution:
     residuals = residuals_of(extraction, pairs, best.parameters, inliers, rejected)
     wheels = best.parameters.wheels
-    path = (wheels.radius_right_m * pairs.steps.right_rad + wheels.radius_left_m * pairs.steps.left_rad) / 2
     psi = integrate(pairs.steps, wheels).psi_rad
     return Solution(
         method=best.method if isinstance(best, Refinement) else "linear",
@@ -288,11 +288,11 @@ def _solution(
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, psi, float(np.sum(np.abs(path)))),
+        motion=_motion(extraction, psi, float(path_m(pairs.steps, wheels).sum())),
     )
 
 
-def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[str, float]:
+def _motion(extraction: Extraction, psi_rad: FloatArray, driven_m: float) -> dict[str, float]:
     chain = extraction.rig.chain
     joints = np.degrees(np.stack([o.joints for o in extraction.observations]))
     ranges = dict(zip(chain.joints, np.ptp(joints, axis=0), strict=True))
@@ -305,7 +305,7 @@ def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[
         **motion,
         "turned_deg": float(np.degrees(np.sum(np.abs(psi_rad)))),
         "largest_turn_deg": float(np.degrees(np.max(np.abs(psi_rad)))),
-        "driven_m": path_m,
+        "driven_m": driven_m,
     }
 
 
