@@ -198,121 +198,19 @@ class CameraChange:
         return replace(rig, each=tuple(each), T_c_each=tuple(poses))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """The predicted corners of one camera, at which derivatives are taken.
-
-    Attributes:
-        camera: index of the camera.
-        stated, rig: the cameras as stated, and with all constants applied.
-        change: what was applied.
-        pixels: (N, M, 2) predicted pixels before the lens correction.
-        terms: (L, N, M, 2) displacements by a lens correction of one, term by term.
-        through: (N, M, 2, 2) derivative of the pixels after the correction by those before.
-        points_c: (N, M, 3) corners in the first camera's frame, m.
-        by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
-        by_stamped_c: the same by where the point was at the stamp.
-        points_k: (M, 3) corners on the board as stated, m.
-        R_c_k: (N, 3, 3) rotation of the board.
-        velocity_c: (N, M, 3) of the corners in the first camera's frame, m/s.
-        rows: (N, M) row of each corner from the middle of the image, in image heights.
-    """
-
-    camera: int
-    stated: CameraRig
-    rig: CameraRig
-    change: CameraChange
-    pixels: FloatArray
-    terms: FloatArray
-    through: FloatArray
-    points_c: FloatArray
-    by_point_c: FloatArray
-    by_stamped_c: FloatArray
-    points_k: FloatArray
-    R_c_k: FloatArray
-    velocity_c: FloatArray
-    rows: FloatArray
-
-    @property
-    def position_c(self) -> FloatArray:
-        """(3,) position of the camera in the first one, m."""
-        return self.rig.T_c_each[self.camera][:3, 3]
-
-    def by_shift(self, shift_c: FloatArray) -> FloatArray:
-        """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
-        return _along(self.by_point_c, shift_c)
-
-    def corrected(self, shift: FloatArray) -> FloatArray:
-        """(N, M, 2) displacements of pixels before the correction as displacements after it."""
-        return np.asarray((self.through @ shift[..., None])[..., 0])
-
-
-def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:
-    """(3, N, M, 2) derivative by a point, and (N, M, 3) its displacement → (N, M, 2)."""
-    by_x, by_y, by_z = by_point
-    moved: FloatArray = by_x * shift[..., 0, None]
-    moved += by_y * shift[..., 1, None]
-    moved += by_z * shift[..., 2, None]
-    return moved
-
-
-def _by_turn(sight: Sight, about: FloatArray) -> FloatArray:
-    """R_c_r -> exp(rho) R_c_r turns the points the other way about the camera's center."""
-    axis = se3.left_jacobian_so3(sight.change.turn[sight.camera]) @ about
-    return -sight.by_shift(np.cross(axis, sight.points_c - sight.position_c))
-
-
-def _by_swing(sight: Sight, about: FloatArray) -> FloatArray:
-    """The camera moves around the first one."""
-    turn = se3.left_jacobian_so3(sight.change.swing[sight.camera]) @ about
-    return -sight.by_shift(np.cross(turn, sight.position_c))
-
-
-def _by_length(sight: Sight, along: FloatArray) -> FloatArray:
-    """The camera moves along the baseline."""
-    return -sight.by_shift(along * sight.position_c / (1 + sight.change.length[sight.camera]))
-
-
-def _by_focal(sight: Sight, shares: FloatArray) -> FloatArray:
-    """Pixels move away from the principal point."""
-    shares = shares / (1 + sight.change.focal[sight.camera])
-    return sight.corrected((sight.pixels - sight.rig.each[sight.camera].K[:2, 2]) * shares)
-
-
-def _by_principal(sight: Sight, along: FloatArray) -> FloatArray:
-    """All pixels move alike."""
-    width = sight.stated.each[sight.camera].width
-    return sight.corrected(np.broadcast_to(width * along, sight.pixels.shape))
-
-
-#: Attribute of `CameraChange` → (N, M, 2) derivative of the pixels by a value of one along a vector of it.
-_BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
-    "turn": _by_turn,
-    "swing": _by_swing,
-    "length": _by_length,
-    "shift": lambda sight, along: -sight.by_shift(along),
-    "focal": _by_focal,
-    "principal": _by_principal,
-    "lens": lambda sight, terms: np.asarray(np.tensordot(terms, sight.terms[: len(terms)], 1)),
-    "delay_s": lambda sight, along: sight.by_shift(along * sight.velocity_c),
-    "readout_s": lambda sight, along: sight.by_shift(along * sight.velocity_c * sight.rows[..., None]),
-}
-#: Those of a camera's pose in the first one but for the baseline's length, of the camera itself, and of its clock.
+#: Attributes of `CameraChange`: those of a camera's pose in the first one but for the baseline's length, of the camera
+#: itself, and of its clock.
 POSE, INTRINSICS, TIMES = ("turn", "swing", "shift"), ("focal", "principal", "lens"), ("delay_s", "readout_s")
 
 
-class ImageEffect(Effect, ABC):
+class ImageEffect(Effect):
     """Changes the cameras or the board, not the camera's pose."""
 
     __slots__ = ()
 
-    @abstractmethod
     def concerns(self, camera: int) -> bool:
         """Whether the pixels of a camera depend on this."""
-
-    @abstractmethod
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of the predicted pixels of a camera that depends on this."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,10 +241,6 @@ class CameraEffect(ImageEffect):
         """Whether the pixels of a camera depend on this."""
         return self.camera in (None, camera)
 
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of a camera's predicted pixels."""
-        return _BY[self.of](sight, np.array(self.along))
-
 
 # -- board ------------------------------------------------------------------------------------------
 
@@ -364,14 +258,6 @@ class BoardEffect(ImageEffect):
     def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
         return not data.posed.all()
-
-    def concerns(self, camera: int) -> bool:
-        """All cameras see the board."""
-        return True
-
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of a camera's predicted pixels."""
-        return _along(sight.by_stamped_c, self.displacement(sight.points_k) @ sight.R_c_k.mT)
 
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:

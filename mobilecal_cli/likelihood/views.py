@@ -7,7 +7,7 @@ their own ("direct").
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,16 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointReading, Sight
+from mobilecal_cli.likelihood.effects import (
+    BoardEffect,
+    CameraChange,
+    CameraEffect,
+    ChainEffect,
+    Clock,
+    FloorEffect,
+    ImageEffect,
+    JointReading,
+)
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, LEAST_DEPTH_M, STAMP
 from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
@@ -146,48 +155,105 @@ def corner_residuals(
         The residuals, and (N, Q, C, M, 2) derivatives by (delta, direct constants), or by delta alone.
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    rig = change.apply(data.cameras)
+    direct = [effect for _, _, effect in data.layout.direct] if by_constants else []
     points_k = se3.act(T_c_k, points_at(data, state))
-    direct = data.layout.direct if by_constants else ()
     rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
-    velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
-    cameras = len(rig.each)
-    residual = np.empty((len(points_k), cameras, points_k.shape[1], 2))
-    J = np.zeros((len(points_k), 6 + len(direct), cameras, points_k.shape[1], 2))
-    for k, (stated, camera) in enumerate(zip(data.cameras.each, rig.each, strict=True)):
-        T_camera_c = se3.inverse(rig.T_c_each[k])
-        rows = (data.pixels[stations, k, :, 1] + 0.5) / stated.height - 0.5
-        late_s = change.late_s(k, rows)[..., None]
-        points_c = points_k + late_s * velocity_c
-        x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
-        points = points_c if k == 0 else se3.act(T_camera_c, points_c)
-        # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
-        elsewhere = (points[..., 2] < LEAST_DEPTH_M) & ~data.seen[stations, k]
-        points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
-        pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
-        shares = change.lens[k]
-        if not (direct or np.any(shares[4:])):
-            shares = shares[:4]  # the waves are not needed
-        terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
-        residual[:, k] = pixels + np.tensordot(shares, terms, 1) - data.pixels[stations, k]
-        through = np.eye(2) + by_pixels
-        J_p = through @ J_p
-        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
-        by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
-        if np.any(late_s):  # points at the stamp turn until they are exposed
-            J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
-            by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
-        by_x, by_y, by_z = by_point
-        J[:, 0, k] = y * by_z - z * by_y  # point x J_c
-        J[:, 1, k] = z * by_x - x * by_z
-        J[:, 2, k] = x * by_y - y * by_x
-        J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
-        sights = points_c, by_exposed, by_point, data.points_k, T_c_k[:, :3, :3]
-        sight = Sight(k, data.cameras, rig, change, pixels, terms, through, *sights, velocity_c, rows)
-        for column, (_, _, effect) in enumerate(direct, 6):
-            if effect.concerns(k):
-                J[:, column, k] = effect.pixels(sight)
+    shape = len(data.cameras.each), points_k.shape[1], 2
+    residual, J = np.empty((len(points_k), *shape)), np.zeros((len(points_k), 6 + len(direct), *shape))
+    for k in range(len(data.cameras.each)):
+        at = stations, k
+        residual[:, k] = _one_camera(data, change, direct, at, T_c_k, points_k, rates, J[:, :, k])
     return residual, J
+
+
+def _one_camera(
+    data: Dataset,
+    change: CameraChange,
+    direct: Sequence[ImageEffect],
+    at: tuple[slice | IntArray, int],
+    T_c_k: FloatArray,
+    points_k: FloatArray,
+    rates: FloatArray,
+    J: FloatArray,
+) -> FloatArray:
+    """Predicted minus detected pixels of one camera, (n, M, 2), px.
+
+    Args:
+        data: all stations.
+        change: the constants that change the cameras.
+        direct: effects of the direct constants, as J has columns.
+        at: which stations, and index of the camera.
+        T_c_k, rates: (n, 4, 4) and (n, 1, 6) of these stations.
+        points_k: (n, M, 3) corners in the first camera's frame at the stamp, m.
+        J: (n, Q, M, 2) zeros, to which the derivatives by (delta, direct constants) are written.
+    """
+    k, rig = at[1], change.apply(data.cameras)
+    stated, camera, T_camera_c = data.cameras.each[k], rig.each[k], se3.inverse(rig.T_c_each[k])
+    velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
+    rows = ((data.pixels[at][..., 1] + 0.5) / stated.height - 0.5)[..., None]
+    late_s = change.late_s(k, rows)
+    points_c = points_k + late_s * velocity_c
+    points = points_c if k == 0 else se3.act(T_camera_c, points_c)
+    # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
+    elsewhere = (points[..., 2] < LEAST_DEPTH_M) & ~data.seen[at]
+    points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
+    pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
+    shares = change.lens[k]
+    if not (direct or np.any(shares[4:])):
+        shares = shares[:4]  # the waves are not needed
+    terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
+    through = np.eye(2) + by_pixels
+    J_p = through @ J_p
+    J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
+    by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+    if np.any(late_s):  # points at the stamp turn until they are exposed
+        J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
+        by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+    x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
+    by_x, by_y, by_z = by_point
+    J[:, 0] = y * by_z - z * by_y  # point x J_c
+    J[:, 1] = z * by_x - x * by_z
+    J[:, 2] = x * by_y - y * by_x
+    J[:, 3:6] = np.moveaxis(by_point, 0, 1)
+
+    # A camera that moves moves the points the other way.
+    position = rig.T_c_each[k][:3, 3]
+    turn, swing = (se3.left_jacobian_so3(by[k]) for by in (change.turn, change.swing))
+    shifts: dict[str, Callable[[FloatArray], FloatArray]] = {
+        "turn": lambda about: -np.cross(turn @ about, points_c - position),
+        "swing": lambda about: -np.cross(swing @ about, position),
+        "length": lambda share: -share * position / (1 + change.length[k]),
+        "shift": lambda along: -along,
+        "delay_s": lambda along: along * velocity_c,
+        "readout_s": lambda along: along * velocity_c * rows,
+    }
+    for column, effect in enumerate(direct, 6):
+        if isinstance(effect, BoardEffect):
+            moved = effect.displacement(data.points_k) @ T_c_k[:, :3, :3].mT
+            J[:, column] = _along(by_point, moved)
+        elif isinstance(effect, CameraEffect) and effect.concerns(k):
+            along = np.array(effect.along)
+            if effect.of in shifts:
+                J[:, column] = _along(by_exposed, shifts[effect.of](along))
+            elif effect.of == "lens":
+                J[:, column] = np.tensordot(along, terms[: len(along)], 1)
+            else:
+                off = (
+                    (pixels - camera.K[:2, 2]) / (1 + change.focal[k])
+                    if effect.of == "focal"
+                    else stated.width
+                )
+                J[:, column] = (through @ np.broadcast_to(along * off, pixels.shape)[..., None])[..., 0]
+    return np.asarray(pixels + np.tensordot(shares, terms, 1) - data.pixels[at])
+
+
+def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:
+    """(3, n, M, 2) derivative by a point, and its displacement (n, M, 3) or (3,) → (n, M, 2)."""
+    by_x, by_y, by_z = by_point
+    moved: FloatArray = by_x * shift[..., 0, None]
+    moved += by_y * shift[..., 1, None]
+    moved += by_z * shift[..., 2, None]
+    return moved
 
 
 def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:

@@ -55,10 +55,6 @@ class Component:
         worth = guess_worth(self.redundancy)
         return (self.squares + worth * guess) / (max(self.redundancy, 0.0) + worth)
 
-    def __add__(self, other: Component) -> Component:
-        """Both together."""
-        return Component(self.squares + other.squares, self.redundancy + other.redundancy)
-
 
 def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
@@ -68,8 +64,10 @@ def components(lin: Posterior) -> dict[str, Component]:
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
         """Squares of whitened residuals of a level, and how much of each is redundant."""
-        more = Component(float(np.sum(squares)), float(np.sum(left)))
-        result[level] = result.get(level, Component(0.0, 0.0)) + more
+        before = result.get(level, Component(0.0, 0.0))
+        result[level] = Component(
+            before.squares + float(squares.sum()), before.redundancy + float(left.sum())
+        )
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
