@@ -13,6 +13,7 @@ from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.normal import summed
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
+from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import NINE, FloatArray
 
 _NO_REDUNDANCY = 1e-6
@@ -97,21 +98,24 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
         yield Influence(lin, residual, leverage, parts, onto, share[:, columns])
     root = 1 / np.sqrt(processes.variance)
     leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
-    leverage[:, :2, :2] *= np.eye(2)  # each reading is one by itself
+    leverage[:, 0, 1] = leverage[:, 1, 0] = (
+        0.0  # the two encoder readings of a station are one by itself each
+    )
     here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
     here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
     residual = processes.innovations(errors) * root
-    for columns in (slice(2), slice(2, 7), slice(7, None)):
+    for group in ({"encoder_rad"}, {*LENGTHS}, {"stamp_s"}):
+        mine = [k for k, level in enumerate(processes.levels) if level in group]
         yield Influence(
             lin,
-            residual[:, columns],
-            leverage[:, columns, columns],
-            _by_level(processes.levels[columns]),
+            residual[:, mine],
+            leverage[:, mine][:, :, mine],
+            _by_level([processes.levels[k] for k in mine]),
             [
-                {"station": stations, "base": here[:, :, columns]},
-                {"station": np.roll(stations, 1), "base": before[:, :, columns]},
+                {"station": stations, "base": here[:, :, mine]},
+                {"station": np.roll(stations, 1), "base": before[:, :, mine]},
             ],
-            processes.share[:, columns],
+            processes.share[:, mine],
         )
 
 

@@ -74,7 +74,6 @@ def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: In
     levels = LEVELS[: width - ERRORS.start]
     rolled = rolled_m(data.steps(), wheels)
     distance, between = np.zeros((2, data.stations, width))
-    distance[:, [level not in LENGTHS for level in ("", "", "", *levels)]] = np.inf
     distance[j, FLOOR], distance[j, SCALES] = rolled.mean(axis=1, keepdims=True), rolled
     unit = np.ones(width)
     unit[ENCODERS], between[:, ENCODERS] = data.encoder_shares, data.wheels_between
@@ -83,12 +82,13 @@ def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: In
     lengths = [getattr(noise, LENGTHS[level]) if level in LENGTHS else 1.0 for level in levels]
     joined = np.zeros(data.stations, dtype=np.bool_)
     joined[j] = inliers.legs
-    x = distance[:, ERRORS] / lengths
+    distance = np.where([level in LENGTHS for level in levels], distance[:, ERRORS], np.inf)
+    x = distance / lengths
     rho = np.where(joined[:, None], np.exp(-x), 0.0)
     own = np.maximum(np.where(joined[:, None], -np.expm1(-2 * x), 1.0) * sigma**2, np.square(least))
     variance = own + between[:, ERRORS] ** 2
-    mean_share = _half_tanh(distance[j, SCALES] / noise.wheel_length_m)
-    return Processes(levels, distance[:, ERRORS], rho, variance, own / variance, mean_share)
+    mean_share = _half_tanh(rolled / noise.wheel_length_m)
+    return Processes(levels, distance, rho, variance, own / variance, mean_share)
 
 
 def _half_tanh(x: FloatArray) -> FloatArray:

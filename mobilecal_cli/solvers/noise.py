@@ -77,9 +77,10 @@ def components(lin: Posterior) -> dict[str, Component]:
 
     means = int(lin.data.log.max())
     for each in of_errors(lin, _within(lin)):
-        for level in filter(lin.noise.levels.get, each.parts):
+        for level in each.parts:
             squares, free = each.shown(level)
-            add(level, squares, np.maximum(free - means, 0.0) if level in LENGTHS else free)
+            if level != "encoder_rad" or lin.noise.encoder_rad:  # encoders without steps show none
+                add(level, squares, np.maximum(free - means, 0.0) if level in LENGTHS else free)
     of_wheels = of_legs(lin)
     for level in of_wheels.parts:
         if level != SUPPOSED:
