@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.normal import summed
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
 from mobilecal_cli.likelihood.processes import LENGTHS
-from mobilecal_cli.model import NINE, FloatArray
+from mobilecal_cli.model import NINE, FloatArray, IntArray
 
 _NO_REDUNDANCY = 1e-6
 
@@ -28,7 +27,7 @@ class Influence:
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
         parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
-        gradients: arguments of `NormalEquations.onto_shared`, whose sum are the residuals' derivatives.
+        gradients: gives (n, P, m) gradients of the shared parameters by each unit's residuals, all else eliminated.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.
     """
@@ -37,14 +36,13 @@ class Influence:
     residual: FloatArray
     leverage: FloatArray
     parts: Mapping[str, FloatArray]
-    gradients: Sequence[Mapping[str, Any]]
+    gradients: Callable[[], FloatArray]
     share: FloatArray | float = 1.0
 
     @cached_property
     def by_unit(self) -> FloatArray:
         """(n, P, m) derivative of the shared parameters by each unit's residuals."""
-        onto = sum(self.lin.normal.onto_shared(**each) for each in self.gradients)
-        return np.asarray(self.lin.conditional_covariance @ onto)
+        return self.lin.conditional_covariance @ self.gradients()
 
     def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
         """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
@@ -93,7 +91,7 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
         at = _diagonal(root)[:, :, columns]
         leverage = at.mT @ marginal.own @ at
-        onto = [{"station": stations, "own": at}]
+        onto = partial(lin.normal.onto_shared, stations, own=at)
         residual = (lin.state.own * root)[:, columns]
         yield Influence(lin, residual, leverage, parts, onto, share[:, columns])
     root = 1 / np.sqrt(processes.variance)
@@ -111,12 +109,15 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
             residual[:, mine],
             leverage[:, mine][:, :, mine],
             _by_level([processes.levels[k] for k in mine]),
-            [
-                {"station": stations, "base": here[:, :, mine]},
-                {"station": np.roll(stations, 1), "base": before[:, :, mine]},
-            ],
+            partial(_of_innovations, lin, here[:, :, mine], before[:, :, mine]),
             processes.share[:, mine],
         )
+
+
+def _of_innovations(lin: Posterior, here: FloatArray, before: FloatArray) -> FloatArray:
+    """`Influence.gradients` by a station's base block and by that of the one before, (N, B, m) each."""
+    stations, onto = np.arange(lin.data.stations), lin.normal.onto_shared
+    return onto(stations, here) + onto(np.roll(stations, 1), before)
 
 
 def _diagonal(values: FloatArray) -> FloatArray:
@@ -140,33 +141,41 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
         if not len(stations):
             continue
         root, inverse = roots(views.information[stations])
-        transposed = root.mT
-        base, own, board = (
-            part[stations].mT @ root[:, :6] for part in (views.by_base, views.by_own, views.by_board)
-        )
-        shared = views.onto_shared(transposed, stations).mT
         yield Influence(
             lin,
             (inverse @ views.gradient[stations, :, None])[..., 0],
-            transposed @ leverage[stations] @ root,
+            root.mT @ leverage[stations] @ root,
             _by_level([level] * root.shape[1]),
-            [{"station": stations, "base": base, "own": own, "board": board, "shared": shared}],
+            partial(_of_views, lin, stations, root),
         )
+
+
+def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:
+    """`Influence.gradients` of some stations' images with roots (n, Q, Q) of their information."""
+    views = lin.views
+    base, own, board = (
+        part[stations].mT @ root[:, :6] for part in (views.by_base, views.by_own, views.by_board)
+    )
+    return lin.normal.onto_shared(stations, base, own, board, views.onto_shared(root.mT, stations).mT)
 
 
 def of_legs(lin: Posterior) -> Influence:
     """Of the legs' wheels, and of a planar sensor."""
-    legs, (i, j) = lin.legs, lin.data.legs.T
     root, _ = roots(lin.leg_weight)
-    transposed = root.mT
-    start, end, shared = (by.mT @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
     return Influence(
         lin,
-        (transposed @ legs.residual[..., None])[..., 0],
-        transposed @ lin.marginals.legs @ root,
-        {level: transposed @ share @ root for level, share in lin.leg_covariances.items()},
-        [{"station": i, "base": start, "shared": shared}, {"station": j, "base": end}],
+        (root.mT @ lin.legs.residual[..., None])[..., 0],
+        root.mT @ lin.marginals.legs @ root,
+        {level: root.mT @ share @ root for level, share in lin.leg_covariances.items()},
+        partial(_of_ends, lin, root),
     )
+
+
+def _of_ends(lin: Posterior, root: FloatArray) -> FloatArray:
+    """`Influence.gradients` of legs with roots (L, K, K) of their weight."""
+    legs, (i, j) = lin.legs, lin.data.legs.T
+    start, end, shared = (by.mT @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
+    return lin.normal.onto_shared(i, start, shared=shared) + lin.normal.onto_shared(j, end)
 
 
 def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatArray]:
