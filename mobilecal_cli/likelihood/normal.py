@@ -131,18 +131,19 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across)
 
-    information, gradient = own_eliminated(lin, damping)
-    G = information[:, :6]
+    both, A, of_direct = _without_own(lin, damping)
+    G, gradient = both[:, :, :-1], both[:, :, -1]
+    taken = summed(A @ views.information[:, :6, 6:], both[:, :, 6:])
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
     Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
-    b = np.einsum("nqb,nq->nb", views.by_base, gradient[:, :6])
-    H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient[:, :6])
+    b = np.einsum("nqb,nq->nb", views.by_base, gradient)
+    H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient)
     H[views.direct] += summed(G[:, :, 6:], views.by_shared)
-    H[np.ix_(views.direct, views.direct)] += information[:, 6:, 6:].sum(axis=0)
-    h[views.direct] += gradient[:, 6:].sum(axis=0)
+    H[np.ix_(views.direct, views.direct)] += views.information[:, 6:, 6:].sum(axis=0) - taken[:, :-1]
+    h[views.direct] += of_direct.sum(axis=0) - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
-    hK = _by_log(data, Kt @ gradient[:, :6, None])
+    hK = _by_log(data, Kt @ gradient[..., None])
     HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
@@ -230,34 +231,46 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
     return out
 
 
-def own_eliminated(
+def _without_own(
     lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
-) -> tuple[FloatArray, FloatArray]:
-    """Information (N, Q, Q) and gradient (N, Q) of (delta, direct constants), the stations' own errors eliminated.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Eliminate each station's own errors without cancellation.
 
-    Without cancellation: own errors move the board in the camera by A = J P J^T, with their prior covariance P. The
-    corners' information G about delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual
-    G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two matrices that agree to all digits where the corners are
-    much better than the joints.
+    They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
+    delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
+    matrices that agree to all digits where the corners are much better than the joints.
 
     Args:
         lin: where.
         damping: see `eliminated`.
         beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+
+    Returns:
+        (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (N, D)
+        gradient of the direct constants with own errors at their means.
     """
-    views, J, sigma = lin.views, lin.views.by_own, lin.own_sigmas
-    G, g = views.information.copy(), views.gradient.copy()
-    A = (J * (sigma**2 / (1 + damping))[:, None]) @ J.mT + beside
+    views, J = lin.views, lin.views.by_own
+    G, P = views.information, lin.own_sigmas**2 / (1 + damping)
+    A = (J * P[:, None]) @ J.mT + beside
     # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
-    g -= (G[:, :, :6] @ (J @ (lin.state.own / (1 + damping))[..., None]))[..., 0]
-    both = np.concatenate([G[:, :6], g[:, :6, None]], axis=2)
-    both = np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A) @ both
-    taken = G[:, 6:, :6] @ A @ both[:, :, 6:]
-    G[:, 6:, 6:] -= taken[:, :, :-1]
-    g[:, 6:] -= taken[:, :, -1]
-    G[:, :6], g[:, :6] = both[:, :, :-1], both[:, :, -1]
+    back = J @ (lin.state.own / (1 + damping))[..., None]
+    wanted = views.gradient - (G[:, :, :6] @ back)[..., 0]
+    both = np.concatenate([G[:, :6], wanted[:, :6, None]], axis=2)
+    return np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A) @ both, A, wanted[:, 6:]
+
+
+def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
+    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
+
+    Args:
+        lin: where.
+        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+    """
+    G, (both, A, _) = lin.views.information.copy(), _without_own(lin, beside=beside)
+    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ both[:, :, 6:-1]
+    G[:, :6] = both[:, :, :-1]
     G[:, 6:, :6] = G[:, :6, 6:].mT
-    return G, g
+    return G
 
 
 def summed(A: FloatArray, B: FloatArray) -> FloatArray:

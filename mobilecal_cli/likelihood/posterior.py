@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
-from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, own_eliminated
+from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_information
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -41,7 +41,7 @@ class Posterior(Linearization):
     @cached_property
     def station_information(self) -> FloatArray:
         """(N, Q, Q) information of the images about (delta, direct constants), the stations' own errors eliminated."""
-        return own_eliminated(self)[0]
+        return station_information(self)
 
     @cached_property
     def information(self) -> FloatArray:

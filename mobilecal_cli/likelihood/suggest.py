@@ -13,7 +13,7 @@ from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.normal import own_eliminated
+from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, base_at, cameras_at, head_at
 from mobilecal_cli.model import NINE, BoolArray, CameraRig, FloatArray, Suggestion, WheelTrack
@@ -175,7 +175,7 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
     beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
-    G = own_eliminated(lin, beside=beside)[0][2:]
+    G = station_information(lin, beside)[2:]
     A = np.zeros((*G.shape[:2], P + 6 + B))
     A[:, :6] = J[1:] @ right[1:]
     A[:, :6, :P] += views.by_shared[2:]

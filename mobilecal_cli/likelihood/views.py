@@ -40,7 +40,7 @@ from mobilecal_cli.likelihood.state import (
     stance_at,
     standing,
 )
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise
+from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, IntArray, Noise
 
 _BLOCK = 200
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
@@ -156,19 +156,20 @@ def corner_residuals(
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
     direct = [effect for _, _, effect in data.layout.direct] if by_constants else []
-    points_k = se3.act(T_c_k, points_at(data, state))
+    rig, points_k = change.apply(data.cameras), se3.act(T_c_k, points_at(data, state))
     rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
     shape = len(data.cameras.each), points_k.shape[1], 2
     residual, J = np.empty((len(points_k), *shape)), np.zeros((len(points_k), 6 + len(direct), *shape))
     for k in range(len(data.cameras.each)):
         at = stations, k
-        residual[:, k] = _one_camera(data, change, direct, at, T_c_k, points_k, rates, J[:, :, k])
+        residual[:, k] = _one_camera(data, change, rig, direct, at, T_c_k, points_k, rates, J[:, :, k])
     return residual, J
 
 
 def _one_camera(
     data: Dataset,
     change: CameraChange,
+    rig: CameraRig,
     direct: Sequence[ImageEffect],
     at: tuple[slice | IntArray, int],
     T_c_k: FloatArray,
@@ -180,14 +181,14 @@ def _one_camera(
 
     Args:
         data: all stations.
-        change: the constants that change the cameras.
+        change, rig: what the constants change in the cameras, and the cameras after it.
         direct: effects of the direct constants, as J has columns.
         at: which stations, and index of the camera.
         T_c_k, rates: (n, 4, 4) and (n, 1, 6) of these stations.
         points_k: (n, M, 3) corners in the first camera's frame at the stamp, m.
         J: (n, Q, M, 2) zeros, to which the derivatives by (delta, direct constants) are written.
     """
-    k, rig = at[1], change.apply(data.cameras)
+    k = at[1]
     stated, camera, T_camera_c = data.cameras.each[k], rig.each[k], se3.inverse(rig.T_c_each[k])
     velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
     rows = ((data.pixels[at][..., 1] + 0.5) / stated.height - 0.5)[..., None]

@@ -47,6 +47,7 @@ def at_state(
     noise_px: float | None = None,
     patterns: bool = False,
     corners: BoolArray | None = None,
+    T_c_k: FloatArray | None = None,
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
 
@@ -56,11 +57,13 @@ def at_state(
         noise_px: of the corners, px; as stated if None.
         patterns: whether those of the lenses are applied, too.
         corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
+        T_c_k: (N, 4, 4) these poses, if they are known.
     """
     stated, cameras = extraction, cameras_at(data, state)
     extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
-    T_c_k = board_poses(data, state, data.seen if corners is None else corners)
+    if T_c_k is None:
+        T_c_k = board_poses(data, state, data.seen if corners is None else corners)
     points_c = se3.act(T_c_k, points_at(data, state))
     on_boards = zip(extraction.observations, points_c, strict=True)
     seen = tuple(replace(o, points_c=points) for o, points in on_boards)

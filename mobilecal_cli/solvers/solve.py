@@ -147,7 +147,7 @@ def _by_likelihood(
     used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
     solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
     parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
-    parts |= _of_lenses(extraction, fit, solution)
+    parts |= _of_lenses(extraction, fit, solution, corrected.T_c_k)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -165,7 +165,9 @@ def _by_likelihood(
     )
 
 
-def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str, ErrorPart]:
+def _of_lenses(
+    extraction: Extraction, fit: Fit, solution: Solution, T_c_k: FloatArray
+) -> dict[str, ErrorPart]:
     """What the lenses do beside their models contributes to the errors: so much less are these without it.
 
     A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
@@ -177,7 +179,7 @@ def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
     data, state, rejected = fit.data, fit.lin.state, fit.data.seen & ~fit.inliers.corners
-    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, corners=fit.inliers.corners)
+    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, T_c_k=T_c_k)
     used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
     without = residuals_of(*undone, solution.parameters, used, rejected)
     squares = [
