@@ -18,17 +18,6 @@ STEP = 1e-6  # of a constant, rad, m, px or a share, for differences
 AHEAD_M = 2.0
 
 
-def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
-    """Expected errors from the covariance of the nine parameters, (9, 9) in the order of `NINE`, to first order.
-
-    The camera's errors are those of its pose on the head.
-    """
-    R = parameters.T_h_c[:3, :3]
-    camera = np.zeros((1, 6, 9))
-    camera[0, :3, :3] = camera[0, 3:, 3:6] = R.T
-    return expected(_weights(parameters, camera), covariance)
-
-
 def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Covariance of the first camera's pose in the base and of its own constants, (6 + K, 6 + K), and their K names.
 
@@ -54,10 +43,10 @@ def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
 
     With the constants of the head's chain and joints applied.
     """
-    return _weights(lin.state.parameters, -lin.views.by_shared)  # the board moves the other way
+    return weights_of(lin.state.parameters, -lin.views.by_shared)  # the board moves the other way
 
 
-def _weights(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
+def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
     """Field of `AtWork` → (K, K) weights of the covariance of K parameters, of which the nine come first.
 
     The mean of g g^T over the derivatives g of the figure. Straight driving over s meters: both wheels turn by s / r,
