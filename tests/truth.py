@@ -9,6 +9,7 @@ from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.nuisance import Layout
+from mobilecal_cli.likelihood.predict import expected, weights_of
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.model import NINE, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot
@@ -49,3 +50,10 @@ def no_priors(layout: Layout, anchor: Parameters) -> Priors:
     zero = np.zeros(layout.size)
     scales = layout.prior_sigmas(anchor.wheels)
     return Priors(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})
+
+
+def predicted(parameters, covariance):
+    """Expected errors from the covariance of the nine parameters, (9, 9); the camera's are those of its pose on the head."""
+    camera = np.zeros((1, 6, 9))
+    camera[0, :3, :3] = camera[0, 3:, 3:6] = parameters.T_h_c[:3, :3].T
+    return expected(weights_of(parameters, camera), covariance)

@@ -2,188 +2,209 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
-from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.posterior import Posterior, roots
-from mobilecal_cli.likelihood.processes import COUNT, LEVELS
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.likelihood.legs import SUPPOSED
+from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
+from mobilecal_cli.likelihood.normal import summed
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
+from mobilecal_cli.likelihood.processes import LENGTHS
+from mobilecal_cli.model import NINE, FloatArray, IntArray
 
 _NO_REDUNDANCY = 1e-6
-# Over the square root of the number of legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
-_JACKKNIFE_SCATTER = 3.6
 
 
 @dataclass(frozen=True, eq=False)
 class Influence:
-    """One kind of measurement in units whose noise is independent: stations, or legs.
+    """One kind of measurement at an optimum, in units whose noise is independent: stations, or legs.
 
     Attributes:
-        by_unit: (n, P, m) derivative of the shared parameters by each unit's m whitened residuals.
-        residual: (n, m) those residuals.
+        lin: the optimum.
+        residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
-        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity;
-            None where it is all of it.
+        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
+        gradients: gives (n, P, m) gradients of the shared parameters by each unit's residuals, all else eliminated.
+        share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
+            are interpolated.
     """
 
-    by_unit: FloatArray
+    lin: Posterior
     residual: FloatArray
     leverage: FloatArray
-    parts: Mapping[str, FloatArray | None]
+    parts: Mapping[str, FloatArray]
+    gradients: Callable[[], FloatArray]
+    share: FloatArray | float = 1.0
+
+    @cached_property
+    def by_unit(self) -> FloatArray:
+        """(n, P, m) derivative of the shared parameters by each unit's residuals."""
+        return self.lin.conditional_covariance @ self.gradients()
+
+    def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
+        """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
+        part = self.parts[level]
+        squares = self.share * self.residual * (part @ self.residual[..., None])[..., 0]
+        left = self.share * np.sum(part * (np.eye(self.residual.shape[1]) - self.leverage), axis=2)
+        return squares.sum(axis=0), left.sum(axis=0)
 
     @cached_property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        shares = {
-            level: self.by_unit if part is None else self.by_unit @ part for level, part in self.parts.items()
-        }
-        return {level: _summed(share, self.by_unit) for level, share in shares.items()}
+        K = self.by_unit
+        return {level: summed((K @ part).mT, K.mT) for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
         """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T."""
-        values, vectors = np.linalg.eigh(np.eye(self.residual.shape[1]) - self.leverage)
-        usable = values > _NO_REDUNDANCY
-        root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
-        along = np.einsum("nkm,nk->nm", vectors, self.residual) * root
-        shift = (self.by_unit @ (vectors @ along[..., None]))[..., 0]
+        left = np.eye(self.residual.shape[1]) - self.leverage
+        shift = (self.by_unit @ over_redundancy(self.residual, left, _NO_REDUNDANCY)[..., None])[..., 0]
         return np.asarray(shift.T @ shift)
 
 
-def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Sum over n and m of A B^T: (n, P, m) and (n, Q, m) → (P, Q), as one matrix product."""
-    flat = (np.moveaxis(part, 1, 0).reshape(part.shape[1], -1) for part in (A, B))
-    left, right = flat
-    product: FloatArray = left @ right.T
-    return product
-
-
 def influences(lin: Posterior) -> Iterator[Influence]:
-    """Images, joint readings, sway, floor and wheel scales, wheels, encoder readings and stamps at an optimum."""
+    """Images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
     yield from _of_images(lin)
-    data, marginal = lin.data, lin.marginals
-    errors, sigma = lin.own_errors, lin.own_sigmas
-    joints = data.joints.shape[1]
-    per_sigma = np.where(lin.inliers.views[:, None], 1 / sigma, 0.0)
-    per_sigma[:, :joints] *= lin.inliers.readings
-    per_sigma[:, joints:] *= data.drives[:, None]
-    for columns, parts in (
-        (slice(0, joints), {"joint_rad": None}),
-        (slice(joints, None), {"sway_rad": np.diag([1.0, 1.0, 0.0]), "sway_m": np.diag([0.0, 0.0, 1.0])}),
-    ):
-        at = np.zeros((*errors.shape, errors[:, columns].shape[1]))
-        at[:, columns] = per_sigma[:, columns, None] * np.eye(at.shape[2])
-        leverage = np.swapaxes(at, 1, 2) @ marginal.own @ at
-        yield Influence(_onto(lin, own=at), (errors * per_sigma)[:, columns], leverage, parts)
-    yield _of_processes(lin)
-    if len(data.legs):
-        yield _of_legs(lin)
-    base = np.zeros((data.stations, data.base_width, 2))
-    base[:, ENCODERS] = np.eye(2) / lin.encoder_sigmas[:, None]
-    leverage = np.eye(2) * (marginal.encoders / lin.encoder_sigmas**2)[:, None]
-    off = lin.state.encoder_errors / lin.encoder_sigmas
-    yield Influence(_onto(lin, base=base), off, leverage, {"encoder_rad": None})
-    if data.base_width > STAMP:
-        base = np.zeros((data.stations, data.base_width, 1))
-        base[:, STAMP] = 1 / lin.noise.stamp_s
-        leverage = (marginal.stamps / lin.noise.stamp_s**2)[:, None, None]
-        off = lin.state.stamp_errors[:, None] / lin.noise.stamp_s
-        yield Influence(_onto(lin, base=base), off, leverage, {"stamp_s": None})
+    yield from of_errors(lin, lin.state.base[:, ERRORS])
+    yield of_legs(lin)
 
 
-def _onto(lin: Posterior, base: FloatArray | None = None, own: FloatArray | None = None) -> FloatArray:
-    """(N, P, m) influence of m measurements of each station's base block (N, B, m), or of its own errors (N, E, m)."""
-    stations = np.arange(lin.data.stations)
-    influence: FloatArray = lin.conditional_covariance @ lin.normal.onto_shared(stations, base, own)
-    return influence
+def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
+    """Of joint readings and sway, and of the base blocks' errors: encoder readings, floor and wheel scales, stamps.
+
+    Args:
+        lin: an optimum.
+        errors: (N, K) the base blocks' errors there.
+    """
+    data, sigma, marginal, processes = lin.data, lin.own_sigmas, lin.marginals, lin.processes
+    stations = np.arange(data.stations)
+    used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
+    used[:, JOINTS] &= lin.inliers.readings
+    used[:, SWAY] &= data.drives[:, None]
+    share = used.astype(np.float64)
+    share[:, JOINTS] *= (lin.noise.joint_rad * data.joint_units / sigma[:, JOINTS]) ** 2
+    root = np.where(used, 1 / sigma, 0.0)
+    of_joints = {"joint_rad": np.eye(data.joints.shape[1])[None]}
+    for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
+        at = _diagonal(root)[:, :, columns]
+        leverage = at.mT @ marginal.own @ at
+        onto = partial(lin.normal.onto_shared, stations, own=at)
+        residual = (lin.state.own * root)[:, columns]
+        yield Influence(lin, residual, leverage, parts, onto, share[:, columns])
+    root = 1 / np.sqrt(processes.variance)
+    leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
+    leverage[:, 0, 1] = leverage[:, 1, 0] = (
+        0.0  # the two encoder readings of a station are one by itself each
+    )
+    here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
+    here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
+    residual = processes.innovations(errors) * root
+    for group in ({"encoder_rad"}, {*LENGTHS}, {"stamp_s"}):
+        mine = [k for k, level in enumerate(processes.levels) if level in group]
+        yield Influence(
+            lin,
+            residual[:, mine],
+            leverage[:, mine][:, :, mine],
+            _by_level([processes.levels[k] for k in mine]),
+            partial(_of_innovations, lin, here[:, :, mine], before[:, :, mine]),
+            processes.share[:, mine],
+        )
+
+
+def _of_innovations(lin: Posterior, here: FloatArray, before: FloatArray) -> FloatArray:
+    """`Influence.gradients` by a station's base block and by that of the one before, (N, B, m) each."""
+    stations, onto = np.arange(lin.data.stations), lin.normal.onto_shared
+    return onto(stations, here) + onto(np.roll(stations, 1), before)
+
+
+def _diagonal(values: FloatArray) -> FloatArray:
+    """(N, K) → (N, K, K) diagonal matrices."""
+    return np.asarray(values[:, :, None] * np.eye(values.shape[1]))
+
+
+def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
+    """Noise level → (1, m, m) its share in residuals of m levels."""
+    return {
+        level: np.diag([float(level == other) for other in levels])[None] for level in dict.fromkeys(levels)
+    }
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
     """Of corners, and of measured poses."""
-    views, C = lin.views, lin.conditional_covariance
+    views = lin.views
     leverage = lin.marginals.images()
     for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
         stations = np.flatnonzero(of_kind)
         if not len(stations):
             continue
         root, inverse = roots(views.information[stations])
-        transposed = np.swapaxes(root, 1, 2)
-        base, own, board = (
-            np.swapaxes(part[stations], 1, 2) @ root[:, :6]
-            for part in (views.by_base, views.by_own, views.by_board)
-        )
-        shared = np.swapaxes(views.onto_shared(transposed, stations), 1, 2)
         yield Influence(
-            C @ lin.normal.onto_shared(stations, base, own, board, shared),
+            lin,
             (inverse @ views.gradient[stations, :, None])[..., 0],
-            transposed @ leverage[stations] @ root,
-            {level: None},
+            root.mT @ leverage[stations] @ root,
+            _by_level([level] * root.shape[1]),
+            partial(_of_views, lin, stations, root),
         )
 
 
-def _of_processes(lin: Posterior) -> Influence:
-    data, processes, on = lin.data, lin.processes, np.arange(COUNT)
-    root = 1 / np.sqrt(processes.variance)
-    here = np.zeros((data.stations, data.base_width, COUNT))
-    here[:, on + PROCESSES.start, on] = root
-    by_unit = _onto(lin, base=here)
-    i, j = data.legs.T
-    there = np.zeros((len(j), data.base_width, COUNT))
-    there[:, on + PROCESSES.start, on] = -processes.rho[j] * root[j]
-    by_unit[j] += lin.conditional_covariance @ lin.normal.onto_shared(i, there)
-    parts = {level: np.diag([float(level == other) for other in LEVELS]) for level in dict.fromkeys(LEVELS)}
-    leverage = root[:, :, None] * lin.marginals.innovations(processes.rho) * root[:, None, :]
-    return Influence(by_unit, processes.innovations(lin.state.processes) * root, leverage, parts)
-
-
-def _of_legs(lin: Posterior) -> Influence:
-    data, legs = lin.data, lin.legs
-    i, j = data.legs.T
-    root, _ = roots(lin.leg_weight)
-    shared = np.swapaxes(legs.by_shared, 1, 2) @ root
-    onto = lin.normal.onto_shared(i, np.swapaxes(legs.by_start, 1, 2) @ root, shared=shared)
-    onto += lin.normal.onto_shared(j, np.swapaxes(legs.by_end, 1, 2) @ root)
-    transposed = np.swapaxes(root, 1, 2)
-    return Influence(
-        lin.conditional_covariance @ onto,
-        (transposed @ legs.residual[..., None])[..., 0],
-        transposed @ lin.marginals.legs @ root,
-        {level: transposed @ share @ root for level, share in lin.leg_covariances.items()},
+def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:
+    """`Influence.gradients` of some stations' images with roots (n, Q, Q) of their information."""
+    views = lin.views
+    base, own, board = (
+        part[stations].mT @ root[:, :6] for part in (views.by_base, views.by_own, views.by_board)
     )
+    return lin.normal.onto_shared(stations, base, own, board, views.onto_shared(root.mT, stations).mT)
+
+
+def of_legs(lin: Posterior) -> Influence:
+    """Of the legs' wheels, and of a planar sensor."""
+    root, _ = roots(lin.leg_weight)
+    return Influence(
+        lin,
+        (root.mT @ lin.legs.residual[..., None])[..., 0],
+        root.mT @ lin.marginals.legs @ root,
+        {level: root.mT @ share @ root for level, share in lin.leg_covariances.items()},
+        partial(_of_ends, lin, root),
+    )
+
+
+def _of_ends(lin: Posterior, root: FloatArray) -> FloatArray:
+    """`Influence.gradients` of legs with roots (L, K, K) of their weight."""
+    legs, (i, j) = lin.legs, lin.data.legs.T
+    start, end, shared = (by.mT @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
+    return lin.normal.onto_shared(i, start, shared=shared) + lin.normal.onto_shared(j, end)
 
 
 def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatArray]:
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
-    that are outliers and bases that no measurement holds count as a source of their own ("free").
+    that are outliers and bases that no measurement holds count as a source of their own ("other").
 
     Args:
         lin: an optimum.
         moved_by: see `influences`.
 
     Returns:
-        Noise levels by name, "prior <name>" for the nine parameters and each constant with a prior, "unobservable" for
-        the prior variance of unobservable directions, and "free".
+        Noise levels by name, "nominal" for the priors of the nine parameters, kinds of constants for theirs,
+        "unobservable" for the prior variance of unobservable directions, and "other".
     """
     C, layout = lin.conditional_covariance, lin.data.layout
     result: dict[str, FloatArray] = {}
+
+    def add(source: str, share: FloatArray) -> None:
+        source = {SUPPOSED: "wheel_rad_per_sqrt_rad"}.get(source, source)
+        result[source] = result.get(source, 0.0) + share
+
     for influence in moved_by:
         for level, covariance in influence.covariances.items():
-            result[level] = result.get(level, 0.0) + covariance
-    for k, name in enumerate(layout.names):
+            add(level, covariance)
+    for k, kind in enumerate(["nominal"] * len(NINE) + [row.kind for row in layout.constants]):
         if lin.priors.weight[k]:
-            result[f"prior {name}"] = lin.priors.weight[k] * np.outer(C[:, k], C[:, k])
-    result["unobservable"] = lin.considered @ lin.considered.T
-    result["free"] = lin.covariance - sum(result.values())
+            add(kind, lin.priors.weight[k] * np.outer(C[:, k], C[:, k]))
+    add("unobservable", lin.considered @ lin.considered.T)
+    add("other", lin.covariance - sum(result.values()))
     return result
-
-
-def usual_jackknife_factor(legs: int) -> float:
-    """How many times the standard deviations the jackknife's are, at most, if the model is right."""
-    return 1 + _JACKKNIFE_SCATTER / math.sqrt(max(legs, 1))

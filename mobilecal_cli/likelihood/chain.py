@@ -27,26 +27,26 @@ def chain_covariance(D: FloatArray, off: FloatArray) -> tuple[FloatArray, FloatA
         return own, cross
     inverse = np.asarray(np.linalg.inv(D[1::2]), dtype=np.float64)
     odd = len(inverse)
-    K_a = -inverse @ np.swapaxes(off[0 : 2 * odd : 2], 1, 2)
+    K_a = -inverse @ off[0 : 2 * odd : 2].mT
     K_b = -inverse @ off[1::2]
     if count % 2 == 0:
         K_b[-1] = 0.0  # the last station has no next neighbor
     kept = D[0::2].copy()
     kept[:odd] += off[0 : 2 * odd : 2] @ K_a
     after = len(kept) - 1
-    kept[1:] += np.swapaxes(off[1::2], 1, 2)[:after] @ K_b[:after]
+    kept[1:] += off[1::2].mT[:after] @ K_b[:after]
     coupled = np.zeros_like(kept)
     coupled[:after] = off[0 : 2 * after : 2] @ K_b[:after]
     own[0::2], beyond = chain_covariance(kept, coupled)
 
     own_a, own_b, a_b = own[0 : 2 * odd : 2], np.zeros_like(K_b), beyond[:odd]
     own_b[:after] = own[2::2]
-    Kt_a, Kt_b = np.swapaxes(K_a, 1, 2), np.swapaxes(K_b, 1, 2)
+    Kt_a, Kt_b = K_a.mT, K_b.mT
     a_o = own_a @ Kt_a + a_b @ Kt_b
     o_b = K_a @ a_b + K_b @ own_b
     cross[0 : 2 * odd : 2] = a_o
     cross[1::2] = o_b
-    own[1::2] = inverse + K_a @ a_o + K_b @ np.swapaxes(o_b, 1, 2)
+    own[1::2] = inverse + K_a @ a_o + K_b @ o_b.mT
     return own, cross
 
 

@@ -19,6 +19,7 @@ NOT_MEASURED = 100.0
 _LEAST_VARIANCE = 1e-6  # of a corner, relative to a usual one
 _OFF_THE_LINE = 1 / 8  # between a steady and a sudden change of the rate, see `between_readings`
 _MOVED_RAD, _NOISE_SIGMAS = 0.002, 6.0  # less than both is noise of a reading, not a motion
+_LOOKED_BACK = 64  # readings before a station, where a joint's last motion is looked for first
 # A joint in motion: its own direction counts, not how it got there.
 _INTERVAL_NS, _MOVING_RADPS = 50_000_000, 0.03
 # A joint that moves within the longer of these intervals before and after a station, but hardly there, turns back.
@@ -72,7 +73,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
     widths_ns = tuple(
-        tuple(_width_ns(noise, _STILL_RAD * unit) for noise, unit in zip(noises, units, strict=True))
+        tuple(_width_ns(noise, unit) for noise, unit in zip(noises, units, strict=True))
         for noises in joint_noise
     )
     motions = None
@@ -148,14 +149,10 @@ def _noise(track: Track) -> float:
     return noise if math.isfinite(noise) else 0.0  # damaged readings
 
 
-def _width_ns(noise: float, still: float) -> int:
-    """Interval over which the motion of a joint with noisy readings is taken.
-
-    Args:
-        noise: standard deviation of one reading, rad or m.
-        still: motion within a usual offset of the clocks that may be noise.
-    """
-    return round(min(max(math.sqrt(2) * noise / still * _OFFSET_S, _LEAST_WIDTH_S), _MOST_WIDTH_S) * 1e9)
+def _width_ns(noise: float, unit: float) -> int:
+    """Interval over which the motion of a joint with a noise of its readings, rad or m, is taken; see `joint_units`."""
+    width_s = math.sqrt(2) * noise / (_STILL_RAD * unit) * _OFFSET_S
+    return round(min(max(width_s, _LEAST_WIDTH_S), _MOST_WIDTH_S) * 1e9)
 
 
 def _pose_weight(o: Observation) -> FloatArray:
@@ -217,25 +214,13 @@ def _last_motion(track: Track, times_ns: IntArray, readings: FloatArray, moved: 
 
     A smaller difference than `moved` is no motion.
     """
-    stops = np.searchsorted(track.time_ns, times_ns)
-    ends = np.unique(stops[stops > 0])
-    side = np.zeros(len(stops))
-    if not len(ends):
-        return side
-    # The track's least and greatest value between the stations: only one stretch is searched value by value.
-    starts = np.concatenate([[0], ends[:-1]])
-    least = np.minimum.reduceat(track.value[: ends[-1]], starts)
-    greatest = np.maximum.reduceat(track.value[: ends[-1]], starts)
-    counts = np.searchsorted(ends, stops, side="right")  # of the stretches before each station
-    for i, (before, reading) in enumerate(zip(counts.tolist(), readings.tolist(), strict=True)):
-        away, looked = np.zeros(0, dtype=np.bool_), 0
-        while not away.any() and looked < before:  # mostly the stretch just before; else twice as far back
-            looked = min(2 * looked + 1, before)
-            near = slice(before - looked, before)
-            away = np.maximum(greatest[near] - reading, reading - least[near]) > moved
-        if away.any():
-            stretch = before - 1 - int(np.argmax(away[::-1]))
-            values = track.value[starts[stretch] : ends[stretch]]
-            last = values[np.abs(values - reading) > moved][-1]
-            side[i] = np.sign(reading - last)
+    side, stops = np.zeros(len(times_ns)), np.searchsorted(track.time_ns, times_ns)
+    ever = np.maximum(track.value.max() - readings, readings - track.value.min()) > moved
+    for i in np.flatnonzero(ever).tolist():
+        away, looked, stop = np.zeros(0), 0, int(stops[i])
+        while not len(away) and looked < stop:  # mostly just before; else twice as far back
+            seen, looked = looked, min(2 * looked + _LOOKED_BACK, stop)
+            values = track.value[stop - looked : stop - seen]
+            away = values[np.abs(values - readings[i]) > moved]
+        side[i] = np.sign(readings[i] - away[-1]) if len(away) else 0.0
     return side

@@ -60,18 +60,8 @@ class Clock(Effect):
 # -- joints -----------------------------------------------------------------------------------------
 
 
-class JointEffect(Effect, ABC):
-    """Changes the joints' positions."""
-
-    __slots__ = ()
-
-    @abstractmethod
-    def rate(self, data: Measurements) -> FloatArray:
-        """(N, J) derivative of the joint positions by the value."""
-
-
 @dataclass(frozen=True, slots=True)
-class JointReading(JointEffect):
+class JointReading(Effect):
     """Changes the position of one joint.
 
     Attributes:
@@ -208,121 +198,19 @@ class CameraChange:
         return replace(rig, each=tuple(each), T_c_each=tuple(poses))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sight:
-    """The predicted corners of one camera, at which derivatives are taken.
-
-    Attributes:
-        camera: index of the camera.
-        stated, rig: the cameras as stated, and with all constants applied.
-        change: what was applied.
-        pixels: (N, M, 2) predicted pixels before the lens correction.
-        terms: (L, N, M, 2) displacements by a lens correction of one, term by term.
-        through: (N, M, 2, 2) derivative of the pixels after the correction by those before; None for the identity.
-        points_c: (N, M, 3) corners in the first camera's frame, m.
-        by_point_c: (3, N, M, 2) derivative of the corrected pixels by the point in the first camera's frame, px/m.
-        by_stamped_c: the same by where the point was at the stamp.
-        points_k: (M, 3) corners on the board as stated, m.
-        R_c_k: (N, 3, 3) rotation of the board.
-        velocity_c: (N, M, 3) of the corners in the first camera's frame, m/s.
-        rows: (N, M) row of each corner from the middle of the image, in image heights.
-    """
-
-    camera: int
-    stated: CameraRig
-    rig: CameraRig
-    change: CameraChange
-    pixels: FloatArray
-    terms: FloatArray
-    through: FloatArray | None
-    points_c: FloatArray
-    by_point_c: FloatArray
-    by_stamped_c: FloatArray
-    points_k: FloatArray
-    R_c_k: FloatArray
-    velocity_c: FloatArray
-    rows: FloatArray
-
-    @property
-    def position_c(self) -> FloatArray:
-        """(3,) position of the camera in the first one, m."""
-        return self.rig.T_c_each[self.camera][:3, 3]
-
-    def by_shift(self, shift_c: FloatArray) -> FloatArray:
-        """(N, M, 2) derivative of the pixels where the points move by (N, M, 3) in the first camera's frame, m."""
-        return _along(self.by_point_c, shift_c)
-
-    def corrected(self, shift: FloatArray) -> FloatArray:
-        """(N, M, 2) displacements of pixels before the correction as displacements after it."""
-        return shift if self.through is None else np.asarray((self.through @ shift[..., None])[..., 0])
+#: Attributes of `CameraChange`: those of a camera's pose in the first one but for the baseline's length, of the camera
+#: itself, and of its clock.
+POSE, INTRINSICS, TIMES = ("turn", "swing", "shift"), ("focal", "principal", "lens"), ("delay_s", "readout_s")
 
 
-def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:
-    """(3, N, M, 2) derivative by a point, and (N, M, 3) its displacement → (N, M, 2)."""
-    by_x, by_y, by_z = by_point
-    moved: FloatArray = by_x * shift[..., 0, None]
-    moved += by_y * shift[..., 1, None]
-    moved += by_z * shift[..., 2, None]
-    return moved
-
-
-def _by_turn(sight: Sight, about: FloatArray) -> FloatArray:
-    """R_c_r -> exp(rho) R_c_r turns the points the other way about the camera's center."""
-    axis = se3.left_jacobian_so3(sight.change.turn[sight.camera]) @ about
-    return -sight.by_shift(np.cross(axis, sight.points_c - sight.position_c))
-
-
-def _by_swing(sight: Sight, about: FloatArray) -> FloatArray:
-    """The camera moves around the first one."""
-    turn = se3.left_jacobian_so3(sight.change.swing[sight.camera]) @ about
-    return -sight.by_shift(np.cross(turn, sight.position_c))
-
-
-def _by_length(sight: Sight, along: FloatArray) -> FloatArray:
-    """The camera moves along the baseline."""
-    return -sight.by_shift(along * sight.position_c / (1 + sight.change.length[sight.camera]))
-
-
-def _by_focal(sight: Sight, shares: FloatArray) -> FloatArray:
-    """Pixels move away from the principal point."""
-    shares = shares / (1 + sight.change.focal[sight.camera])
-    return sight.corrected((sight.pixels - sight.rig.each[sight.camera].K[:2, 2]) * shares)
-
-
-def _by_principal(sight: Sight, along: FloatArray) -> FloatArray:
-    """All pixels move alike."""
-    width = sight.stated.each[sight.camera].width
-    return sight.corrected(np.broadcast_to(width * along, sight.pixels.shape))
-
-
-#: Attribute of `CameraChange` → (N, M, 2) derivative of the pixels by a value of one along a vector of it.
-_BY: dict[str, Callable[[Sight, FloatArray], FloatArray]] = {
-    "turn": _by_turn,
-    "swing": _by_swing,
-    "length": _by_length,
-    "shift": lambda sight, along: -sight.by_shift(along),
-    "focal": _by_focal,
-    "principal": _by_principal,
-    "lens": lambda sight, terms: np.asarray(np.tensordot(terms, sight.terms[: len(terms)], 1)),
-    "delay_s": lambda sight, along: sight.by_shift(along * sight.velocity_c),
-    "readout_s": lambda sight, along: sight.by_shift(along * sight.velocity_c * sight.rows[..., None]),
-}
-#: Those of a camera's pose in the first one but for the baseline's length, and of the camera itself.
-POSE, INTRINSICS = ("turn", "swing", "shift"), ("focal", "principal", "lens")
-
-
-class ImageEffect(Effect, ABC):
+class ImageEffect(Effect):
     """Changes the cameras or the board, not the camera's pose."""
 
     __slots__ = ()
 
-    @abstractmethod
     def concerns(self, camera: int) -> bool:
         """Whether the pixels of a camera depend on this."""
-
-    @abstractmethod
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of the predicted pixels of a camera that depends on this."""
+        return True
 
 
 @dataclass(frozen=True, slots=True)
@@ -342,7 +230,7 @@ class CameraEffect(ImageEffect):
     def offered(self, data: Measurements) -> bool:
         """Only corners in the camera show it, and a time only in motion."""
         shown = data.seen if self.camera is None else data.seen[:, self.camera]
-        return bool(shown.any()) and (not self.of.endswith("_s") or bool(_in_motion(data).any()))
+        return bool(shown.any()) and (self.of not in TIMES or bool(_in_motion(data).any()))
 
     def add(self, change: CameraChange, value: float) -> None:
         """Add a value to the change."""
@@ -352,10 +240,6 @@ class CameraEffect(ImageEffect):
     def concerns(self, camera: int) -> bool:
         """Whether the pixels of a camera depend on this."""
         return self.camera in (None, camera)
-
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of a camera's predicted pixels."""
-        return _BY[self.of](sight, np.array(self.along))
 
 
 # -- board ------------------------------------------------------------------------------------------
@@ -375,25 +259,15 @@ class BoardEffect(ImageEffect):
         """Only corners show it."""
         return not data.posed.all()
 
-    def concerns(self, camera: int) -> bool:
-        """All cameras see the board."""
-        return True
-
-    def pixels(self, sight: Sight) -> FloatArray:
-        """(N, M, 2) derivative of a camera's predicted pixels."""
-        return _along(sight.by_stamped_c, self.displacement(sight.points_k) @ np.swapaxes(sight.R_c_k, 1, 2))
-
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:
     """Relative size along the two axes: corners move away from the board's origin."""
-    out: FloatArray = points_k * [x, y, 0.0]
-    return out
+    return points_k * [x, y, 0.0]
 
 
 def sheared(points_k: FloatArray) -> FloatArray:
     """Angle between rows and columns, less 90 degrees: corners move along x, in proportion to y."""
-    out: FloatArray = points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0]
-    return out
+    return np.asarray(points_k[:, [1, 1, 2]] * [1.0, 0.0, 0.0])
 
 
 def bent(points_k: FloatArray, axis: int) -> FloatArray:
@@ -413,8 +287,7 @@ def twisted(points_k: FloatArray) -> FloatArray:
 def _from_middle(points_k: FloatArray) -> FloatArray:
     """(M, 3) places from -1 to 1 along each axis of the board."""
     middle = (points_k.max(axis=0) + points_k.min(axis=0)) / 2
-    out: FloatArray = (points_k - middle) / np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9)
-    return out
+    return np.asarray((points_k - middle) / np.maximum(np.ptp(points_k, axis=0) / 2, 1e-9))
 
 
 # -- base and wheels --------------------------------------------------------------------------------
@@ -427,11 +300,11 @@ class FloorEffect(Effect, ABC):
 
     @abstractmethod
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
-        """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses (N, 3), see `State.base`."""
+        """(N, 3) roll, pitch (rad) and height (m) by a value of one, at base poses, see `State.base`."""
 
     def stance_by_base(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3, 3) derivative of these by a step of the base along its own x and y (m), and of its heading (rad)."""
-        return np.zeros((*base.shape, 3))
+        return np.zeros((len(base), 3, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -442,7 +315,7 @@ class BaseLean(FloorEffect):
 
     def stance(self, data: Measurements, base: FloatArray) -> FloatArray:
         """(N, 3) roll, pitch (rad) and height (m) by a value of one."""
-        return np.broadcast_to(np.eye(3)[self.axis], base.shape)
+        return np.broadcast_to(np.eye(3)[self.axis], (len(base), 3))
 
 
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
@@ -484,8 +357,8 @@ class FloorShape(FloorEffect):
         xx, xy, yy = (self._derivative(data, base, *by) for by in ((2, 0), (1, 1), (0, 2)))
         cos, sin = np.cos(base[:, 2]), np.sin(base[:, 2])
         T = np.array([[cos, sin], [-sin, cos]]).transpose(2, 0, 1)
-        curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ np.swapaxes(T, 1, 2)
-        by = np.zeros((*base.shape, 3))
+        curvature = T @ np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1) @ T.mT
+        by = np.zeros((len(base), 3, 3))
         by[:, 0, :2], by[:, 1, :2] = curvature[:, 1], -curvature[:, 0]
         by[:, 0, 2], by[:, 1, 2] = back, -left
         by[:, 2, :2] = np.stack([-back, left], axis=1)

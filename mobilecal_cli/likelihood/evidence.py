@@ -73,9 +73,7 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
         shifts = [0.0]
         for kind in {row.kind for row in rows}:
             of = [k for k, row in enumerate(rows) if row.kind == kind]
-            alone = (
-                value if len(of) == len(rows) else _without_prior(m[of], own[np.ix_(of, of)], tight[of])[2]
-            )
+            alone = _without_prior(m[of], own[np.ix_(of, of)], tight[of])[2]
             follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
             shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0

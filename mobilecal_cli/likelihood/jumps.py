@@ -9,17 +9,16 @@ without a change. The step is then ``-I^-1 g``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve_banded
-from scipy.special import betainc, chdtrc
+from scipy.special import betainc, chdtrc, gammaln
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
-from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
@@ -64,157 +63,130 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """Derivatives by a part's m numbers: of (delta, direct constants), (N, Q, m), or of the legs' ends, (L, 3, m)."""
+    """Derivatives by a part's m numbers: (N, Q, m) of (delta, direct constants), and (L, K, m) of the legs' ends."""
 
-    views: FloatArray | None = None
-    legs: FloatArray | None = None
+    views: FloatArray
+    legs: FloatArray
 
 
-def _parts(lin: Posterior) -> Iterator[tuple[str, _Part]]:
-    data, views = lin.data, lin.views
-    count, Q = len(views.information), views.information.shape[1]
-
-    def of_delta(columns: FloatArray) -> _Part:
-        out = np.zeros((count, Q, columns.shape[2]))
-        out[:, :6] = columns
-        return _Part(views=out)
-
-    def of_direct(columns: Sequence[int], units: FloatArray | float = 1.0) -> _Part:
-        out = np.zeros((count, Q, len(columns)))
-        out[:, [6 + k for k in columns], range(len(columns))] = units
-        return _Part(views=out)
-
+def _parts(lin: Posterior) -> dict[str, _Part]:
+    data, views, residuals = lin.data, lin.views, lin.legs.residual
     effects = [effect for _, _, effect in data.layout.direct]
-    yield "head mount", of_delta(views.by_shared[:, :, :6])
+
+    def of_images(rows: slice | Sequence[int], columns: FloatArray) -> _Part:
+        by_images = np.zeros((*views.gradient.shape, columns.shape[-1]))
+        by_images[:, rows] = columns
+        return _Part(by_images, np.zeros((*residuals.shape, columns.shape[-1])))
+
+    delta = slice(6)
+    parts = {"head mount": of_images(delta, views.by_shared[:, :, :6])}
     for j, name in enumerate(data.chain.joints):
-        yield f"joint {name}", of_delta(views.by_own[:, :, j : j + 1])
-    yield "board", of_delta(se3.adjoint(board_in_camera(data, lin.state)))
+        parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
+    parts["board"] = of_images(delta, se3.adjoint(board_in_camera(data, lin.state)))
     for camera, name in enumerate(data.cameras.names[1:], 1):
         own = [
             k
-            for k, effect in enumerate(effects)
+            for k, effect in enumerate(effects, 6)
             if isinstance(effect, CameraEffect) and effect.camera == camera and effect.of in POSE
         ]
         if own:
-            yield camera_words(name), of_direct(own)
+            parts[camera_words(name)] = of_images(own, np.eye(len(own)))
     shape = [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect)]
     if shape and data.logs > 1:
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
-        yield SHAPE, of_direct(shape, math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]])
-    for k, side in enumerate(("right", "left")):
-        yield f"{side} wheel", _Part(legs=lin.legs.by_shared[:, :, 6 + k : 7 + k])
+        units = math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]]
+        parts[SHAPE] = of_images([6 + k for k in shape], np.diag(units))
+    for k, side in enumerate(("right", "left"), 6):
+        by_wheel = lin.legs.by_shared[:, :, k : k + 1]
+        parts[f"{side} wheel"] = _Part(np.zeros((*views.gradient.shape, 1)), by_wheel)
+    return parts
 
 
-class _Test:
-    """Score tests at an optimum."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scores:
+    """Score tests of k steps of m numbers.
 
-    def __init__(self, lin: Posterior) -> None:
-        self._lin = lin
-        self._G = station_information(lin)
-        self._normal = lin.normal
-        self._C = lin.conditional_covariance
-        self._leg_shared = lin.legs.by_shared
+    Attributes:
+        information: (k, m, m) about each.
+        chi2, dof: (k,) of the tests.
+        value: (k, m) the steps.
+    """
 
-    def terms(
-        self, part: _Part, stations: IntArray, lasting: bool = True
-    ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """For a step before each of some stations: gradient (m,) by the step, and its information (m, m).
-
-        Args:
-            part: what changes.
-            stations: indices of the first stations after it.
-            lasting: to the end of the recording; else at this station alone, or in the leg that ends there.
-        """
-        lin, count = self._lin, self._lin.data.stations
-        P, B = lin.data.layout.size, lin.data.base_width
-        gradient, own, base, start, board, shared = self._by_station(part)
-        m = gradient.shape[1]
-        after = np.zeros((len(stations), count))
-        for row, first in zip(after, stations.tolist(), strict=True):
-            row[_after(lin, first) if lasting else first] = 1.0
-        gradients, owns, boards, shares = (
-            np.tensordot(after, each, 1) for each in (gradient, own, board, shared)
-        )
-        i, j = lin.data.legs.T
-        of_leg = np.zeros_like(after)
-        of_leg[:, i] = after[:, j]
-        coupled = after[:, :, None, None] * base + of_leg[:, :, None, None] * start
-        flat = np.moveaxis(coupled, 0, 2).reshape(count * B, -1)
-        solved = cho_solve_banded((self._normal.factor, True), flat, check_finite=False)
-        normal, logs = self._normal, lin.data.log[stations]
-        for k, log in enumerate(logs.tolist()):
-            at, mine = flat[:, k * m : (k + 1) * m], lin.data.log == log
-            rows = np.repeat(mine, B)
-            with_board = boards[k] + normal.base_by_board[mine].reshape(-1, 6).T @ at[rows]
-            across = shares[k] + normal.board_by_shared[log].T @ boards[k]
-            across += normal.base_by_shared[mine].reshape(-1, P).T @ at[rows]
-            information = owns[k] - at.T @ solved[:, k * m : (k + 1) * m] - across.T @ self._C @ across
-            information -= with_board.T @ normal.board_covariance[log] @ with_board
-            yield gradients[k], information
-
-    def _by_station(self, part: _Part) -> tuple[FloatArray, ...]:
-        """What each station, and the leg that ends there, says of a part.
-
-        (N, m) gradient, (N, m, m) information, that with the station's base block, (N, B, m), with that of the start of
-        the leg, at the start's row, (N, B, m), with the board (N, 6, m), and with the shared parameters (N, P, m).
-        """
-        lin, data = self._lin, self._lin.data
-        count, P, B = data.stations, data.layout.size, data.base_width
-        if part.views is not None:
-            V, views = part.views, lin.views
-            GV = self._G @ V
-            Vt = np.swapaxes(V, 1, 2)
-            base = np.swapaxes(views.by_base, 1, 2) @ GV[:, :6]
-            shared = np.swapaxes(views.onto_shared(np.swapaxes(GV, 1, 2)), 1, 2)
-            board = np.swapaxes(views.by_board, 1, 2) @ GV[:, :6]
-            return (Vt @ views.gradient[..., None])[..., 0], Vt @ GV, base, np.zeros_like(base), board, shared
-        assert part.legs is not None
-        i, j = data.legs.T
-        D, legs = part.legs, lin.legs
-        WD = lin.leg_weight @ D
-        m = D.shape[2]
-        gradient, own = np.zeros((count, m)), np.zeros((count, m, m))
-        base, start, shared = np.zeros((count, B, m)), np.zeros((count, B, m)), np.zeros((count, P, m))
-        gradient[j] = np.einsum("laq,la->lq", WD, legs.residual)
-        own[j] = np.swapaxes(D, 1, 2) @ WD
-        base[j] = np.swapaxes(legs.by_end, 1, 2) @ WD
-        start[i] = np.swapaxes(legs.by_start, 1, 2) @ WD
-        shared[j] = np.swapaxes(self._leg_shared, 1, 2) @ WD
-        return gradient, own, base, start, np.zeros((count, 6, m)), shared
+    information: FloatArray
+    chi2: FloatArray
+    dof: IntArray
+    value: FloatArray
 
 
-def _terms(
-    lin: Posterior, part: str, stations: IntArray, lasting: bool = True
-) -> list[tuple[FloatArray, FloatArray]]:
-    """`_Test.terms` of one part."""
-    return list(_Test(lin).terms(dict(_parts(lin))[part], stations, lasting)) if len(stations) else []
+def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, lasting: bool = True) -> _Scores:
+    """Score tests of a step before each of some stations.
 
+    Args:
+        lin: an optimum.
+        part: what changes.
+        stations: (k,) indices of the first stations after it.
+        lasting: to the end of the recording; else at this station alone, or in the leg that ends there.
+    """
+    data, views, legs, normal = lin.data, lin.views, lin.legs, lin.normal
+    first, numbers = np.asarray(stations, dtype=np.int64)[:, None], np.arange(data.stations)
+    after = (data.log == data.log[first]) & (numbers >= first) if lasting else numbers == first
+    driven = after[:, data.legs[:, 1]].astype(np.float64)
+    after = after.astype(np.float64)
 
-def _score(g: FloatArray, information: FloatArray) -> tuple[float, int, FloatArray]:
+    # Station by station and leg by leg: the gradient, the information, and that with all other unknowns.
+    V, GV, D, WD = part.views, lin.station_information @ part.views, part.legs, lin.leg_weight @ part.legs
+    of_images = (
+        np.einsum("nqm,nq->nm", V, views.gradient),
+        V.mT @ GV,
+        views.by_board.mT @ GV[:, :6],
+        views.onto_shared(GV.mT).mT,
+    )
+    of_legs = (
+        np.einsum("lam,la->lm", WD, legs.residual),
+        D.mT @ WD,
+        legs.by_shared.mT @ WD,
+    )
+    gradient, own, board, shared = (np.tensordot(after, each, 1) for each in of_images)
+    for total, each in zip((gradient, own, shared), of_legs, strict=True):
+        total += np.tensordot(driven, each, 1)
+    base = after[:, :, None, None] * (views.by_base.mT @ GV[:, :6])
+    for ends, by in zip(data.legs.T, (legs.by_start, legs.by_end), strict=True):
+        base[:, ends] += driven[:, :, None, None] * (by.mT @ WD)
+
+    count, m = len(base), base.shape[-1]
+    base = base.reshape(count, data.stations * data.base_width, m)
+    flat = np.moveaxis(base, 0, 1).reshape(base.shape[1], count * m)
+    solved = cho_solve_banded((normal.factor, True), flat, check_finite=False) if flat.size else flat
+    solved = np.moveaxis(solved.reshape(base.shape[1], count, m), 1, 0)
+    log = data.log[first[:, 0]]
+    shared += normal.board_by_shared[log].mT @ board
+    shared += normal.base_by_shared.reshape(base.shape[1], -1).T @ base
+    board += normal.base_by_board.reshape(base.shape[1], -1).T @ base
+    information = own - base.mT @ solved
+    for A, C in ((board, normal.board_covariance[log]), (shared, lin.conditional_covariance)):
+        information -= A.mT @ C @ A
+
     values, vectors = np.linalg.eigh(information)
     shown = values > _FAINT
-    along = vectors.T @ g
+    along = np.einsum("kmi,km->ki", vectors, gradient)
     over = np.where(shown, along / np.where(shown, values, 1.0), 0.0)
-    return float(along @ over), int(shown.sum()), -(vectors @ over)
+    value = -np.einsum("kmi,ki->km", vectors, over)
+    return _Scores(information, np.sum(along * over, axis=1), shown.sum(axis=1), value)
 
 
 def without(lin: Posterior, jump: Jump) -> Posterior:
     """The same point with the residuals that remain after a step, to first order."""
-    data, part = lin.data, dict(_parts(lin))[jump.part]
-    after = _after(lin, jump.station)
-    views, offset = lin.views, lin.leg_offset
-    if part.views is not None:
-        views = views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
-    if part.legs is not None:
-        offset = offset + np.where(after[data.legs[:, 1], None], part.legs @ jump.value, 0.0)
-    return lin.changed(known={"views": views}, leg_offset=offset)
+    part, after = _parts(lin)[jump.part], _after(lin, jump.station)
+    views = lin.views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
+    offset = np.where(after[lin.data.legs[:, 1], None], part.legs @ jump.value, 0.0)
+    return lin.changed(known={"views": views}, leg_offset=lin.leg_offset + offset)
 
 
 def again(lin: Posterior, jump: Jump) -> Jump:
     """The test of a step whose residuals have been taken out, at other noise levels, and the step there."""
-    ((gradient, information),) = _terms(lin, jump.part, np.array([jump.station]))
-    value = jump.value + _score(gradient, information)[2]
-    chi2 = float(value @ information @ value)
+    score = _scores(lin, _parts(lin)[jump.part], [jump.station])
+    value = jump.value + score.value[0]
+    chi2 = float(value @ score.information[0] @ value)
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
 
 
@@ -229,9 +201,8 @@ def scatter(lin: Posterior, jump: Jump) -> float:
     """
     stations = np.unique(lin.data.legs[lin.inliers.legs, 1])
     stations = stations[lin.inliers.views[stations]][:: max(1, len(stations) // _MOST_MOMENTS)]
-    scores = [_score(*each) for each in _terms(lin, jump.part, stations, lasting=False)]
-    dof = sum(score[1] for score in scores)
-    return max(1.0, sum(score[0] for score in scores) / dof) if dof else 1.0
+    single = _scores(lin, _parts(lin)[jump.part], stations, lasting=False)
+    return max(1.0, float(single.chi2.sum()) / max(int(single.dof.sum()), 1))
 
 
 def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump) -> float:
@@ -271,21 +242,20 @@ def cause(lin: Posterior, first: int) -> str:
         lin: a point at which the misfit is part of the measurements.
         first: index of the first station after it.
     """
+    after = _after(lin, first)
+    best, least = "", _EXPLAINED * float(lin.views.cost[after].sum())
     try:
-        test = _Test(lin)
+        for name, part in _parts(lin).items():
+            score = _scores(lin, part, [first])
+            left = (
+                lin.views.shifted(np.where(after[:, None], part.views @ score.value[0], 0.0))
+                .cost[after]
+                .sum()
+            )
+            if left < least:
+                best, least = name, float(left)
     except np.linalg.LinAlgError:
         return ""  # these stations are so far off that no derivative says anything about them
-    parts, after = dict(_parts(lin)), _after(lin, first)
-    before = float(lin.views.cost[after].sum())
-    best, least = "", _EXPLAINED * before
-    for name, part in parts.items():
-        if part.views is None:
-            continue
-        ((gradient, information),) = test.terms(part, np.array([first]))
-        chi2, dof, value = _score(gradient, information)
-        left = without(lin, Jump(name, first, chi2, dof, 1, 0.0, 0.0, value)).views.cost[after].sum()
-        if left < least:
-            best, least = name, float(left)
     return best
 
 
@@ -306,9 +276,8 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
         lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
-    ((gradient, information),) = _terms(optimum, jump.part, np.array([jump.station]))
-    score, dof, _ = _score(gradient, information)
-    chi2 = jump.chi2 / scatter(lin, jump)
+    test = _scores(optimum, _parts(optimum)[jump.part], [jump.station])
+    score, dof, chi2 = float(test.chi2[0]), int(test.dof[0]), jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
         return _significance(chi2, jump.dof, jump.tried)
     residuals = 1 / (1 / score - 1 / jump.chi2)
@@ -320,13 +289,14 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
 
 def alike(ranked: Sequence[Jump]) -> list[Jump]:
     """Other jumps that are hardly less probable than the first of `likeliest`."""
-    least = _rank(ranked[0].chi2, ranked[0].dof) - _ALIKE
-    return [jump for jump in ranked[1:] if _rank(jump.chi2, jump.dof) > least]
+    rank = _rank(np.array([jump.chi2 for jump in ranked]), np.array([jump.dof for jump in ranked]))
+    return [jump for jump, mine in zip(ranked[1:], rank[1:], strict=True) if mine > rank[0] - _ALIKE]
 
 
-def _rank(chi2: float, dof: int) -> float:
-    """Minus twice the logarithm of the chance of a chi-squared, far out in the tail."""
-    return chi2 - (dof - 2) * math.log(max(chi2, 2.0) / 2) + 2 * math.lgamma(dof / 2)
+def _rank(chi2: FloatArray, dof: IntArray) -> FloatArray:
+    """(k,) minus twice the logarithm of the chance of chi-squared values, far out in the tail; -inf for none."""
+    rank = chi2 - (dof - 2) * np.log(np.maximum(chi2, 2.0) / 2) + 2 * gammaln(np.maximum(dof, 1) / 2)
+    return np.where(dof > 0, rank, -np.inf)
 
 
 def _after(lin: Posterior, first: int) -> BoolArray:
@@ -350,21 +320,25 @@ def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         inside += mine[each_side : len(mine) - each_side + 1].tolist()
-    test, parts, ranked = _Test(lin), dict(_parts(lin)), []
+    parts, ranked = _parts(lin), []
     tried = len(parts) * len(differing + inside)
     for name, part in parts.items():
         # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
-        moments = {"board": inside, SHAPE: differing}.get(name, differing + inside)
+        moments = np.array({"board": inside, SHAPE: differing}.get(name, differing + inside), dtype=np.int64)
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
-        best = _best(test, name, part, moments[::every])
-        if every > 1 and best is not None:
-            best = _best(test, name, part, [at for at in moments if abs(at - best[1].station) < every])
-        if best is not None:
-            ranked.append(best)
-    ranked.sort(key=lambda each: -each[0])
-    return [
-        replace(jump, tried=tried, sigmas=_significance(jump.chi2, jump.dof, tried)) for _, jump in ranked
-    ]
+        tests = _scores(lin, part, moments[::every])
+        if every > 1:
+            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof))]
+            moments = moments[np.abs(moments - near) < every]
+            tests = _scores(lin, part, moments)
+        rank = _rank(tests.chi2, tests.dof)
+        if np.isfinite(rank).any():
+            k = int(np.argmax(rank))
+            chi2, dof = float(tests.chi2[k]), int(tests.dof[k])
+            sigmas = _significance(chi2, dof, tried)
+            jump = Jump(name, int(moments[k]), chi2, dof, tried, sigmas, 0.0, tests.value[k])
+            ranked.append((-float(rank[k]), jump))
+    return [jump for _, jump in sorted(ranked, key=lambda each: each[0])]
 
 
 def lasts(lin: Posterior, jump: Jump) -> bool:
@@ -377,17 +351,5 @@ def lasts(lin: Posterior, jump: Jump) -> bool:
     legs, log = lin.data.legs, lin.data.log
     beside = np.arange(jump.station - _FEWEST_EACH_SIDE, jump.station + _FEWEST_EACH_SIDE)
     beside = np.intersect1d(beside, legs[log[legs[:, 1]] == log[jump.station], 1])
-    single = _terms(lin, jump.part, beside, lasting=False)
-    return max((_score(*each)[0] for each in single), default=0.0) < jump.chi2
-
-
-def _best(test: _Test, name: str, part: _Part, moments: Sequence[int]) -> tuple[float, Jump] | None:
-    """The most probable moment of a part's jump, and its rank."""
-    ranked = []
-    for first, (gradient, information) in zip(
-        moments, test.terms(part, np.array(moments)) if moments else (), strict=True
-    ):
-        chi2, dof, value = _score(gradient, information)
-        if dof:
-            ranked.append((_rank(chi2, dof), Jump(name, first, chi2, dof, 0, 0.0, 0.0, value)))
-    return max(ranked, key=lambda each: each[0], default=None)
+    single = _scores(lin, _parts(lin)[jump.part], beside, lasting=False)
+    return float(single.chi2.max(initial=0.0)) < jump.chi2

@@ -11,10 +11,18 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import Clock, TurnSlip
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, SCALES, STAMP, SensorMotions
+from mobilecal_cli.likelihood.measurements import (
+    BASE,
+    ENCODERS,
+    SCALES,
+    STAMP,
+    SensorMotions,
+    heading_of,
+    planar_pose,
+)
 from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
-from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, rolled_m
-from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at
+from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, path_m, rolled_m
+from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at, planar
 from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
@@ -49,9 +57,9 @@ class Legs:
 
 def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
     i, j = data.legs.T
-    errors = state.encoder_errors
-    if np.any(state.stamp_errors):
-        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.stamp_errors[:, None]
+    errors = state.base[:, ENCODERS]
+    if np.any(state.base[:, STAMP:]):
+        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.base[:, STAMP:]
     steps = data.steps(clock_s(data, state, "wheels")).with_ends(-errors[i], errors[j])
     right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
     return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
@@ -60,17 +68,15 @@ def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
 def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray:
     """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
     i, j = data.legs.T
-    out: FloatArray = processes.mean_share * (state.processes[i, 3:] + state.processes[j, 3:])
-    return out
+    return processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
 
 
 def base_legs(data: Dataset, state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
     i, j = data.legs.T
-    apart = state.base[j] - state.base[i]
-    cos, sin = np.cos(state.base[i, 2]), np.sin(state.base[i, 2])
-    x, y = cos * apart[:, 0] + sin * apart[:, 1], -sin * apart[:, 0] + cos * apart[:, 1]
-    return np.stack([x, y, apart[:, 2]], axis=1)
+    apart = state.base[j, BASE] - state.base[i, BASE]
+    apart[:, :2] = planar(-state.base[i, 2], apart[:, :2])
+    return apart
 
 
 def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
@@ -89,12 +95,9 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
     by_start, by_end = np.zeros((2, count, 3, data.base_width))
     # Seen from a start that is shifted or turned, the end is shifted or turned the other way.
-    by_start[:, 0, 0] = by_start[:, 1, 1] = by_start[:, 2, 2] = 1.0
+    by_start[:, :, BASE] = np.eye(3)
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
-    cos, sin = np.cos(between[:, 2]), np.sin(between[:, 2])
-    by_end[:, 0, 0], by_end[:, 0, 1] = -cos, sin
-    by_end[:, 1, 0], by_end[:, 1, 1] = -sin, -cos
-    by_end[:, 2, 2] = -1.0
+    by_end[:, :, BASE] = -se3.rotation_z(between[:, 2])
     by_start[data.first[i], :, BASE] = 0.0
     scale = 1 + mean_scales(data, state, processes)[:, None]
     by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale
@@ -110,8 +113,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
-    residual = np.concatenate([arcs.t_m, arcs.psi_rad[:, None]], axis=1) - between
-    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    residual = _wrapped(np.column_stack([arcs.t_m, arcs.psi_rad]) - between)
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
     for column, _, clock in data.layout.of(Clock):
@@ -127,12 +129,17 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
+def _wrapped(residual: FloatArray) -> FloatArray:
+    """(L, 3) the same with headings from -pi to pi."""
+    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    return residual
+
+
 def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
     i = data.legs[:, 0]
     X, between = state.parameters.T_h_c, base_legs(data, state)
-    flat = np.concatenate([between[:, :2], np.zeros((len(i), 1))], axis=1)
-    T_b = se3.transform(se3.rotation_z(between[:, 2]), flat)
+    T_b = planar_pose(between)
     T_v_c = head_at(data, state)[i] @ X
     T = se3.inverse(T_v_c) @ T_b @ T_v_c
     # Rows of a left twist of T that move x, y and heading.
@@ -146,13 +153,8 @@ def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[Flo
     by_start[data.first[i], :, BASE] = 0.0
     by_shared = np.zeros((len(T), 3, data.layout.size))
     by_pose = rows @ (np.eye(6) - se3.adjoint(T))
-    by_shared[:, :, :3], by_shared[:, :, 3:6] = (
-        by_pose[:, :, :3] @ X[:3, :3].T,
-        by_pose[:, :, 3:] @ X[:3, :3].T,
-    )
-    heading = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-    residual = motions.motion - np.concatenate([T[:, :2, 3], heading[:, None]], axis=1)
-    residual[:, 2] = np.remainder(residual[:, 2] + np.pi, 2 * np.pi) - np.pi
+    by_shared[:, :, :6] = by_pose @ np.kron(np.eye(2), X[:3, :3].T)
+    residual = _wrapped(motions.motion - np.column_stack([T[:, :2, 3], heading_of(T)]))
     return residual, by_start, by_end, by_shared
 
 
@@ -195,14 +197,11 @@ def leg_covariances(
     variance = bridge_variance if ends_known else mean_variance
     share = noise.wheel_share * np.sqrt(variance(rolled_m(steps, wheels) / noise.wheel_length_m))
     by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * share[:, None]
-    path_m = steps.total(
-        np.abs(wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad) / 2
-    )
     slip = np.zeros_like(root)
-    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m
+    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
     slip[:, 2, 2] = STANDSTILL_RAD**2
     return {
         "wheel_rad_per_sqrt_rad": root,
-        "wheel_share": by_radii @ np.swapaxes(by_radii, 1, 2),
+        "wheel_share": by_radii @ by_radii.mT,
         SUPPOSED: slip,
     }

@@ -13,7 +13,7 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
-from mobilecal_cli.likelihood.noise import LEAST_READING, Inliers, joint_sigmas
+from mobilecal_cli.likelihood.noise import Inliers, joint_sigmas
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.state import State, Step, board_in_camera
@@ -48,7 +48,7 @@ class Linearization:
         priors: what is known of the shared parameters.
         leg_covariances: noise level → its share of the covariance of the legs' residuals, (L, K, K), m and rad,
             for known scale errors of the wheels at the stations.
-        processes: prior of the floor and of the wheels' scale errors along the way.
+        processes: prior of the base blocks' errors along the way.
         rates: (N, 6) see `view_rates`.
         leg_offset: (L, K) to be added to the legs' residuals, or 0.
     """
@@ -179,24 +179,11 @@ class Linearization:
         sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
         return np.concatenate([joint_sigmas(data, self.inliers, noise), sway], axis=1)
 
-    @property
-    def own_errors(self) -> FloatArray:
-        """(N, J + 3) joint errors and sway, see `own_sigmas`."""
-        return np.concatenate([self.state.joint_errors, self.state.sway], axis=1)
-
-    @cached_property
-    def encoder_sigmas(self) -> FloatArray:
-        """(N, 2) sigma of the right and left wheel's encoder reading, rad."""
-        readings = np.maximum(self.noise.encoder_rad * self.data.encoder_shares, LEAST_READING)
-        return np.hypot(readings, self.data.wheels_between)
-
     @cached_property
     def cost(self) -> float:
         """Sum of squares of all whitened residuals and of the priors."""
         e, state = self.legs.residual, self.state
         cost = float(self.views.cost.sum()) + float(np.einsum("la,lab,lb->", e, self.leg_weight, e))
-        cost += float(np.sum((self.own_errors / self.own_sigmas) ** 2))
-        cost += float(np.sum(self.processes.innovations(state.processes) ** 2 / self.processes.variance))
-        cost += float(np.sum((state.stamp_errors / self.noise.stamp_s) ** 2))
-        cost += float(np.sum((state.encoder_errors / self.encoder_sigmas) ** 2))
+        cost += float(np.sum((state.own / self.own_sigmas) ** 2))
+        cost += float(np.sum(self.processes.whitened(state.base) ** 2))
         return cost + self.priors.cost(state)

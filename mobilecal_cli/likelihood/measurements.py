@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, cut_at, head_pose, join
-from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, IntArray, Track, WheelTrack
+from mobilecal_cli.model import (
+    BoolArray,
+    Camera,
+    CameraRig,
+    FloatArray,
+    HeadChain,
+    IntArray,
+    Track,
+    WheelTrack,
+)
 
+LEAST_DEPTH_M = 0.01  # of a point that a camera may show
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 
-#: Columns of a station's base block: base pose (x, y, heading), encoder errors (right, left), processes (roll, pitch
-#: and height of the floor, scale of the right and left wheel), and the stamp's error.
-BASE, ENCODERS, PROCESSES, STAMP = slice(0, 3), slice(3, 5), slice(5, 10), 10
-FLOOR, SCALES = slice(5, 8), slice(8, 10)
+#: Columns of a station's base block: base pose (x, y, heading), and errors: encoders (right, left), roll, pitch and
+#: height of the floor, scale of the right and left wheel, and the stamp.
+BASE, ERRORS = slice(0, 3), slice(3, None)
+ENCODERS, FLOOR, SCALES, STAMP = slice(3, 5), slice(5, 8), slice(8, 10), 10
+#: Columns of a station's own errors: joint readings, and the base's sway (roll, pitch, height).
+JOINTS, SWAY = slice(None, -3), slice(-3, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +68,17 @@ class MotionPairs:
         return replace(self, legs=self.legs[legs], chain=np.arange(len(legs)), steps=self.steps.select(legs))
 
 
+def planar_pose(pose: FloatArray) -> FloatArray:
+    """(n, 3) x, y (m) and heading (rad) of a frame in a plane, or (3,) → (n, 4, 4) or (4, 4)."""
+    flat = np.concatenate([pose[..., :2], np.zeros_like(pose[..., :1])], axis=-1)
+    return se3.transform(se3.rotation_z(pose[..., 2]), flat)
+
+
+def heading_of(T: FloatArray) -> FloatArray:
+    """Rotation about z of poses (n, 4, 4), rad."""
+    return np.asarray(np.arctan2(T[..., 1, 0], T[..., 0, 0]))
+
+
 def legs_between(log: IntArray) -> IntArray:
     """(L, 2) each two consecutive stations of one recording, of stations in recordings (N,), sorted."""
     first = np.flatnonzero(log[:-1] == log[1:])
@@ -71,6 +95,25 @@ def steps_between(
         if len(times) > 1:
             parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=rates))
     return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
+
+
+def in_each_camera(
+    rig: CameraRig, points_c: FloatArray, shown: BoolArray
+) -> Iterator[tuple[Camera, FloatArray, FloatArray]]:
+    """Each camera, its rotation R_camera_c (3, 3), and points of the first camera's frame in its own, m.
+
+    Points that are neither shown nor in front of a camera are 1 m ahead: they count for nothing, and stay finite.
+
+    Args:
+        rig: C cameras.
+        points_c: (..., 3).
+        shown: (C, ...) points that a camera shows.
+    """
+    for k, (camera, T_c_camera) in enumerate(zip(rig.each, rig.T_c_each, strict=True)):
+        T_camera_c = se3.inverse(T_c_camera)
+        points = se3.act(T_camera_c, points_c) if k else points_c
+        elsewhere = ~shown[k] & (points[..., 2] < LEAST_DEPTH_M)
+        yield camera, T_camera_c[:3, :3], np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,12 +204,12 @@ class Measurements:
 
     @property
     def base_width(self) -> int:
-        """Unknowns of a station that legs couple, see `BASE`, `ENCODERS`, `PROCESSES`, and in motion `STAMP`."""
+        """Unknowns of a station that legs couple, see `BASE` and `ERRORS`; the stamp's only in motion."""
         return STAMP + 1 if self.moving.any() and self.joint_tracks else STAMP
 
     @property
     def own_width(self) -> int:
-        """Unknowns of a station that nothing couples to others: its joint errors, and the base's sway (3)."""
+        """Unknowns of a station that nothing couples to others, see `JOINTS` and `SWAY`."""
         return int(self.joints.shape[1]) + 3
 
     @property
@@ -203,37 +246,35 @@ class Measurements:
         offset_ns = np.rint(1e9 * np.asarray(time_offset_s)).astype(np.int64)
         return np.asarray(self.times_ns + self.moving * offset_ns)
 
+    def _each_joint(self) -> Iterator[tuple[BoolArray, int, Track, int]]:
+        """Stations of each recording, (N,), and the column, track and width of each joint there."""
+        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
+            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
+                yield self.log == number, j, track, width_ns
+
     def joint_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
-        shift = np.zeros_like(self.joints)
-        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
-            mine = self.log == number
-            before, after = self.times_ns[mine], self.stamps_ns(time_offset_s)[mine]
-            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
-                shift[mine, j] = track.mean(after, width_ns) - track.mean(before, width_ns)
+        shift, after = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
+        for mine, j, track, width_ns in self._each_joint():
+            shift[mine, j] = track.mean(after[mine], width_ns) - track.mean(self.times_ns[mine], width_ns)
         return shift
 
     def joint_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
-        rates = np.zeros_like(self.joints)
-        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
-            mine = np.flatnonzero((self.log == number) & self.moving)
-            at = self.stamps_ns(time_offset_s)[mine]
-            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
-                half = width_ns // 2
-                rates[mine, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
+        rates, stamps_ns = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
+        for mine, j, track, width_ns in self._each_joint():
+            at, half = stamps_ns[mine & self.moving], width_ns // 2
+            rates[mine & self.moving, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
         return rates
 
     def wheel_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
         rates = np.zeros((self.stations, 2))
+        late, early = (self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2) for side in (1, -1))
         for number, track in enumerate(self.tracks):
             mine = self.log == number
-            late, early = (
-                self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2)[mine] for side in (1, -1)
-            )
             for k, wheel in enumerate((track.right, track.left)):
-                rates[mine, k] = (wheel.at(late) - wheel.at(early)) / _RATE_INTERVAL_S
+                rates[mine, k] = (wheel.at(late[mine]) - wheel.at(early[mine])) / _RATE_INTERVAL_S
         return rates
 
     # -- legs -------------------------------------------------------------------------------------
@@ -257,6 +298,7 @@ class Measurements:
 
 
 BY_STATION = (
+    "log",
     "pixels",
     "seen",
     "whitening",

@@ -11,7 +11,6 @@ from mobilecal_cli.model import BoolArray, FloatArray, Noise
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 STANDSTILL_M, STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
-LEAST_READING = 1e-6  # rad: of an encoder without steps
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on

@@ -1,7 +1,7 @@
 """The normal equations with stations and boards eliminated: the cost is linear in the number of stations.
 
-Joint errors and sway belong to one station each and go first, station by station. Base poses, encoder errors, floor,
-wheel scales and stamp errors form a chain along the legs: a banded matrix. Then the board of each recording goes,
+Joint errors and sway belong to one station each and go first, station by station. Base poses and the errors of the base
+blocks form a chain along the legs: a banded matrix. Then the board of each recording goes,
 recording by recording. A small dense system for the shared parameters is left, however many recordings there are.
 """
 
@@ -15,7 +15,7 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from mobilecal_cli.likelihood.chain import banded, chain_covariance
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
-from mobilecal_cli.likelihood.measurements import BASE, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
@@ -36,6 +36,9 @@ class NormalEquations:
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
         chain: (N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one.
         factor: its Cholesky factor, as `scipy.linalg.cho_solve_banded` takes the lower one.
+        E_inverse: (N, E, E) covariance of the stations' own errors for a known rest.
+        E_base, E_board, E_shared: (N, E, B), (N, E, 6) and (N, E, P) their information with base, board, and shared
+            parameters; in the last one the board follows.
     """
 
     S: FloatArray
@@ -48,10 +51,10 @@ class NormalEquations:
     board_covariance: FloatArray
     chain: tuple[FloatArray, FloatArray]
     factor: FloatArray
-    _E_inverse: FloatArray
-    _E_base: FloatArray
-    _E_board: FloatArray
-    _E_shared: FloatArray
+    E_inverse: FloatArray
+    E_base: FloatArray
+    E_board: FloatArray
+    E_shared: FloatArray
     _base: FloatArray
     _board: FloatArray
     _e: FloatArray
@@ -60,8 +63,8 @@ class NormalEquations:
         """The step of all unknowns that goes with a step (P,) of the shared parameters."""
         boards = self._board + self.board_by_shared @ shared
         base = self._base + self.base_by_shared @ shared
-        coupled = self._e + np.einsum("njb,nb->nj", self._E_base, base) + self._E_shared @ shared
-        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self._E_inverse, coupled))
+        coupled = self._e + np.einsum("njb,nb->nj", self.E_base, base) + self.E_shared @ shared
+        return Step(shared, boards, base, -np.einsum("njk,nk->nj", self.E_inverse, coupled))
 
     def after(self, shared: FloatArray) -> NormalEquations:
         """The same after the step of all unknowns that goes with a step (P,) of the shared parameters."""
@@ -88,17 +91,14 @@ class NormalEquations:
         Returns:
             (n, P, m).
         """
-        out: FloatArray = np.zeros(()) if shared is None else shared
-        left = np.zeros(()) if base is None else base
+        out, left = (np.zeros(()) if part is None else part for part in (shared, base))
         if own is not None:
-            solved = self._E_inverse[station] @ own
-            left = left - np.swapaxes(self._E_base[station], 1, 2) @ solved
-            out = out - np.swapaxes(self._E_shared[station], 1, 2) @ solved
-        if left.ndim:
-            out = out + np.swapaxes(self.base_by_shared[station], 1, 2) @ left
+            solved = self.E_inverse[station] @ own
+            left = left - self.E_base[station].mT @ solved
+            out = out - self.E_shared[station].mT @ solved
         if board is not None:
-            out = out + np.swapaxes(self.board_by_shared[self.log[station]], 1, 2) @ board
-        return out
+            out = out + self.board_by_shared[self.log[station]].mT @ board
+        return out + self.base_by_shared[station].mT @ left if left.ndim else out
 
     def base_covariance(self) -> tuple[FloatArray, FloatArray]:
         """Covariance of the stations' base block for known boards and shared parameters.
@@ -107,14 +107,6 @@ class NormalEquations:
             (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is empty).
         """
         return chain_covariance(*self.chain)
-
-    def own_conditional(self) -> tuple[FloatArray, ...]:
-        """A station's own errors for a known rest: covariance (N, E, E), slopes by base, board, and shared.
-
-        The slopes are (N, E, B), (N, E, 6) and (N, E, P); in the last one the board follows.
-        """
-        slopes = (-self._E_inverse @ part for part in (self._E_base, self._E_board, self._E_shared))
-        return self._E_inverse, *slopes
 
 
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
@@ -130,41 +122,42 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     data, views, legs, weight = lin.data, lin.views, lin.legs, lin.leg_weight
     count, P, B = data.stations, data.layout.size, data.base_width
 
-    own = _eliminated_own(lin, damping)
-    G, across = own.information, own.across
+    # Own errors: their covariance for a known rest, their gradient, and their information with all else.
+    J, root = views.by_own, lin.own_sigmas / np.sqrt(1 + damping)
+    across = J.mT @ views.information[:, :6]
+    M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
+    E_inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
+    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.state.own / lin.own_sigmas**2
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across)
+
+    both, A, of_direct = _without_own(lin, damping)
+    G, gradient = both[:, :, :-1], both[:, :, -1]
+    taken = summed(A @ views.information[:, :6, 6:], both[:, :, 6:])
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
-    Bt, Kt = np.swapaxes(views.by_base, 1, 2), np.swapaxes(views.by_board, 1, 2)
+    Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
-    b = np.einsum("nqb,nq->nb", views.by_base, own.gradient)
-    H, h = _summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, own.gradient)
-    H[views.direct] += _summed(G[:, :, 6:], views.by_shared)
-    H[np.ix_(views.direct, views.direct)] += own.direct_information
-    h[views.direct] += own.direct_gradient
+    b = np.einsum("nqb,nq->nb", views.by_base, gradient)
+    H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient)
+    H[views.direct] += summed(G[:, :, 6:], views.by_shared)
+    H[np.ix_(views.direct, views.direct)] += views.information[:, 6:, 6:].sum(axis=0) - taken[:, :-1]
+    h[views.direct] += of_direct.sum(axis=0) - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
-    hK = _by_log(data, Kt @ own.gradient[..., None])
+    hK = _by_log(data, Kt @ gradient[..., None])
     HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
     off = np.zeros((count, B, B))
-    i, j = data.legs.T
-    shared = legs.by_shared
-    Wi, Wj = weight @ legs.by_start, weight @ legs.by_end
+    shared, We = legs.by_shared, weight @ legs.residual[..., None]
     Ws = weight @ shared
-    We = np.einsum("lab,lb->la", weight, legs.residual)
-    it, jt = np.swapaxes(legs.by_start, 1, 2), np.swapaxes(legs.by_end, 1, 2)
-    D[i] += it @ Wi  # a station starts one leg and ends one at most
-    D[j] += jt @ Wj
-    off[i] += it @ Wj
-    C[i] += it @ Ws
-    C[j] += jt @ Ws
-    b[i] += np.einsum("lab,la->lb", legs.by_start, We)
-    b[j] += np.einsum("lab,la->lb", legs.by_end, We)
-    H += _summed(shared, Ws)
-    h += np.einsum("lap,la->p", shared, We)
-    _process_terms(lin, D, off, b)
-    _weak_terms(lin, D, b)
+    for ends, by in zip(data.legs.T, (legs.by_start, legs.by_end), strict=True):
+        D[ends] += by.mT @ (weight @ by)  # a station starts one leg and ends one at most
+        C[ends] += by.mT @ Ws
+        b[ends] += (by.mT @ We)[..., 0]
+    off[data.legs[:, 0]] += legs.by_start.mT @ (weight @ legs.by_end)
+    H += summed(shared, Ws)
+    h += summed(shared, We)[:, 0]
+    _prior_terms(lin, D, off, b)
 
     for matrix in (D, HK, H):
         diagonal = np.arange(matrix.shape[-1])
@@ -175,14 +168,14 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     right = np.concatenate([C, CK, b[..., None]], axis=2).reshape(count * B, -1)
     solved = cho_solve_banded((factor, True), right, check_finite=False).reshape(count, B, -1)
     Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
-    CKt = np.swapaxes(CK, 1, 2)
+    CKt = CK.mT
     V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
     SKS, sK = HKS - _by_log(data, CKt @ Y), hK - _by_log(data, CKt @ y)
     Z, z = V @ SKS, V @ sK
-    gain = float(np.einsum("nj,njk,nk->", own.e, own.inverse, own.e)) + float(np.sum(b * y[..., 0]))
+    gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(
-        S=_none_negative(H - _summed(C, Y) - _summed(SKS, Z), np.diag(H)),
-        s=h - _summed(C, y)[:, 0] - _summed(SKS, z)[:, 0],
+        S=_none_negative(H - summed(C, Y) - summed(SKS, Z), np.diag(H)),
+        s=h - summed(C, y)[:, 0] - summed(SKS, z)[:, 0],
         gain=gain + float(np.sum(sK * z)),
         log=data.log,
         base_by_shared=YK @ Z[data.log] - Y,
@@ -191,13 +184,13 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         board_covariance=V,
         chain=(D, off),
         factor=factor,
-        _E_inverse=own.inverse,
-        _E_base=E_base,
-        _E_board=E_board,
-        _E_shared=E_shared - E_board @ Z[data.log],
+        E_inverse=E_inverse,
+        E_base=E_base,
+        E_board=E_board,
+        E_shared=E_shared - E_board @ Z[data.log],
         _base=(YK @ z[data.log] - y)[..., 0],
         _board=-z[..., 0],
-        _e=own.e - (E_board @ z[data.log])[..., 0],
+        _e=e - (E_board @ z[data.log])[..., 0],
     )
 
 
@@ -238,59 +231,32 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Own:
-    """Joint errors and sway, eliminated station by station.
-
-    Attributes:
-        information: (N, 6, Q) of delta with (delta, direct constants), without them.
-        gradient: (N, 6) of delta, the same way.
-        direct_information, direct_gradient: (D, D) and (D,) of the direct constants, summed over the stations.
-        inverse: (N, E, E) their covariance for a known rest.
-        e: (N, E) their gradient.
-        across: (N, E, Q) their information with (delta, direct constants).
-    """
-
-    information: FloatArray
-    gradient: FloatArray
-    direct_information: FloatArray
-    direct_gradient: FloatArray
-    inverse: FloatArray
-    e: FloatArray
-    across: FloatArray
-
-
-def _eliminated_own(lin: Linearization, damping: float) -> _Own:
+def _without_own(
+    lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate each station's own errors without cancellation.
 
     They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
     delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
     matrices that agree to all digits where the corners are much better than the joints.
+
+    Args:
+        lin: where.
+        damping: see `eliminated`.
+        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+
+    Returns:
+        (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (N, D)
+        gradient of the direct constants with own errors at their means.
     """
-    views, sigma = lin.views, lin.own_sigmas
-    J, G = views.by_own, views.information
-    P = sigma**2 / (1 + damping)
-    A = (J * P[:, None, :]) @ np.swapaxes(J, 1, 2)
-    shrink = np.asarray(np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A), dtype=np.float64)
-    information, forth = shrink @ G[:, :6], A @ G[:, :6, 6:]
+    views, J = lin.views, lin.views.by_own
+    G, P = views.information, lin.own_sigmas**2 / (1 + damping)
+    A = (J * P[:, None]) @ J.mT + beside
     # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
-    back = lin.own_errors / (1 + damping)
-    wanted = views.gradient - (G[:, :, :6] @ (J @ back[..., None]))[..., 0]
-    gradient = (shrink @ wanted[:, :6, None])[..., 0]
-    root = np.sqrt(P)
-    across = np.swapaxes(J, 1, 2) @ G[:, :6]
-    M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
-    inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
-    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.own_errors / sigma**2
-    return _Own(
-        information,
-        gradient,
-        G[:, 6:, 6:].sum(axis=0) - _summed(forth, information[:, :, 6:]),
-        wanted[:, 6:].sum(axis=0) - _summed(forth, gradient[..., None])[:, 0],
-        inverse,
-        e,
-        across,
-    )
+    back = J @ (lin.state.own / (1 + damping))[..., None]
+    wanted = views.gradient - (G[:, :, :6] @ back)[..., 0]
+    both = np.concatenate([G[:, :6], wanted[:, :6, None]], axis=2)
+    return np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A) @ both, A, wanted[:, 6:]
 
 
 def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
@@ -300,48 +266,32 @@ def station_information(lin: Linearization, beside: FloatArray | float = 0.0) ->
         lin: where.
         beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
     """
-    J, G = lin.views.by_own, lin.views.information.copy()
-    A = (J * lin.own_sigmas[:, None, :] ** 2) @ np.swapaxes(J, 1, 2) + beside
-    of_delta = np.linalg.solve(np.eye(6) + G[:, :6, :6] @ A, G[:, :6])  # see `_eliminated_own`
-    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ of_delta[:, :, 6:]
-    G[:, :6] = of_delta
-    G[:, 6:, :6] = np.swapaxes(of_delta[:, :, 6:], 1, 2)
+    G, (both, A, _) = lin.views.information.copy(), _without_own(lin, beside=beside)
+    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ both[:, :, 6:-1]
+    G[:, :6] = both[:, :, :-1]
+    G[:, 6:, :6] = G[:, :6, 6:].mT
     return G
 
 
-def _summed(A: FloatArray, B: FloatArray) -> FloatArray:
+def summed(A: FloatArray, B: FloatArray) -> FloatArray:
     """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
     rows = A.shape[0] * A.shape[1]
-    product: FloatArray = A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
-    return product
+    return A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
 
 
-def _process_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:
-    """Add the processes' innovations, see `processes`."""
-    processes, at = lin.processes, np.arange(PROCESSES.start, PROCESSES.stop)
-    i, j = lin.data.legs.T
-    weight = 1 / processes.variance
-    pull, rho = weight * processes.innovations(lin.state.processes), processes.rho[j]
+def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:
+    """Add the errors' innovations, see `processes`, the gauge, and bases that no measurement holds."""
+    data, inliers, processes, first = lin.data, lin.inliers, lin.processes, lin.data.first
+    at, gauge = np.arange(data.base_width)[ERRORS], np.arange(data.base_width)[BASE]
+    i, j = data.legs.T
+    weight, rho = 1 / processes.variance, processes.rho[j]
+    pull = weight * processes.innovations(lin.state.base[:, ERRORS])
     D[:, at, at] += weight
     D[i[:, None], at, at] += rho**2 * weight[j]
     off[i[:, None], at, at] -= rho * weight[j]
-    b[:, PROCESSES] += pull
-    b[i, PROCESSES] -= rho * pull[j]
-
-
-def _weak_terms(lin: Linearization, D: FloatArray, b: FloatArray) -> None:
-    """Keep the base blocks regular: the gauge, encoder errors, and bases that no measurement holds."""
-    data, inliers = lin.data, lin.inliers
-    first = data.first
-    gauge = np.arange(BASE.start, BASE.stop)
+    b[:, ERRORS] += pull
+    b[i, ERRORS] -= rho * pull[j]
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
-    if data.base_width > STAMP:
-        D[:, STAMP, STAMP] += lin.noise.stamp_s**-2
-        b[:, STAMP] += lin.state.stamp_errors * lin.noise.stamp_s**-2
-    encoders = np.arange(ENCODERS.start, ENCODERS.stop)
-    information = lin.encoder_sigmas**-2
-    D[:, encoders, encoders] += information
-    b[:, ENCODERS] += lin.state.encoder_errors * information

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -27,10 +27,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import LENS_TERMS, lens_terms
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
+from mobilecal_cli.likelihood.measurements import BY_STATION
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Constant, kind
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.likelihood.views import corner_residuals, whitened
-from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry, camera_words
+from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry, camera_words
 
 _CORNERS, _LENS = "board_corners", "lens_waves"
 #: Of the variance of the direction that suffers most: a sigma by 2.5 %.
@@ -95,47 +96,39 @@ def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray) -> FloatArray:
     return modes
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Images:
     """What the images of n stations say of the constants c and of their board poses (delta), for known errors e.
 
     Attributes:
-        data: all stations.
-        every: (n,) these stations.
+        data: these stations.
         each: stations that one of these stands for.
         J: (n, 6 + c, C, M, 2) derivatives of the corners by (delta, constants), in units of their noise.
-        G: (n, 6 + c, 6 + c) information about (delta, constants).
         known: (c,) information of the priors about the constants.
     """
 
     data: Dataset
-    every: IntArray
     each: float
     J: FloatArray
-    G: FloatArray
     known: FloatArray
 
     @classmethod
     def of(cls, data: Dataset, rows: Sequence[Constant]) -> _Images:
         """Those of cameras and board as stated; rows: of all constants."""
         in_images = [row for row in rows if isinstance(row.effect, ImageEffect)]
-        every = np.arange(0, data.stations, max(1, data.stations // _MOST_STATIONS))
-        plain = data.with_constants(in_images)
+        every = slice(None, None, max(1, data.stations // _MOST_STATIONS))
+        some = replace(data, **{name: getattr(data, name)[every] for name in BY_STATION})
+        plain, each = some.with_constants(in_images), data.stations / some.stations
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
-        state = State.without_errors(plain, *anywhere, np.zeros((data.stations, 3)))
+        state = State.without_errors(plain, *anywhere, np.zeros((some.stations, 3)))
+        J = _in_units_of_noise(some, each, corner_residuals(plain, state, some.T_c_k)[1])
         wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
-        known = (np.array(wider) * [row.sigma for row in in_images]) ** -2
-        images = cls(data, every, data.stations / len(every), np.zeros(0), np.zeros(0), known)
-        J = images._in_units_of_noise(corner_residuals(plain, state, data.T_c_k[every], every)[1])
-        return replace(images, J=J, G=np.einsum("nacmx,nbcmx->nab", J, J, optimize=True))
+        return cls(some, each, J, (np.array(wider) * [row.sigma for row in in_images]) ** -2)
 
-    def _in_units_of_noise(self, J: FloatArray, camera: slice = slice(None)) -> FloatArray:
-        """Derivatives of detected corners in some cameras, (n, k, C, M, 2) px, in units of a usual noise."""
-        seen, W = self.data.seen[self.every][:, camera], self.data.whitening[self.every][:, camera]
-        scaled: FloatArray = (
-            np.where(seen[:, None, ..., None], whitened(W, J), 0.0) * np.sqrt(self.each) / _PIXEL_PX
-        )
-        return scaled
+    @cached_property
+    def G(self) -> FloatArray:
+        """(n, 6 + c, 6 + c) information about (delta, constants)."""
+        return np.asarray(np.einsum("nacmx,nbcmx->nab", self.J, self.J, optimize=True))
 
     def by_places(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information (n, 6 + c, 3 M) shared with the places of the board's corners, and (3 M, 3 M) about these.
@@ -144,7 +137,7 @@ class _Images:
             sigmas: (3 M,) of the places, in sigmas of the kind.
         """
         scale = kind(_CORNERS).sigma * sigmas
-        by_corner = np.einsum("npcmx,npq->nqcmx", self.J[:, 3:6], self.data.T_c_k[self.every][:, :3, :3])
+        by_corner = np.einsum("npcmx,npq->nqcmx", self.J[:, 3:6], self.data.T_c_k[:, :3, :3])
         shared = np.einsum("nacmx,nqcmx->namq", self.J, by_corner).reshape(*self.J.shape[:2], -1) * scale
         of_corners = np.einsum("nqcmx,nrcmx->mqr", by_corner, by_corner)
         return shared, block_diag(*of_corners) * np.outer(scale, scale)
@@ -152,10 +145,9 @@ class _Images:
     def by_lens(self, camera: int) -> tuple[FloatArray, FloatArray]:
         """The same of the E waves over the images of a camera: (n, 6 + c, E) and (E, E)."""
         stated, at = self.data.cameras.each[camera], slice(camera, camera + 1)
-        pixels = self.data.pixels[self.every, camera]
-        terms, _ = lens_terms(stated, stated.K[:2, 2], pixels, np.zeros(LENS_TERMS))
+        terms, _ = lens_terms(stated, stated.K[:2, 2], self.data.pixels[:, camera], np.zeros(LENS_TERMS))
         waves = kind(_LENS).sigma * _WAVE * np.moveaxis(terms[4:], 0, 1)
-        F = self._in_units_of_noise(waves[:, :, None], at)[:, :, 0]
+        F = _in_units_of_noise(self.data, self.each, waves[:, :, None], at)[:, :, 0]
         return np.einsum("namx,nkmx->nak", self.J[:, :, camera], F), np.einsum("nkmx,nlmx->kl", F, F)
 
     def informations(
@@ -166,9 +158,9 @@ class _Images:
         Args:
             shared, among: from `by_places` or `by_lens`.
         """
-        T, G = self.data.T_c_k[self.every], self.G
+        T, G = self.data.T_c_k, self.G
         # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
-        _, recording = np.unique(self.data.log[self.every], return_inverse=True)
+        _, recording = np.unique(self.data.log, return_inverse=True)
         of_board = np.einsum("nl,nab->nalb", np.eye(recording.max() + 1)[recording], se3.adjoint(T))
         moved = np.concatenate(
             [np.broadcast_to(np.eye(6), (len(T), 6, 6)), of_board.reshape(len(T), 6, -1)], axis=2
@@ -185,7 +177,7 @@ class _Images:
         H[constants, constants] = G[:, 6:, 6:].sum(axis=0) + np.diag(self.known)
         H[constants, errors] = shared[:, 6:].sum(axis=0)
         H[errors, constants] = H[constants, errors].T
-        H[poses, poses] = np.sum(np.swapaxes(moved, 1, 2) @ tie @ moved, axis=0)
+        H[poses, poses] = np.sum(moved.mT @ tie @ moved, axis=0)
         H[poses, poses] += np.diag(np.tile(_ANYWHERE**-2, moved.shape[2] // 6))
         H[errors, errors] = np.eye(len(among)) + among
         of_pose = np.linalg.inv(G[:, :6, :6] + tie)
@@ -193,3 +185,9 @@ class _Images:
         H -= H[:, board] @ np.linalg.solve(H[board, board], H[board])
         c = np.r_[constants, camera]
         return H[np.ix_(c, c)], H[c, errors], H[errors, errors]
+
+
+def _in_units_of_noise(data: Dataset, each: float, J: FloatArray, cameras: slice = slice(None)) -> FloatArray:
+    """Derivatives of detected corners in some cameras, (n, k, C, M, 2) px, in units of a usual noise."""
+    seen, W = data.seen[:, cameras], data.whitening[:, cameras]
+    return np.asarray(np.where(seen[:, None, ..., None], whitened(W, J), 0.0) * np.sqrt(each) / _PIXEL_PX)

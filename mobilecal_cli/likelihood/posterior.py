@@ -12,9 +12,8 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
-from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
-from mobilecal_cli.likelihood.normal import NormalEquations, eliminated
-from mobilecal_cli.likelihood.processes import COUNT
+from mobilecal_cli.likelihood.measurements import ERRORS
+from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_information
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
@@ -40,6 +39,11 @@ class Posterior(Linearization):
         return self.eliminated()
 
     @cached_property
+    def station_information(self) -> FloatArray:
+        """(N, Q, Q) information of the images about (delta, direct constants), the stations' own errors eliminated."""
+        return station_information(self)
+
+    @cached_property
     def information(self) -> FloatArray:
         """(P, P) information of the shared parameters, priors included."""
         return np.asarray(self.normal.S + np.diag(self.priors.weight))
@@ -54,8 +58,7 @@ class Posterior(Linearization):
                 raise np.linalg.LinAlgError("not positive definite")
             scale = 1 / np.sqrt(np.diag(reduced))
             inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
-        C: FloatArray = basis @ inverse @ basis.T
-        return C
+        return basis @ inverse @ basis.T
 
     @cached_property
     def considered(self) -> FloatArray:
@@ -94,10 +97,8 @@ class Marginals:
         direct: (D, D) of the direct constants.
         own: (N, J + 3, J + 3) of the joint errors and of the sway.
         legs: (L, 3, 3) of the legs' residuals.
-        encoders: (N, 2) variances of the encoder errors.
-        stamps: (N,) variances of the stamp errors; 0 where the robot never moves.
-        processes: (N, 5, 5) of the processes.
-        before: (N, 5, 5) of the processes at the station before (rows) with those here; 0 for a first station.
+        errors: (N, K, K) of the base blocks' errors.
+        before: (N, K, K) of these at the station before (rows) with those here; 0 for a first station.
     """
 
     views: FloatArray
@@ -105,18 +106,14 @@ class Marginals:
     direct: FloatArray
     own: FloatArray
     legs: FloatArray
-    encoders: FloatArray
-    stamps: FloatArray
-    processes: FloatArray
+    errors: FloatArray
     before: FloatArray
 
     def innovations(self, rho: FloatArray) -> FloatArray:
-        """(N, 5, 5) of the processes' innovations f_j - rho f_i; rho: (N, 5)."""
-        previous = np.zeros_like(self.processes)
-        previous[1:] = self.processes[:-1]
+        """(N, K, K) of the errors' innovations f_j - rho f_i; rho: (N, K)."""
         mixed = rho[:, :, None] * self.before
-        out: FloatArray = self.processes - mixed - np.swapaxes(mixed, 1, 2)
-        return out + rho[:, :, None] * previous * rho[:, None, :]
+        out: FloatArray = self.errors - mixed - mixed.mT
+        return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
 
     def leverage(self, information: FloatArray) -> FloatArray:
         """(N,) how much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
@@ -128,8 +125,8 @@ class Marginals:
     def of_gradient(self, information: FloatArray) -> FloatArray:
         """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
         G, across = information[:, :6, :6], information[:, :6, 6:]
-        mixed = G @ self.mixed @ np.swapaxes(across, 1, 2)
-        out: FloatArray = _sandwich(G, self.views) + mixed + np.swapaxes(mixed, 1, 2)
+        mixed = G @ self.mixed @ across.mT
+        out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
         return out + _sandwich(across, self.direct)
 
     def images(self) -> FloatArray:
@@ -137,7 +134,7 @@ class Marginals:
         count, _, direct = self.mixed.shape
         out = np.empty((count, 6 + direct, 6 + direct))
         out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
-        out[:, 6:, :6] = np.swapaxes(self.mixed, 1, 2)
+        out[:, 6:, :6] = self.mixed.mT
         return out
 
 
@@ -147,12 +144,20 @@ def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     size = np.sqrt(np.maximum(values, 0.0))
     positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
     inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    return vectors * size[:, None, :], np.swapaxes(vectors * inverse[:, None, :], 1, 2)
+    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
+
+
+def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:
+    """(n, m) residuals times the inverse roots of their redundancies (n, m, m), 0 along what is not above `least`."""
+    values, vectors = np.linalg.eigh(left)
+    usable = values > least
+    root = np.where(usable, 1 / np.sqrt(np.where(usable, values, 1.0)), 0.0)
+    along = root * np.einsum("nkm,nk->nm", vectors, residual)
+    return np.asarray((vectors @ along[..., None])[..., 0])
 
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
-    out: FloatArray = A @ C @ np.swapaxes(A, -1, -2)
-    return out
+    return A @ C @ A.mT
 
 
 def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
@@ -166,38 +171,40 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         LinAlgError: a singular matrix.
     """
     follow, with_board = normal.base_by_shared, normal.base_by_board
-    E_inverse, by_base, by_board, by_shared = normal.own_conditional()
+    # A station's own errors for a known rest, by base, board, and shared parameters, where the board follows.
+    E_inverse = normal.E_inverse
+    by_base, by_board, by_shared = (
+        -E_inverse @ part for part in (normal.E_base, normal.E_board, normal.E_shared)
+    )
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
     known, cross = normal.base_covariance()
     own = known + _sandwich(with_board, V)
-    cross[:-1] += with_board[:-1] @ V[:-1] @ np.swapaxes(with_board[1:], 1, 2)
+    cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
     A = views.by_base + views.by_own @ by_base
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
     FC = F @ C
-    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ np.swapaxes(F, 1, 2)
+    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ F.mT
     of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
-    bases = own + _sandwich(follow, C)
-
     i, j = lin.data.legs.T
-    along, before = PROCESSES, np.zeros((len(own), COUNT, COUNT))
-    before[j] = cross[i, along, along] + follow[i, along] @ C @ np.swapaxes(follow[j, along], 1, 2)
+    following = follow[:, ERRORS]
+    along, transposed = following @ C, following.mT
+    of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
+    before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
-    mixed = legs.by_start @ cross[i] @ np.swapaxes(legs.by_end, 1, 2)
+    mixed = legs.by_start @ cross[i] @ legs.by_end.mT
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         views=of_views,
         mixed=FC[:, :, views.direct],
         direct=C[np.ix_(views.direct, views.direct)],
         own=errors,
-        legs=both + mixed + np.swapaxes(mixed, 1, 2) + _sandwich(F_legs, C),
-        encoders=np.diagonal(bases, axis1=1, axis2=2)[:, ENCODERS].copy(),
-        stamps=bases[:, STAMP, STAMP].copy() if lin.data.base_width > STAMP else np.zeros(len(bases)),
-        processes=bases[:, along, along],
+        legs=both + mixed + mixed.mT + _sandwich(F_legs, C),
+        errors=of_errors,
         before=before,
     )

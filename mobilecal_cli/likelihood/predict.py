@@ -13,58 +13,40 @@ from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
 
-_STEP = 1e-6  # of a camera constant, for its derivative
+STEP = 1e-6  # of a constant, rad, m, px or a share, for differences
 #: Distance of the point ahead of the camera whose position error is predicted, m.
 AHEAD_M = 2.0
-
-
-def predicted(parameters: Parameters, covariance: FloatArray) -> AtWork:
-    """Expected errors from the covariance of the nine parameters, (9, 9) in the order of `NINE`, to first order.
-
-    The camera's errors are those of its pose on the head.
-    """
-    R = parameters.T_h_c[:3, :3]
-    camera = np.zeros((1, 6, 9))
-    camera[0, :3, :3] = camera[0, 3:, 3:6] = R.T
-    return _expected(_weights(parameters, camera), covariance)
-
-
-def predicted_at(lin: Posterior, covariance: FloatArray) -> AtWork:
-    """Expected errors at an optimum, with the constants of the head's chain and joints applied.
-
-    Args:
-        lin: the optimum.
-        covariance: (P, P) of the shared parameters.
-    """
-    return _expected(weights_at(lin), covariance)
 
 
 def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArray, tuple[str, ...]]:
     """Covariance of the first camera's pose in the base and of its own constants, (6 + K, 6 + K), and their K names.
 
-    The pose's part is a right twist, mean over the head's poses in the recording; covariance as for `predicted_at`.
+    The pose's part is a right twist, mean over the head's poses in the recording. `covariance` is (P, P), of the shared
+    parameters.
     """
+    patterns = {row.name for row in lin.data.layout.constants if row.kind in PATTERNS}
     own = {
-        row.name: column
-        for column, row in enumerate(lin.data.layout.constants, 9)
-        if isinstance(row.effect, CameraEffect)
-        and row.effect.camera == 0
-        and row.effect.of in INTRINSICS
-        and row.kind not in PATTERNS
+        name: column
+        for column, name, effect in lin.data.layout.of(CameraEffect)
+        if effect.camera == 0 and effect.of in INTRINSICS and name not in patterns
     }
-    constants = np.eye(len(covariance))[list(own.values())]
     poses = -lin.views.by_shared
-    by_shared = np.concatenate([poses, np.broadcast_to(constants, (len(poses), *constants.shape))], axis=1)
-    return np.mean(by_shared @ covariance @ np.swapaxes(by_shared, 1, 2), axis=0), tuple(own)
+    constants = np.broadcast_to(
+        np.eye(len(covariance))[list(own.values())], (len(poses), len(own), len(covariance))
+    )
+    by_shared = np.concatenate([poses, constants], axis=1)
+    return np.mean(by_shared @ covariance @ by_shared.mT, axis=0), tuple(own)
 
 
 def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
-    """Field of `AtWork` → (P, P) W: its variance is the sum over the elements of W times the covariance."""
-    camera = -lin.views.by_shared  # the board moves the other way
-    return _weights(lin.state.parameters, camera)
+    """Field of `AtWork` → (P, P) W: its variance is the sum over the elements of W times the covariance.
+
+    With the constants of the head's chain and joints applied.
+    """
+    return weights_of(lin.state.parameters, -lin.views.by_shared)  # the board moves the other way
 
 
-def _weights(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
+def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
     """Field of `AtWork` → (K, K) weights of the covariance of K parameters, of which the nine come first.
 
     The mean of g g^T over the derivatives g of the figure. Straight driving over s meters: both wheels turn by s / r,
@@ -100,7 +82,8 @@ def _weights(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatAr
     }
 
 
-def _expected(weights: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
+def expected(weights: Mapping[str, FloatArray], covariance: FloatArray) -> AtWork:
+    """Expected errors from their weights, see `weights_at`, and the covariance (K, K) of the parameters."""
     return AtWork(**{name: math.sqrt(max(0.0, float(np.sum(W * covariance)))) for name, W in weights.items()})
 
 
@@ -125,11 +108,11 @@ def projection_std_px(solution: Solution, cameras: CameraRig, points_c: FloatArr
                 camera_change(cameras, rows, values | {name: values[name] + step}).apply(cameras).each[0],
                 points_c,
             )
-            for step in (_STEP, -_STEP)
+            for step in (STEP, -STEP)
         )
-        J.append((ahead - behind)[..., None] / (2 * _STEP))
+        J.append((ahead - behind)[..., None] / (2 * STEP))
     by_all = np.concatenate(J, axis=2)
-    covariance = by_all @ solution.uncertainty.camera @ np.swapaxes(by_all, 1, 2)
+    covariance = by_all @ solution.uncertainty.camera @ by_all.mT
     return np.asarray(np.sqrt(np.linalg.eigvalsh(covariance)[:, -1]))
 
 

@@ -59,8 +59,7 @@ class Priors:
     @cached_property
     def weight(self) -> FloatArray:
         """(P,) inverse variance, 0 for no prior."""
-        out: FloatArray = self.stated_weight / self.factors**2
-        return out
+        return self.stated_weight / self.factors**2
 
     def displacement(self, state: State) -> FloatArray:
         """(P,) rad, m, and the constants' units."""
@@ -92,8 +91,7 @@ class Priors:
     @property
     def basis(self) -> FloatArray:
         """(P, F) the same in the parameters' units."""
-        out: FloatArray = self.scales[:, None] * self.scaled_basis
-        return out
+        return self.scales[:, None] * self.scaled_basis
 
     def step_to_mean(self, state: State) -> FloatArray:
         """(P,) shortest step after which the state has its mean along all directions that keep it."""
@@ -105,8 +103,7 @@ class Priors:
 
     def gradient(self, state: State) -> FloatArray:
         """(P,) gradient of half the priors' sum of squares, less the bias of the measurements'."""
-        out: FloatArray = self.weight * (self.displacement(state) - self.mean) - self.bias
-        return out
+        return self.weight * (self.displacement(state) - self.mean) - self.bias
 
     def cost(self, state: State) -> float:
         """Sum of squares of the whitened deviations from the priors, less what the measurements' bias makes it."""
@@ -128,5 +125,4 @@ class Priors:
         weight, scales = self.weight[:nine], self.scales[:nine]
         prior = np.sqrt(np.maximum(np.einsum("kn,n,kn->k", U, weight * scales**2, U), 1e-300))
         along[:nine] = (U * scales).T / prior
-        error: FloatArray = along - covariance @ (information @ along)
-        return error
+        return along - covariance @ (information @ along)

@@ -1,9 +1,10 @@
-"""Errors that stay along the way: the floor's roll, pitch and height under the base, and the scale of each wheel.
+"""Errors of the base blocks: encoder readings, the floor under the base, the scale of each wheel, and stamps.
 
 Each is a stationary Gauss-Markov process in the driven distance (Uhlenbeck and Ornstein, 1930):
 ``cov(f(s), f(s + d)) = sigma^2 exp(-d / l)``. So ``f_j = rho f_i + w`` from a station to the next, with
 ``rho = exp(-d / l)`` and w of variance ``sigma^2 (1 - rho^2)``, independent of all others. Stations that follow one
-another closely share one floor: their number adds nothing to what the distance shows.
+another closely share one floor: their number adds nothing to what the distance shows. Errors of readings are new at
+each station: rho is 0.
 """
 
 from __future__ import annotations
@@ -14,36 +15,45 @@ import numpy as np
 
 from mobilecal_cli.kinematics import Increments
 from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.measurements import ENCODERS, ERRORS, FLOOR, SCALES
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import EXACT, FloatArray, Noise, WheelGeometry
 
-#: Noise level of each process, and of its correlation length: roll, pitch, height, right wheel, left wheel.
-LEVELS = ("floor_rad", "floor_rad", "floor_m", "wheel_share", "wheel_share")
-LENGTHS = ("floor_length_m", "floor_length_m", "floor_length_m", "wheel_length_m", "wheel_length_m")
-COUNT = len(LEVELS)
+#: Noise level of each error, in the order of `ERRORS`.
+LEVELS = (*["encoder_rad"] * 2, *["floor_rad"] * 2, "floor_m", *["wheel_share"] * 2, "stamp_s")
+#: Noise level → correlation length, of the errors that stay along the way.
+LENGTHS = {"floor_rad": "floor_length_m", "floor_m": "floor_length_m", "wheel_share": "wheel_length_m"}
+_LEAST_READING = 1e-6  # rad: of an encoder without steps
 _SMALL = 1e-2  # d / l below which series are exact to rounding: their next terms are below 1e-8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Processes:
-    """Prior of the processes at N stations: one innovation w for each, in units rad, rad, m, 1, 1.
+    """Prior of the K errors at N stations: one innovation w for each, in the errors' units.
 
     Attributes:
-        distance_m: (N, 5) driven since the station before.
-        rho: (N, 5) correlation with it, 0 for the first of a recording.
-        variance: (N, 5) of the innovations.
+        levels: (K,) noise level of each.
+        distance_m: (N, K) driven since the station before; infinite for what is new at each station.
+        rho: (N, K) correlation with it, 0 for the first of a recording.
+        variance: (N, K) of the innovations.
+        share: (N, K) of the noise level in this variance; the rest is of readings that are interpolated.
         mean_share: (L, 2) c of each leg and wheel: the mean scale error over a leg is expected at c (s_i + s_j).
     """
 
+    levels: tuple[str, ...]
     distance_m: FloatArray
     rho: FloatArray
     variance: FloatArray
+    share: FloatArray
     mean_share: FloatArray
 
-    def innovations(self, values: FloatArray) -> FloatArray:
-        """(N, 5) w = f_j - rho f_i of the processes' values, (N, 5)."""
-        out: FloatArray = values - self.rho * np.roll(values, 1, axis=0)
-        return out
+    def innovations(self, errors: FloatArray) -> FloatArray:
+        """(N, K) w = f_j - rho f_i of the errors, (N, K)."""
+        return errors - self.rho * np.roll(errors, 1, axis=0)
+
+    def whitened(self, base: FloatArray) -> FloatArray:
+        """(N, K) innovations of the errors in base blocks (N, B), in standard deviations."""
+        return np.asarray(self.innovations(base[:, ERRORS]) / np.sqrt(self.variance))
 
 
 def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
@@ -52,20 +62,33 @@ def rolled_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
     return np.stack([steps.total(np.abs(radius * rad)) for radius, rad in rolled], axis=1)
 
 
+def path_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
+    """(L,) distance that the middle of the axle drives over each leg, forward and backward."""
+    twice_m = wheels.radius_right_m * steps.right_rad + wheels.radius_left_m * steps.left_rad
+    return steps.total(np.abs(twice_m) / 2)
+
+
 def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: Inliers) -> Processes:
     """The processes along the legs. A leg that is no inlier joins nothing: the floor behind it is another one."""
-    j = data.legs[:, 1]
+    j, width = data.legs[:, 1], data.base_width
+    levels = LEVELS[: width - ERRORS.start]
     rolled = rolled_m(data.steps(), wheels)
-    distance = np.zeros((data.stations, COUNT))
-    distance[j, :3], distance[j, 3:] = rolled.mean(axis=1, keepdims=True), rolled
+    distance, between = np.zeros((2, data.stations, width))
+    distance[j, FLOOR], distance[j, SCALES] = rolled.mean(axis=1, keepdims=True), rolled
+    unit = np.ones(width)
+    unit[ENCODERS], between[:, ENCODERS] = data.encoder_shares, data.wheels_between
+    sigma = unit[ERRORS] * [getattr(noise, level) for level in levels]
+    least = [_LEAST_READING if level == "encoder_rad" else EXACT for level in levels]
+    lengths = [getattr(noise, LENGTHS[level]) if level in LENGTHS else 1.0 for level in levels]
     joined = np.zeros(data.stations, dtype=np.bool_)
     joined[j] = inliers.legs
-    lengths = np.array([getattr(noise, name) for name in LENGTHS])
-    sigma = np.array([getattr(noise, name) for name in LEVELS])
+    distance = np.where([level in LENGTHS for level in levels], distance[:, ERRORS], np.inf)
     x = distance / lengths
     rho = np.where(joined[:, None], np.exp(-x), 0.0)
-    variance = np.maximum(np.where(joined[:, None], -np.expm1(-2 * x), 1.0) * sigma**2, EXACT**2)
-    return Processes(distance, rho, variance, _half_tanh(x[j, 3:]))
+    own = np.maximum(np.where(joined[:, None], -np.expm1(-2 * x), 1.0) * sigma**2, np.square(least))
+    variance = own + between[:, ERRORS] ** 2
+    mean_share = _half_tanh(rolled / noise.wheel_length_m)
+    return Processes(levels, distance, rho, variance, own / variance, mean_share)
 
 
 def _half_tanh(x: FloatArray) -> FloatArray:

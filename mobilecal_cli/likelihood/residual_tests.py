@@ -9,8 +9,9 @@ import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
-from mobilecal_cli.likelihood.posterior import Posterior, roots
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
@@ -64,10 +65,10 @@ class ResidualTests:
         """(N, J) of each joint reading, one degree of freedom."""
         lin = self._lin
         sigma = joint_sigmas(lin.data, Inliers.all_of(lin.data), lin.noise)
-        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, : sigma.shape[1]] / sigma**2
+        share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, JOINTS] / sigma**2
         left = np.where(lin.inliers.readings, 1 - share, 1 + share)
         usable = left > _NO_REDUNDANCY
-        return np.where(usable, (lin.state.joint_errors / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
+        return np.where(usable, (lin.state.own[:, JOINTS] / sigma) ** 2 / np.where(usable, left, 1.0), 0.0)
 
     @cached_property
     def views_freed(self) -> FloatArray:
@@ -77,7 +78,7 @@ class ResidualTests:
         predicted, freed = lin.marginals.of_gradient(views.information), np.empty_like(lin.data.joints)
         for j in range(freed.shape[1]):
             by_reading = FREE_JOINT * G @ views.by_own[..., j : j + 1]
-            spread = predicted + by_reading @ np.swapaxes(by_reading, 1, 2)
+            spread = predicted + by_reading @ by_reading.mT
             freed[:, j] = _left_out(G, g, spread, np.zeros_like(lin.inliers.views))
         return freed
 
@@ -102,7 +103,7 @@ class ResidualTests:
     @cached_property
     def small_readings(self) -> BoolArray:
         """(N, J) joint readings that are right to `SMALL_RAD`."""
-        return np.asarray(np.abs(self._lin.state.joint_errors) < SMALL_RAD * self._lin.data.joint_units)
+        return np.asarray(np.abs(self._lin.state.own[:, JOINTS]) < SMALL_RAD * self._lin.data.joint_units)
 
 
 def _small(turn_rad: FloatArray, shift_m: FloatArray) -> BoolArray:
@@ -118,11 +119,9 @@ def _left_out(G: FloatArray, g: FloatArray, predicted: FloatArray, used: BoolArr
         predicted: (n, k, k) H, covariance that the unknowns give the gradient.
         used: (n,) which are part of the fit.
     """
-    whiten = np.swapaxes(roots(G)[1], 1, 2)
-    v = np.einsum("nab,na->nb", whiten, g)
-    leverage = np.swapaxes(whiten, 1, 2) @ predicted @ whiten
+    whiten = roots(G)[1].mT
     sign = np.where(used, -1.0, 1.0)[:, None, None]
-    values, vectors = np.linalg.eigh(np.eye(G.shape[1]) + sign * leverage)
-    along = np.einsum("nki,nk->ni", vectors, v)
-    usable = values > _NO_REDUNDANCY
-    return np.asarray(np.sum(np.where(usable, along**2 / np.where(usable, values, 1.0), 0.0), axis=1))
+    left = np.eye(G.shape[1]) + sign * (whiten.mT @ predicted @ whiten)
+    return np.asarray(
+        np.sum(over_redundancy((whiten.mT @ g[..., None])[..., 0], left, _NO_REDUNDANCY) ** 2, axis=1)
+    )

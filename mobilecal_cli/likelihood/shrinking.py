@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
+from mobilecal_cli.likelihood.budget import of_errors
+from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.processes import LEVELS
-from mobilecal_cli.model import BoolArray, FloatArray
+from mobilecal_cli.model import FloatArray
 
 #: The constant that stands for the size of the world in the images.
 _SIZE = "square_scale"
-_HEIGHT = LEVELS.index("floor_m")
+_HEIGHTS = ("floor_m", "sway_m")
 
 
 def expected_gradient(lin: Posterior) -> FloatArray:
@@ -26,29 +27,14 @@ def expected_gradient(lin: Posterior) -> FloatArray:
     """
     bias = np.zeros(lin.data.layout.size)
     if _SIZE in lin.data.layout.names:
-        bias[lin.data.layout.names.index(_SIZE)] = min(_squares(lin), _redundancy(lin))
+        W, left = lin.leg_weight[:, :2], lin.leg_covariance - lin.marginals.legs
+        squares = float(np.einsum("la,lab,lb->", lin.legs.residual[:, :2], W, lin.legs.residual))
+        redundancy = float(np.einsum("lab,lba->", W, left[:, :, :2]))
+        for each in of_errors(lin, lin.state.base[:, ERRORS]):
+            for level in filter(_HEIGHTS.__contains__, each.parts):
+                of_level, free = each.shown(level)
+                squares, redundancy = squares + float(of_level.sum()), redundancy + float(free.sum())
+        # Far from the optimum, rounding is all.
+        redundancy = min(max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
+        bias[lin.data.layout.names.index(_SIZE)] = min(squares, redundancy)
     return bias
-
-
-def _squares(lin: Posterior) -> float:
-    missed, W = lin.legs.residual, lin.leg_weight
-    height = lin.processes.innovations(lin.state.processes)[:, _HEIGHT]
-    sway = lin.own_errors[:, -1] / lin.own_sigmas[:, -1]
-    of_legs = np.einsum("la,lab,lb->", missed[:, :2], W[:, :2], missed)
-    return float(
-        of_legs + np.sum(height**2 / lin.processes.variance[:, _HEIGHT]) + np.sum(sway[_swaying(lin)] ** 2)
-    )
-
-
-def _redundancy(lin: Posterior) -> float:
-    marginal, processes = lin.marginals, lin.processes
-    left = lin.leg_covariance - marginal.legs
-    height = marginal.innovations(processes.rho)[:, _HEIGHT, _HEIGHT] / processes.variance[:, _HEIGHT]
-    sway = marginal.own[:, -1, -1] / lin.own_sigmas[:, -1] ** 2
-    of_legs = np.einsum("lab,lba->", lin.leg_weight[:, :2], left[:, :, :2])
-    left_over = float(of_legs + np.sum(1 - height) + np.sum(1 - sway[_swaying(lin)]))
-    return min(max(left_over, 0.0), 2.0 * (len(left) + len(height)))  # far from the optimum, rounding is all
-
-
-def _swaying(lin: Posterior) -> BoolArray:
-    return lin.inliers.views & lin.data.drives

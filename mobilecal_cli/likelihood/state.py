@@ -18,9 +18,9 @@ from mobilecal_cli.likelihood.effects import (
     Clock,
     Effect,
     FloorEffect,
-    JointEffect,
+    JointReading,
 )
-from mobilecal_cli.likelihood.measurements import ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Layout, camera_change
 from mobilecal_cli.model import CameraRig, FloatArray, Parameters
 
@@ -34,9 +34,8 @@ class Step:
     Attributes:
         shared: (P,) of the nine parameters (see `Parameters.plus`) and the constants.
         boards: (logs, 6) of the board poses, body twists.
-        base: (N, B) of base poses as body twists (x, y, heading), of encoder errors, right and left, of the processes,
-            and in a data set with motion of stamp errors.
-        own: (N, J + 3) of joint errors and of the sway (roll, pitch, height).
+        base: (N, B) of base poses as body twists (x, y, heading), and of the errors of the base block.
+        own: (N, J + 3) of the stations' own errors.
     """
 
     shared: FloatArray
@@ -59,33 +58,33 @@ class State:
         parameters: the nine parameters.
         constants: name → value of the constants; those that are not there are zero.
         T_w_k: (logs, 4, 4) board pose in each recording; w is the base at its first station.
-        base: (N, 3) base poses x, y (m), heading (rad, not wrapped) in w.
-        joint_errors: (N, J) to be added to the readings.
-        encoder_errors: (N, 2) to be added to the right and left wheel's reading, rad.
-        processes: (N, 5) roll and pitch (rad) and height (m) of the floor under the base against the plane of x and y,
-            and relative errors of the right and left wheel's size.
-        sway: (N, 3) roll, pitch and height of the base beside the floor's.
-        stamp_errors: (N,) to be added to the images' stamps, s.
+        base: (N, B) base poses x, y (m), heading (rad, not wrapped) in w; errors to be added to the right and left
+            wheel's reading, rad; roll and pitch (rad) and height (m) of the floor under the base against the plane of x
+            and y; relative errors of the right and left wheel's size; and in a data set with motion errors to be added
+            to the images' stamps, s. See `BASE` and `ERRORS`.
+        own: (N, J + 3) errors to be added to the joint readings, rad or m, and roll, pitch (rad) and height (m) of the
+            base beside the floor's. See `JOINTS` and `SWAY`.
     """
 
     parameters: Parameters
     constants: Mapping[str, float]
     T_w_k: FloatArray
     base: FloatArray
-    joint_errors: FloatArray
-    encoder_errors: FloatArray
-    processes: FloatArray
-    sway: FloatArray
-    stamp_errors: FloatArray
+    own: FloatArray
 
     @classmethod
     def without_errors(
-        cls, data: Dataset, parameters: Parameters, T_w_k: FloatArray, base: FloatArray
+        cls, data: Dataset, parameters: Parameters, T_w_k: FloatArray, poses: FloatArray
     ) -> State:
-        """A state in which all readings are exact, the floor is flat, and all constants are as stated."""
-        count = len(base)
-        still = np.zeros((count, 2)), np.zeros((count, 5)), np.zeros((count, 3)), np.zeros(count)
-        return cls(parameters, {}, T_w_k, base, np.zeros((count, data.joints.shape[1])), *still)
+        """A state in which all readings are exact, the floor is flat, and all constants are as stated.
+
+        Args:
+            data, parameters, T_w_k: see `State`.
+            poses: (N, 3) of the base.
+        """
+        base, own = (np.zeros((data.stations, width)) for width in (data.base_width, data.own_width))
+        base[:, BASE] = poses
+        return cls(parameters, {}, T_w_k, base, own)
 
     def value(self, name: str) -> float:
         """Value of a constant."""
@@ -98,31 +97,34 @@ class State:
     def plus(self, data: Dataset, step: Step) -> State:
         """The state after a step."""
         values = zip(data.layout.constants, step.shared[9:].tolist(), strict=True)
-        cos, sin = np.cos(self.base[:, 2]), np.sin(self.base[:, 2])
-        x, y, turn = step.base[:, 0], step.base[:, 1], step.base[:, 2]
+        base = self.base + step.base
+        base[:, :2] = self.base[:, :2] + planar(self.base[:, 2], step.base[:, :2])
         return State(
             parameters=self.parameters.plus(step.shared[:9]),
             constants={**self.constants, **{row.name: self.value(row.name) + value for row, value in values}},
             T_w_k=self.T_w_k @ se3.exp(step.boards),
-            base=self.base + np.stack([cos * x - sin * y, sin * x + cos * y, turn], axis=1),
-            joint_errors=self.joint_errors + step.own[:, :-3],
-            encoder_errors=self.encoder_errors + step.base[:, ENCODERS],
-            processes=self.processes + step.base[:, PROCESSES],
-            sway=self.sway + step.own[:, -3:],
-            stamp_errors=self.stamp_errors + step.base[:, STAMP:].sum(axis=1),
+            base=base,
+            own=self.own + step.own,
         )
+
+
+def planar(heading: FloatArray, xy: FloatArray) -> FloatArray:
+    """Vectors (N, 2) of a frame whose heading is (N,) rad, in the frame that headings count from."""
+    cos, sin = np.cos(heading), np.sin(heading)
+    x, y = xy.T
+    return np.stack([cos * x - sin * y, sin * x + cos * y], axis=1)
 
 
 def joints_at(data: Dataset, state: State) -> FloatArray:
     """(N, J) joint positions: readings, their errors, and the constants that shift joints."""
     offset_s = clock_s(data, state, "joints")
-    joints = data.joints + state.joint_errors
-    for value, effect in state.present(data.layout, JointEffect):
+    joints = data.joints + state.own[:, JOINTS]
+    for value, effect in state.present(data.layout, JointReading):
         joints = joints + value * effect.rate(data)
     if np.any(offset_s):
         joints = joints + data.joint_shift(offset_s)
-    if np.any(state.stamp_errors):
-        joints = joints + data.joint_rates(offset_s) * state.stamp_errors[:, None]
+    if np.any(state.base[:, STAMP:]):
+        joints = joints + data.joint_rates(offset_s) * state.base[:, STAMP:]
     return joints
 
 
@@ -164,7 +166,7 @@ def points_at(data: Dataset, state: State) -> FloatArray:
 
 def stance_at(data: Dataset, state: State) -> FloatArray:
     """(N, 3) roll and pitch (rad) and height (m) of the base against the plane of x and y: floor, sway and lean."""
-    return np.asarray(state.processes[:, :3] + state.sway + constant_stance(data, state))
+    return np.asarray(state.base[:, FLOOR] + state.own[:, SWAY] + constant_stance(data, state))
 
 
 def constant_stance(data: Dataset, state: State) -> FloatArray:
@@ -177,20 +179,15 @@ def constant_stance(data: Dataset, state: State) -> FloatArray:
 
 def standing(stance: FloatArray) -> FloatArray:
     """(N, 4, 4) base in a frame that stands level where the base is, from its stance (N, 3)."""
-    turn, lift = np.zeros((2, len(stance), 3))
-    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
-    return se3.transform(se3.exp_so3(turn), lift)
+    return se3.transform(se3.exp_so3(stance * [1.0, 1.0, 0.0]), stance * [0.0, 0.0, 1.0])
 
 
 def base_at(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_w_v of every station."""
-    flat = np.concatenate([state.base[:, :2], np.zeros((len(state.base), 1))], axis=1)
-    T: FloatArray = se3.transform(se3.rotation_z(state.base[:, 2]), flat) @ standing(stance_at(data, state))
-    return T
+    return planar_pose(state.base[:, BASE]) @ standing(stance_at(data, state))
 
 
 def board_in_camera(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
     T_w_c = base_at(data, state) @ head_at(data, state) @ state.parameters.T_h_c
-    T: FloatArray = se3.inverse(T_w_c) @ state.T_w_k[data.log]
-    return T
+    return se3.inverse(T_w_c) @ state.T_w_k[data.log]

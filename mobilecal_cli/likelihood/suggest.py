@@ -11,7 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ENCODERS, PROCESSES, STAMP
+from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -30,14 +30,13 @@ _REACH_RAD = 0.35  # beyond the joints' range in the log
 _NEAREST = 0.35  # least cosine of the angle between the board's normal and the line of sight
 _AIM_STEPS = 6
 _MOST_STEP = 0.5  # rad or m
-_LEAST_DEPTH_M = 0.1
 _MOST = 3
 _UPRIGHT = 0.5  # component of the vertical beyond which a coordinate is a height
 
 
 def _bases(state: State, ways: FloatArray) -> FloatArray:
     """(C, 3) base poses that ways (C, 3) lead to from the last station: a turn (rad), a drive (m), another turn."""
-    x, y, heading = state.base[-1]
+    x, y, heading = state.base[-1, BASE]
     turn, drive, face = ways.T
     along = heading + turn
     return np.stack([x + drive * np.cos(along), y + drive * np.sin(along), along + face], axis=1)
@@ -45,9 +44,7 @@ def _bases(state: State, ways: FloatArray) -> FloatArray:
 
 def _boards(data: Dataset, state: State, ways: FloatArray) -> FloatArray:
     """(C, 4, 4) the board in the base on a flat floor, at the end of ways."""
-    base = _bases(state, ways)
-    T_w_v = se3.transform(se3.rotation_z(base[:, 2]), base * [1.0, 1.0, 0.0])
-    return np.asarray(se3.inverse(T_w_v) @ state.T_w_k[data.log[-1]])
+    return np.asarray(se3.inverse(planar_pose(_bases(state, ways))) @ state.T_w_k[data.log[-1]])
 
 
 def _aimed(
@@ -68,13 +65,13 @@ def _aimed(
         distance = np.linalg.norm(sight, axis=1)[:, None]
         sight /= distance
         off = sight - (T_v_c[:, :3, :3] @ rays_c[..., None])[..., 0]
-        twists = np.swapaxes(frames.by_joints(), 1, 2)
+        twists = frames.by_joints().mT
         if turns:
             about_z = np.broadcast_to(np.eye(6)[2], (len(ways), 1, 6))
             twists = np.concatenate([about_z, twists], axis=1)
         moved = (twists[..., 3:] + np.cross(twists[..., :3], middle)) / distance[..., None]
         across = moved - (moved @ sight[..., None]) * sight[:, None]
-        step = (np.linalg.pinv(np.swapaxes(across, 1, 2), rcond=1e-3) @ off[..., None])[..., 0]
+        step = (np.linalg.pinv(across.mT, rcond=1e-3) @ off[..., None])[..., 0]
         step = np.clip(step, -_MOST_STEP, _MOST_STEP)
         ways[:, 2] += step[:, :turns].sum(axis=1)
         joints = joints + step[:, turns:]
@@ -93,7 +90,7 @@ def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: Flo
         if share < usual.max() / 2:
             continue
         points = se3.act(se3.inverse(T_c_camera), points_c)
-        fine &= np.all(points[..., 2] > _LEAST_DEPTH_M, axis=1)
+        fine &= np.all(points[..., 2] > LEAST_DEPTH_M, axis=1)
         at = project(camera, np.where(fine[:, None, None], points, [0.0, 0.0, 1.0]))
         edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
         fine &= np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2))
@@ -148,12 +145,11 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
         several_wheels=False,  # how fast a stop's turns will be is not known
         joint_tracks=(),
         joint_widths_ns=(),
-        log=np.full(count, last),
         tracks=(WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1),
         motions=None,
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),
     )
-    base = np.concatenate([state.base[[-1, -1]], _bases(state, ways)])
+    base = np.concatenate([state.base[[-1, -1], BASE], _bases(state, ways)])
     there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
     return Posterior.at(wide, there, Inliers.all_of(wide), lin.noise, lin.priors)
@@ -169,17 +165,16 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
         lin: see `_with_stops`.
     """
     views, legs, count, P, B = lin.views, lin.legs, len(lin.data.legs), lin.data.layout.size, STAMP
-    encoders, processes = (np.arange(part.start, part.stop) for part in (ENCODERS, PROCESSES))
+    errors = np.arange(B)[ERRORS]
     # left (a leg's second base) = right (shared, board, its first base) + noise
     left, right = np.tile(np.eye(B), (count, 1, 1)), np.zeros((count, B, P + 6 + B))
     left[:, BASE], right[:, BASE, :P], right[:, BASE, P + 6 :] = legs.by_end, -legs.by_shared, -legs.by_start
-    right[:, processes, P + 6 + processes] = lin.processes.rho[1:]
+    right[:, errors, P + 6 + errors] = lin.processes.rho[1:]
     noise = np.zeros((count, B, B))
     noise[:, BASE, BASE] = lin.leg_covariance
-    noise[:, encoders, encoders] = lin.encoder_sigmas[1:] ** 2
-    noise[:, processes, processes] = lin.processes.variance[1:]
+    noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
-    beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ np.swapaxes(J, 1, 2)])
+    beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
     G = station_information(lin, beside)[2:]
     A = np.zeros((*G.shape[:2], P + 6 + B))
     A[:, :6] = J[1:] @ right[1:]
@@ -219,7 +214,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     ways, joints = _reachable(lin.data, lin.state)
     A, G = _shown(_with_stops(lin, ways, joints))
     across = A @ joint
-    nine, spread = across[:, :, :9], across @ np.swapaxes(A, 1, 2)
+    nine, spread = across[:, :, :9], across @ A.mT
     shrunk = G @ np.linalg.solve(np.eye(G.shape[1]) + spread @ G, nine)
     then = np.sqrt(np.maximum(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1), 0.0))  # rounding
     gain = 1 - np.max(then / needed, axis=1) / np.max(now / needed)

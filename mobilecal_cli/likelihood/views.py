@@ -7,7 +7,7 @@ their own ("direct").
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +16,17 @@ from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointEffect, Sight
-from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
+from mobilecal_cli.likelihood.effects import (
+    BoardEffect,
+    CameraChange,
+    CameraEffect,
+    ChainEffect,
+    Clock,
+    FloorEffect,
+    ImageEffect,
+    JointReading,
+)
+from mobilecal_cli.likelihood.measurements import BASE, FLOOR, LEAST_DEPTH_M, STAMP
 from mobilecal_cli.likelihood.noise import FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.state import (
@@ -31,10 +40,9 @@ from mobilecal_cli.likelihood.state import (
     stance_at,
     standing,
 )
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Noise
+from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, IntArray, Noise
 
 _BLOCK = 200
-_LEAST_DEPTH_M = 0.01
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
 _POSE_STEPS, _STILL = 12, 1e-6
 _LARGEST_DEEPER = 0.5  # of its depth: the board's way along the camera's axis in one step
@@ -147,54 +155,106 @@ def corner_residuals(
         The residuals, and (N, Q, C, M, 2) derivatives by (delta, direct constants), or by delta alone.
     """
     change = camera_change(data.cameras, data.layout.constants, state.constants)
-    rig = change.apply(data.cameras)
-    points_k = se3.act(T_c_k, points_at(data, state))
-    direct = data.layout.direct if by_constants else ()
+    direct = [effect for _, _, effect in data.layout.direct] if by_constants else []
+    rig, points_k = change.apply(data.cameras), se3.act(T_c_k, points_at(data, state))
     rates = (np.zeros((len(points_k), 6)) if rates is None else rates)[:, None]
-    velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
-    cameras = len(rig.each)
-    residual = np.empty((len(points_k), cameras, points_k.shape[1], 2))
-    J = np.zeros((len(points_k), 6 + len(direct), cameras, points_k.shape[1], 2))
-    for k, (stated, camera) in enumerate(zip(data.cameras.each, rig.each, strict=True)):
-        T_camera_c = se3.inverse(rig.T_c_each[k])
-        rows = (data.pixels[stations, k, :, 1] + 0.5) / stated.height - 0.5
-        late_s = change.late_s(k, rows)[..., None]
-        points_c = points_k + late_s * velocity_c
-        x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
-        points = points_c if k == 0 else se3.act(T_camera_c, points_c)
-        # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
-        elsewhere = (points[..., 2] < _LEAST_DEPTH_M) & ~data.seen[stations, k]
-        points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
-        pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
-        at, terms, through = pixels, None, None
-        shares = change.lens[k]
-        if not (direct or np.any(shares[4:])):
-            shares = shares[:4]  # the waves are not needed
-        if direct or np.any(shares):
-            terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
-            if np.any(shares):
-                at = pixels + np.tensordot(shares, terms, 1)
-                through = np.eye(2) + by_pixels
-                J_p = through @ J_p
-        residual[:, k] = at - data.pixels[stations, k]
-        J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
-        by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
-        if np.any(late_s):  # points at the stamp turn until they are exposed
-            J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
-            by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
-        by_x, by_y, by_z = by_point
-        J[:, 0, k] = y * by_z - z * by_y  # point x J_c
-        J[:, 1, k] = z * by_x - x * by_z
-        J[:, 2, k] = x * by_y - y * by_x
-        J[:, 3:6, k] = np.moveaxis(by_point, 0, 1)
-        if not direct or terms is None:
-            continue
-        sights = points_c, by_exposed, by_point, data.points_k, T_c_k[:, :3, :3]
-        sight = Sight(k, data.cameras, rig, change, pixels, terms, through, *sights, velocity_c, rows)
-        for column, (_, _, effect) in enumerate(direct, 6):
-            if effect.concerns(k):
-                J[:, column, k] = effect.pixels(sight)
+    shape = len(data.cameras.each), points_k.shape[1], 2
+    residual, J = np.empty((len(points_k), *shape)), np.zeros((len(points_k), 6 + len(direct), *shape))
+    for k in range(len(data.cameras.each)):
+        at = stations, k
+        residual[:, k] = _one_camera(data, change, rig, direct, at, T_c_k, points_k, rates, J[:, :, k])
     return residual, J
+
+
+def _one_camera(
+    data: Dataset,
+    change: CameraChange,
+    rig: CameraRig,
+    direct: Sequence[ImageEffect],
+    at: tuple[slice | IntArray, int],
+    T_c_k: FloatArray,
+    points_k: FloatArray,
+    rates: FloatArray,
+    J: FloatArray,
+) -> FloatArray:
+    """Predicted minus detected pixels of one camera, (n, M, 2), px.
+
+    Args:
+        data: all stations.
+        change, rig: what the constants change in the cameras, and the cameras after it.
+        direct: effects of the direct constants, as J has columns.
+        at: which stations, and index of the camera.
+        T_c_k, rates: (n, 4, 4) and (n, 1, 6) of these stations.
+        points_k: (n, M, 3) corners in the first camera's frame at the stamp, m.
+        J: (n, Q, M, 2) zeros, to which the derivatives by (delta, direct constants) are written.
+    """
+    k = at[1]
+    stated, camera, T_camera_c = data.cameras.each[k], rig.each[k], se3.inverse(rig.T_c_each[k])
+    velocity_c = np.cross(rates[..., :3], points_k) + rates[..., 3:]
+    rows = ((data.pixels[at][..., 1] + 0.5) / stated.height - 0.5)[..., None]
+    late_s = change.late_s(k, rows)
+    points_c = points_k + late_s * velocity_c
+    points = points_c if k == 0 else se3.act(T_camera_c, points_c)
+    # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
+    elsewhere = (points[..., 2] < LEAST_DEPTH_M) & ~data.seen[at]
+    points = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], points) if elsewhere.any() else points
+    pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), points)
+    shares = change.lens[k]
+    if not (direct or np.any(shares[4:])):
+        shares = shares[:4]  # the waves are not needed
+    terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
+    through = np.eye(2) + by_pixels
+    J_p = through @ J_p
+    J_c = J_p if k == 0 else (J_p.reshape(-1, 3) @ T_camera_c[:3, :3]).reshape(J_p.shape)
+    by_exposed = by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+    if np.any(late_s):  # points at the stamp turn until they are exposed
+        J_c = J_c + np.cross(J_c, (late_s * rates[..., :3])[..., None, :])
+        by_point = np.ascontiguousarray(np.moveaxis(J_c, -1, 0))
+    x, y, z = np.moveaxis(points_k, -1, 0)[..., None]
+    by_x, by_y, by_z = by_point
+    J[:, 0] = y * by_z - z * by_y  # point x J_c
+    J[:, 1] = z * by_x - x * by_z
+    J[:, 2] = x * by_y - y * by_x
+    J[:, 3:6] = np.moveaxis(by_point, 0, 1)
+
+    # A camera that moves moves the points the other way.
+    position = rig.T_c_each[k][:3, 3]
+    turn, swing = (se3.left_jacobian_so3(by[k]) for by in (change.turn, change.swing))
+    shifts: dict[str, Callable[[FloatArray], FloatArray]] = {
+        "turn": lambda about: -np.cross(turn @ about, points_c - position),
+        "swing": lambda about: -np.cross(swing @ about, position),
+        "length": lambda share: -share * position / (1 + change.length[k]),
+        "shift": lambda along: -along,
+        "delay_s": lambda along: along * velocity_c,
+        "readout_s": lambda along: along * velocity_c * rows,
+    }
+    for column, effect in enumerate(direct, 6):
+        if isinstance(effect, BoardEffect):
+            moved = effect.displacement(data.points_k) @ T_c_k[:, :3, :3].mT
+            J[:, column] = _along(by_point, moved)
+        elif isinstance(effect, CameraEffect) and effect.concerns(k):
+            along = np.array(effect.along)
+            if effect.of in shifts:
+                J[:, column] = _along(by_exposed, shifts[effect.of](along))
+            elif effect.of == "lens":
+                J[:, column] = np.tensordot(along, terms[: len(along)], 1)
+            else:
+                off = (
+                    (pixels - camera.K[:2, 2]) / (1 + change.focal[k])
+                    if effect.of == "focal"
+                    else stated.width
+                )
+                J[:, column] = (through @ np.broadcast_to(along * off, pixels.shape)[..., None])[..., 0]
+    return np.asarray(pixels + np.tensordot(shares, terms, 1) - data.pixels[at])
+
+
+def _along(by_point: FloatArray, shift: FloatArray) -> FloatArray:
+    """(3, n, M, 2) derivative by a point, and its displacement (n, M, 3) or (3,) → (n, M, 2)."""
+    by_x, by_y, by_z = by_point
+    moved: FloatArray = by_x * shift[..., 0, None]
+    moved += by_y * shift[..., 1, None]
+    moved += by_z * shift[..., 2, None]
+    return moved
 
 
 def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
@@ -249,7 +309,7 @@ def fitted_poses(
             root = (corners / np.sqrt(1 + (size / (2 * scale)) ** 2))[..., None]
         At = (J * root[:, None]).reshape(len(T_c_k), 6, -1)
         r = (residual * root).reshape(len(T_c_k), -1)
-        step = np.asarray(np.linalg.solve(At @ np.swapaxes(At, 1, 2), -(At @ r[..., None]))[..., 0])
+        step = np.asarray(np.linalg.solve(At @ At.mT, -(At @ r[..., None]))[..., 0])
         # Far off, a step may lead behind the camera, where nothing leads back.
         deeper = np.abs(np.cross(step[:, :3], T_c_k[:, :3, 3])[:, 2] + step[:, 5])
         share = np.minimum(_LARGEST_DEEPER * np.abs(T_c_k[:, 2, 3]) / np.maximum(deeper, _STILL), 1.0)
@@ -304,7 +364,7 @@ def _pose_columns(
     if of_chain:
         twists = np.stack([effect.twist(frames, change) for _, _, effect in of_chain], axis=2)
         by_shared[..., [column for column, _, _ in of_chain]] = -Ad_c_v @ twists
-    for column, _, joint in layout.of(JointEffect):
+    for column, _, joint in layout.of(JointReading):
         by_shared[..., column] = (by_own[..., :joints] @ joint.rate(data)[:, :, None])[..., 0]
     for column, _, clock in layout.of(Clock):
         if clock.of == "joints" and data.base_width > STAMP:
@@ -317,11 +377,9 @@ def _pose_columns(
 
 def _stance_twists(stance: FloatArray) -> FloatArray:
     """(N, 6, 3) left twists of the base in its level frame by roll, pitch and height."""
-    turn, lift = np.zeros((2, len(stance), 3))
-    turn[:, :2], lift[:, 2] = stance[:, :2], stance[:, 2]
-    twists = np.zeros((len(turn), 6, 3))
-    twists[:, :3, :2] = se3.left_jacobian_so3(turn)[:, :, :2]
-    twists[:, 3:, :2] = np.cross(lift[:, :, None], twists[:, :3, :2], axis=1)
+    twists = np.zeros((len(stance), 6, 3))
+    twists[:, :3, :2] = se3.left_jacobian_so3(stance * [1.0, 1.0, 0.0])[:, :, :2]
+    twists[:, 3:, :2] = np.cross((stance * [0.0, 0.0, 1.0])[:, :, None], twists[:, :3, :2], axis=1)
     twists[:, 5, 2] = 1.0
     return twists
 
@@ -356,16 +414,13 @@ def images_of(
     count, Q, cameras, corners, _ = J.shape
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
     for camera in range(cameras):
-        columns = _columns_of(data, camera)
+        # Not the constants of other cameras.
+        concerned = [True] * 6 + [effect.concerns(camera) for _, _, effect in data.layout.direct]
+        columns = np.flatnonzero(concerned)
         At = J[:, columns, camera].reshape(count, len(columns), 2 * corners)
-        information[:, columns[:, None], columns] += At @ np.swapaxes(At, 1, 2)
+        information[:, columns[:, None], columns] += At @ At.mT
         gradient[:, columns] += (At @ r[:, camera].reshape(count, 2 * corners, 1))[..., 0]
     return information, gradient, np.sum(r**2, axis=(1, 2, 3))
-
-
-def _columns_of(data: Dataset, camera: int) -> IntArray:
-    """Those of (delta, direct constants) that move the corners in a camera: not the constants of others."""
-    return np.flatnonzero([True] * 6 + [effect.concerns(camera) for _, _, effect in data.layout.direct])
 
 
 def _measured_poses(
@@ -377,7 +432,7 @@ def _measured_poses(
     used = inliers.views[stations] / noise.pose_scale**2
     weight = data.pose_weight[stations] * used[:, None, None]
     pull = (weight @ off[..., None])[..., 0]
-    information = np.swapaxes(by_delta, 1, 2) @ weight @ by_delta
+    information = by_delta.mT @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
     return information, gradient, np.sum(off * pull, axis=1)
 
@@ -387,5 +442,4 @@ def _by_left_twist(twist: FloatArray) -> FloatArray:
     ad = np.zeros((len(twist), 6, 6))
     ad[:, :3, :3] = ad[:, 3:, 3:] = se3.skew(twist[:, :3])
     ad[:, 3:, :3] = se3.skew(twist[:, 3:])
-    out: FloatArray = np.eye(6) - ad / 2 + ad @ ad / 12
-    return out
+    return np.eye(6) - ad / 2 + ad @ ad / 12

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of
+from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
 from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
@@ -82,8 +83,7 @@ def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, Flo
     """(L,) path length, m, and (L,) absolute rotation, rad, of each leg."""
     steps = pairs.steps
     right_m, left_m = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
-    path_m, turn_rad = (right_m + left_m) / 2, (right_m - left_m) / wheels.separation_m
-    return steps.total(np.abs(path_m)), steps.total(np.abs(turn_rad))
+    return path_m(steps, wheels), steps.total(np.abs(right_m - left_m) / wheels.separation_m)
 
 
 def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
@@ -91,7 +91,7 @@ def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, Float
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     i, j = pairs.legs.T
     moved = se3.inverse(T_k_v[i]) @ T_k_v[j]
-    return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(_heading(moved))
+    return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(heading_of(moved))
 
 
 def _drift(
@@ -107,7 +107,7 @@ def _drift(
     reckoned = dead_reckoned(pairs, Parameters(parameters.T_h_c, wheels))
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     path, turned = covered
-    place_m, heading_rad, path_m, turned_rad = [], [], [], []
+    place_m, heading_rad, covered_m, turned_rad = [], [], [], []
     for legs in (np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)):
         stations = np.concatenate([pairs.legs[legs, 0], pairs.legs[legs[-1:], 1]])
         so_far = [np.concatenate([[0.0], np.cumsum(values[legs])]) for values in (path, turned)]
@@ -116,18 +116,13 @@ def _drift(
         a, b = stations[first], stations[second]
         T_seen, T_reckoned = se3.inverse(T_k_v[a]) @ T_k_v[b], se3.inverse(reckoned[a]) @ reckoned[b]
         place_m.append(np.linalg.norm((T_reckoned - T_seen)[:, :2, 3], axis=-1))
-        heading_rad.append(np.abs(_heading(se3.inverse(T_seen) @ T_reckoned)))
-        path_m.append(so_far[0][second] - so_far[0][first])
+        heading_rad.append(np.abs(heading_of(se3.inverse(T_seen) @ T_reckoned)))
+        covered_m.append(so_far[0][second] - so_far[0][first])
         turned_rad.append(so_far[1][second] - so_far[1][first])
     return Drift(
-        _over(np.concatenate(place_m), np.concatenate(path_m), _LEAST_M),
+        _over(np.concatenate(place_m), np.concatenate(covered_m), _LEAST_M),
         _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),
     )
-
-
-def _heading(T: FloatArray) -> FloatArray:
-    """Rotation about z of (n, 4, 4), rad."""
-    return np.asarray(np.arctan2(T[:, 1, 0], T[:, 0, 0]))
 
 
 def _over(error: FloatArray, covered: FloatArray, least: float) -> float | None:

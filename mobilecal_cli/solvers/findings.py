@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -154,7 +155,8 @@ def pool_recordings(fit: Fit) -> Fit:
 def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     """Description of each outlier of a fit, in order of time."""
     observations, inliers, state = extraction.observations, fit.inliers, fit.lin.state
-    begin = {number: int(track.time_ns[0]) for number, track in enumerate(extraction.wheels)}
+    begin = [int(track.time_ns[0]) for track in extraction.wheels]
+    outliers: list[Outlier] = []
 
     def name(i: int) -> str:
         return extraction.station_name(observations[i].log, observations[i].station)
@@ -162,19 +164,23 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
     def clock(i: int) -> str:
         return f"{(observations[i].time_ns - begin[observations[i].log]) / 1e9:.1f} s"
 
-    outliers: list[Outlier] = []
-    legs = fit.lin.legs.residual[:, :3]
-    for leg in np.flatnonzero(~inliers.legs):
-        i, j = (int(k) for k in fit.data.legs[leg])
-        x, y, psi = legs[leg]
+    def add(
+        kind: Literal["corners", "station", "slip", "joint"], stations: tuple[int, ...], text: str
+    ) -> None:
+        last = observations[stations[-1]]
+        outliers.append(Outlier(kind, last.log, stations, last.time_ns, text))
+
+    for leg in np.flatnonzero(~inliers.legs).tolist():
+        i, j = fit.data.legs[leg].tolist()
+        x, y, psi = fit.lin.legs.residual[leg, :3]
         by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
         text = (
             f"Wheel slip or moved board between stations {name(i)} and {name(j)}, {clock(j)}: wheels and cameras "
             f"differ by {by}. The odometry of this leg is excluded."
         )
-        outliers.append(Outlier("slip", observations[i].log, (i, j), observations[j].time_ns, text))
+        add("slip", (i, j), text)
     expected = board_in_camera(fit.data, state)
-    for i in (int(k) for k in np.flatnonzero(~inliers.views)):
+    for i in np.flatnonzero(~inliers.views).tolist():
         off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
         shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
         text = (
@@ -182,19 +188,20 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
             "predict. Its images are excluded. Check for a moved or wrong board, or wrong joint readings."
         )
-        outliers.append(Outlier("station", observations[i].log, (i,), observations[i].time_ns, text))
-    excluded = fit.data.seen & ~inliers.corners
+        add("station", (i,), text)
     joints, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
-    for i, j in ((int(a), int(b)) for a, b in np.argwhere(~inliers.readings)):
-        error = -state.joint_errors[i, j]
+    for i, j in np.argwhere(~inliers.readings).tolist():
+        error = -state.own[i, j]
         by = f"{error * 1e3:+.1f} mm" if joints[j] in prismatic else f"{math.degrees(error):+.2f} degrees"
         text = f"Station {name(i)}, {clock(i)}: the reading of joint {joints[j]} is wrong by {by}. It is excluded."
-        outliers.append(Outlier("joint", observations[i].log, (i,), observations[i].time_ns, text))
-    for i in (int(k) for k in np.flatnonzero(excluded.any(axis=(1, 2)) & inliers.views)):
-        names, number = extraction.rig.cameras.names, excluded[i].sum(axis=1).tolist()
+        add("joint", (i,), text)
+    excluded, names = fit.data.seen & ~inliers.corners, extraction.rig.cameras.names
+    for i in np.flatnonzero(excluded.any(axis=(1, 2)) & inliers.views).tolist():
+        number = excluded[i].sum(axis=1).tolist()
         counts = f"{number[0]} corners of the {names[0]} image" if len(names) > 1 else f"{number[0]} corners"
         for k, camera in enumerate(names[1:], 1):
             counts += f"{' and' if k == len(names) - 1 else ','} {number[k]} of the {camera} image"
-        text = f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
-        outliers.append(Outlier("corners", observations[i].log, (i,), observations[i].time_ns, text))
+        add(
+            "corners", (i,), f"Station {name(i)}, {clock(i)}: {counts} do not fit the board and are excluded."
+        )
     return tuple(sorted(outliers, key=lambda o: (o.log, o.time_ns)))

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood.measurements import heading_of, planar_pose
 from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
@@ -87,17 +88,20 @@ def _joints(readings: Readings) -> Iterator[Hypothesis]:
     joints = chain.joints
     if not joints:
         return
-    for column, name in enumerate(joints):
-        yield Hypothesis(
-            f"the sign of joint {name} is reversed",
-            f"reverse the axis of {name} in head.chain or in the URDF, or the sign of its readings",
-            partial(_joints_times, factor=-1.0, columns=[column]),
-        )
+    signs = [
+        (f"the sign of joint {name} is", f"axis of {name}", "sign of its", [column])
+        for column, name in enumerate(joints)
+    ]
     if len(joints) > 1:
+        everything = list(range(len(joints)))
+        signs.append(
+            ("the signs of all head joints are", "axes of the head joints", "signs of their", everything)
+        )
+    for cause, axes, sign, columns in signs:
         yield Hypothesis(
-            "the signs of all head joints are reversed",
-            "reverse the axes of the head joints in head.chain or in the URDF, or the signs of their readings",
-            partial(_joints_times, factor=-1.0),
+            f"{cause} reversed",
+            f"reverse the {axes} in head.chain or in the URDF, or the {sign} readings",
+            partial(_joints_times, factor=-1.0, columns=columns),
         )
     if chain.pan in joints and chain.tilt in joints and chain.pan != chain.tilt:
         order = np.arange(len(joints))
@@ -346,7 +350,7 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
     """The readings of one joint by the images, with nominal wheels; none if it is at rest or nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels, joints = readings.nominal_head_eye, readings.rig.nominal.wheels, readings.joints.copy()
+    joints, wheels, X = readings.joints.copy(), readings.nominal.wheels, readings.nominal.T_h_c
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
@@ -355,22 +359,21 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
         joints[:, column] = angles
         return T_w_v @ head_pose(readings.rig.chain, joints)
 
-    angles = _as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column])))
-    joints[:, column] = angles
-    return replace(readings, joints=joints) if np.ptp(angles) > MOVED else readings.of(slice(0))
+    head(_as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column]))))
+    moves = np.ptp(joints[:, column]) > MOVED
+    return replace(readings, joints=joints) if moves else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
     """The readings of nominal wheels by the images and the joints; none if nothing is nominal."""
     readings = readings.of(slice(_FREE_STATIONS))
-    X, wheels = readings.nominal_head_eye, readings.rig.nominal.wheels
+    wheels, X = readings.nominal.wheels, readings.nominal.T_h_c
     if X is None or wheels is None:
         return readings.of(slice(0))
     T_v_h = head_pose(readings.rig.chain, readings.joints)
 
     def base(planar: FloatArray) -> FloatArray:
-        x, y, heading = np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]).T
-        return se3.transform(se3.rotation_z(heading), np.stack([x, y, np.zeros_like(x)], axis=1))
+        return planar_pose(np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]))
 
     T_v_k = T_v_h @ X @ readings.T_c_k
     T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
@@ -411,7 +414,7 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
     backward = np.abs(first) > math.pi / 2  # rather drives backwards than turns around
     first = np.where(backward, first - np.copysign(math.pi, first), first)
     length_m = np.where(backward, -1.0, 1.0) * np.hypot(T_vi_vj[:, 0, 3], T_vi_vj[:, 1, 3])
-    last = np.arctan2(T_vi_vj[:, 1, 0], T_vi_vj[:, 0, 0]) - first
+    last = heading_of(T_vi_vj) - first
     zero = np.zeros_like(first)
     turn, drive = np.stack([first, zero, last], axis=1), np.stack([zero, length_m, zero], axis=1)
     rolled = [

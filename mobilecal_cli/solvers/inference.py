@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
@@ -18,7 +17,7 @@ from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
-from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
+from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
 from mobilecal_cli.likelihood.state import State, cameras_at
 from mobilecal_cli.model import (
@@ -35,10 +34,9 @@ from mobilecal_cli.solvers import outliers
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.initial import initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior
+from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
 from mobilecal_cli.solvers.noise import (
     UNIFORM,
-    Component,
     LevelSearch,
     components,
     converged,
@@ -46,7 +44,7 @@ from mobilecal_cli.solvers.noise import (
     lengths,
     widths,
 )
-from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, proposed
+from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, to_first_order
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
@@ -56,7 +54,7 @@ JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 #: Noise levels that a jump may make large: those of the processes, and others.
-_CONCEALING = (*dict.fromkeys(LEVELS), "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
+_CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -140,16 +138,13 @@ class Inference:
             ConfigError: a constraint that this robot cannot have.
         """
         data = dataset_for(extraction, constraints, data or dataset_of(extraction))
-        nominal, T_h_c = extraction.rig.nominal, None
-        if nominal.T_h_reference is not None:
-            T_h_c = nominal.T_h_reference @ se3.inverse(extraction.rig.cameras.T_c_reference)
         head_eye_fixed = all(name in constraints.fixed for name in NINE[:6])
         encoder_rad = float(data.encoder_step_rad.max()) * UNIFORM
         return cls(
             data=data,
             constraints=constraints,
             motion=motion_seen(data.pairs.T_v_h, data.pairs.steps.totals_rad, data.encoder_step_rad),
-            nominal=InitialPrior(T_h_c, nominal.wheels, head_eye_fixed),
+            nominal=nominal_of(extraction.rig, head_eye_fixed),
             levels=extraction.rig.noise,
             guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
             coarse=_QUICK if data.stations >= outliers.LONG_RECORDING else _COARSE,
@@ -190,8 +185,8 @@ class Inference:
 
     def _user_weight(self, priors: Priors) -> FloatArray:
         """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
-        given = [name in self.constraints.priors for name in NINE]
-        return np.where(given + [True] * len(self.data.layout.constants), priors.weight, 0.0)
+        nominal = [name in NINE and name not in self.constraints.priors for name in self.data.layout.names]
+        return np.where(nominal, 0.0, priors.weight)
 
     def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
@@ -207,13 +202,12 @@ class Inference:
         scales = layout.prior_sigmas(anchor.wheels)
         stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
         meant = anchor.seen_from(stated)
-        apart = state.parameters.seen_from(cameras.T_c_reference).minus(meant) - state.parameters.minus(
-            anchor
-        )
+        seen = state.parameters.seen_from(cameras.T_c_reference)
+        apart = seen.minus(meant) - state.parameters.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
-        has_prior = np.ones(layout.size, dtype=np.bool_)
-        has_prior[:6], has_prior[6:9] = self.nominal.T_h_c is not None, self.nominal.wheels is not None
-        mean, weight = np.zeros(layout.size), np.where(has_prior, scales**-2, 0.0)
+        mean, weight = np.zeros(layout.size), scales**-2
+        weight[:6] *= self.nominal.T_h_c is not None
+        weight[6:9] *= self.nominal.wheels is not None
         for name, (value, sigma) in self.constraints.priors.items():
             if name in layout.names:  # one of several recordings may not show a constant
                 k = layout.names.index(name)
@@ -223,10 +217,9 @@ class Inference:
             exact = self.constraints.fixed[layout.names[k]]
             mean[k], weight[k] = 0.0 if exact is None else exact - origin[k], 0.0
         mean[: len(NINE)] -= apart
-        kinds = {row.name: row.kind for row in layout.constants}
-        alike = [
-            name in kinds and kinds[name] not in nuisance.PATTERNS and name not in self.constraints.priors
-            for name in layout.names
+        alike = [False] * len(NINE) + [
+            row.kind not in nuisance.PATTERNS and row.name not in self.constraints.priors
+            for row in layout.constants
         ]
         kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
         return Priors(layout, anchor, mean, weight, fixed, scales, kept, np.array(alike), {})
@@ -302,17 +295,16 @@ class Inference:
         Raises:
             SolveError: a singular matrix.
         """
-        lin = fit.lin.with_inliers(inliers)
-        lin = lin.predicted(proposed(lin)[0])
-        lin, shown, _ = self._levels_near(lin, components(lin), self.coarse.levels)
-        return replace(fit, lin=lin, components=shown)
+        lin = to_first_order(fit.lin.with_inliers(inliers))
+        lin, _ = self._levels_near(lin, self.coarse.levels)
+        return replace(fit, lin=lin, components=components(lin))
 
     def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
         tolerances = tolerances or self.coarse
         fitted = self.coarse.near <= tolerances.near
         for _ in range(_NOISE_FITS):
-            _, _, noise = self._levels_near(fit.lin, fit.components, tolerances.levels)
+            _, noise = self._levels_near(fit.lin, tolerances.levels)
             if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
             lin = fit.lin.with_noise(noise).renewed()
@@ -347,14 +339,13 @@ class Inference:
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
         for _ in range(2):
-            optimum = fit.lin.with_noise(noise)
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-            optimum = optimum.predicted(proposed(optimum)[0])
+            optimum = to_first_order(fit.lin.with_noise(noise))
             ranked = jumps.likeliest(optimum)
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
-            lin = _past(optimum, ranked[0])
-            lin, _, _ = self._levels_near(lin, components(lin), self.coarse.levels, frozenset(LENGTHS))
+            lin = to_first_order(jumps.without(optimum, ranked[0]))
+            lin, _ = self._levels_near(lin, self.coarse.levels, frozenset(LENGTHS.values()))
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
@@ -366,7 +357,7 @@ class Inference:
             return None
         points = [(jump, lin)]
         for other in jumps.alike(ranked):
-            past = _past(optimum, other)
+            past = to_first_order(jumps.without(optimum, other))
             points.append((replace(jumps.again(past, other), sigmas=jump.sigmas, also=jump.part), past))
         worst = max((_sized(written, *point) for point in points), key=lambda each: each.shift_sigmas)
         return worst, replace(fit, lin=lin)
@@ -388,12 +379,11 @@ class Inference:
         if outliers.restored(was, replace(fit, lin=everything)).max() < _SEVERAL:
             return None
         try:
-            lin = self.refit(fit, images).lin.with_inliers(everything.inliers)
-            lin = lin.predicted(proposed(lin)[0])
+            lin = to_first_order(self.refit(fit, images).lin.with_inliers(everything.inliers))
             ranked = jumps.likeliest(lin, each_side=_SEVERAL)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
-            lin = _past(lin, ranked[0])
+            lin = to_first_order(jumps.without(lin, ranked[0]))
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
@@ -401,49 +391,36 @@ class Inference:
         return (jump, without) if explained >= _SEVERAL else None
 
     def _levels_near(
-        self,
-        lin: Posterior,
-        shown: Mapping[str, Component],
-        tolerance: float,
-        kept: frozenset[str] = frozenset(),
-    ) -> tuple[Posterior, Mapping[str, Component], Noise]:
+        self, lin: Posterior, tolerance: float, kept: frozenset[str] = frozenset()
+    ) -> tuple[Posterior, Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 
         Args:
-            lin, shown: where to start, and what its residuals show.
+            lin: where to start.
             tolerance: relative.
             kept: names of levels that stay, beside those that are given.
 
         Returns:
-            The last point, what its residuals show, and the levels that follow from them.
+            The last point, and the levels that follow from its residuals.
         """
         given = self.given | kept
         search = LevelSearch(given)
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, shown, given, self.guess)
+            noise = estimated(lin.noise, components(lin), given, self.guess)
             wider = lin.noise.wider if self.scales_stay else widths(lin)
             noise = replace(noise, **lengths(lin, given, self.guess), wider=wider)
             if converged(lin.noise, noise, tolerance):
                 break
-            lin = lin.with_noise(search.next(lin.noise, noise))
-            lin = lin.predicted(proposed(lin)[0])
-            shown = components(lin)
-        return lin, shown, noise
+            lin = to_first_order(lin.with_noise(search.next(lin.noise, noise)))
+        return lin, noise
 
 
 def _unbiased(lin: Posterior) -> Posterior:
     """The same point with the bias of the sum of squares, see `Priors`, at the optimum that the first order shows."""
     try:
-        at_optimum = lin.predicted(proposed(lin)[0])
-        return lin.under(replace(lin.priors, bias=expected_gradient(at_optimum)))
+        return lin.under(replace(lin.priors, bias=expected_gradient(to_first_order(lin))))
     except SolveError:
         return lin
-
-
-def _past(lin: Posterior, jump: jumps.Jump) -> Posterior:
-    """The optimum without a jump, to first order."""
-    lin = jumps.without(lin, jump)
-    return lin.predicted(proposed(lin)[0])
 
 
 def _sized(written: Fit, jump: jumps.Jump, lin: Posterior) -> jumps.Jump:

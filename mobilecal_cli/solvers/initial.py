@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,17 +19,16 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
 from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.state import State, planar
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
-from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
 from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
 MAX_ROUNDS = 200  # of a start that does not reach a fixed point
-_SMALLEST = 1e-12  # m: wheels of nothing do not change
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
 _SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only lead to a guess
 #: Share of the point error with positive wheels that impossible ones must reach to be kept.
@@ -40,12 +39,8 @@ _ANOTHER = 0.05  # relative change of the wheel ratios: a leg that unwraps other
 ROUNDS = 12  # where a comparison or an optimization follows, which needs no fixed point
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Start:
-    """Wheel ratios (aR, aL) = (rR/b, -rL/b) to start from (eq. 11), and their origin."""
-
-    ratios: FloatArray
-    origin: str
+#: Wheel ratios (aR, aL) = (rR/b, -rL/b) to start from (eq. 11), and their origin.
+Start = tuple[FloatArray, str]
 
 
 def grid_of_starts() -> list[Start]:
@@ -53,8 +48,7 @@ def grid_of_starts() -> list[Start]:
 
     Neighbors are 15 % apart: the guess next to the truth unwraps legs of up to 360 degrees.
     """
-    scales = np.geomspace(0.02, 2.0, 34)
-    return [Start(np.array([0.0, 0.0]), "grid"), *(Start(s * np.array([1.0, -1.0]), "grid") for s in scales)]
+    return [(scale * np.array([1.0, -1.0]), "grid") for scale in (0.0, *np.geomspace(0.02, 2.0, 34))]
 
 
 def change(before: Parameters, after: Parameters) -> float:
@@ -63,7 +57,7 @@ def change(before: Parameters, after: Parameters) -> float:
     moved = np.linalg.norm(after.T_h_c[:3, 3] - before.T_h_c[:3, 3])
     scale = max(float(np.linalg.norm(after.T_h_c[:3, 3])), _TRANSLATION_SCALE_M)
     old, new = before.wheels.vector, after.wheels.vector
-    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.maximum(np.abs(new), _SMALLEST))))
+    return float(max(turned, moved / scale, np.max(np.abs(new - old) / np.maximum(np.abs(new), NO_SIZE_M))))
 
 
 def _iterate(rounds: Rounds, ratios: FloatArray, tolerance: float, limit: int) -> list[Parameters]:
@@ -82,33 +76,31 @@ def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
     least = np.sort(by_turn[: max(4, min(_SCOUT_LEGS, len(Phi) // 2))])
     scout, whole = Rounds(pairs.select(least)), Rounds(pairs)
     scouted: list[tuple[float, Start]] = []
-    for start in starts:
+    for start, origin in starts:
         for rounds in (scout, whole):
-            history = _iterate(rounds, start.ratios, PAPER_TOLERANCE, _SCOUT_ROUNDS)
+            history = _iterate(rounds, start, PAPER_TOLERANCE, _SCOUT_ROUNDS)
             if not history:
                 continue
             ratios = ratios_of(history[-1].wheels)
-            if any(np.allclose(ratios, other.ratios, rtol=0.02, atol=0) for _, other in scouted):
+            if any(np.allclose(ratios, other, rtol=0.02, atol=0) for _, (other, _) in scouted):
                 continue
             # Two rounds on all legs show how well the guess explains the others.
             onward = _iterate(whole, ratios, PAPER_TOLERANCE, 2)
             if onward:
-                scouted.append((point_rms_m(pairs, onward[-1]), Start(ratios, start.origin)))
+                scouted.append((point_rms_m(pairs, onward[-1]), (ratios, origin)))
     return [start for _, start in sorted(scouted, key=lambda item: item[0])]
 
 
 def _answers(pairs: MotionPairs, starts: list[Start]) -> Iterator[LinearEstimate]:
     """Where each start leads, without its rivals."""
     rounds = Rounds(pairs)
-    for start in starts:
-        history = _iterate(rounds, start.ratios, FIXED_POINT, MAX_ROUNDS)
+    for ratios, origin in starts:
+        history = _iterate(rounds, ratios, FIXED_POINT, MAX_ROUNDS)
         if history:
             steps = [math.inf, *(change(a, b) for a, b in itertools.pairwise(history))]
             converged = next((i for i, step in enumerate(steps, 1) if step < PAPER_TOLERANCE), len(steps))
             rms_m = point_rms_m(pairs, history[-1])
-            yield LinearEstimate(
-                history[-1], tuple(history), converged, rms_m, start.ratios, start.origin, math.inf
-            )
+            yield LinearEstimate(history[-1], tuple(history), converged, rms_m, ratios, origin, math.inf)
 
 
 def _unambiguous(pairs: MotionPairs, nominal: WheelGeometry, answer: LinearEstimate) -> bool:
@@ -137,11 +129,9 @@ def linear_estimate(
     Raises:
         SolveError: no start leads anywhere.
     """
-    starts = []
-    if given is not None:
-        starts.append(Start(given, "given"))
+    starts: list[Start] = [] if given is None else [(given, "given")]
     if nominal is not None:
-        starts.append(Start(ratios_of(nominal), "nominal"))
+        starts.append((ratios_of(nominal), "nominal"))
     answers = list(_answers(pairs, starts))
     if nominal is None or not any(_unambiguous(pairs, nominal, answer) for answer in answers):
         answers += _answers(pairs, _scouted(pairs, starts + grid_of_starts())[:4])
@@ -221,9 +211,8 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
             # T_w_v with the board where it is known to be, flattened, at this stretch's start.
             placed = boards[board] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_w_v[seeing])
             shift = _median_pose(placed)
-            yaw = np.arctan2(shift[1, 0], shift[0, 0])
-            flat = se3.transform(se3.rotation_z(yaw), np.array([shift[0, 3], shift[1, 3], 0.0]))
-            T_w_v[members], heading[members] = flat @ T_w_v[members], heading[members] + yaw
+            flat = np.array([*shift[:2, 3], heading_of(shift)])
+            T_w_v[members], heading[members] = planar_pose(flat) @ T_w_v[members], heading[members] + flat[2]
         elif start in into:
             leg = into[start]
             shift = T_w_v[data.legs[leg, 0]] @ T_vi_vj[leg]
@@ -240,11 +229,9 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
 
 def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Poses (n + 1, 4, 4) in the first one's frame, and headings (n + 1,), along n legs one after the other."""
-    heading = np.concatenate([[0.0], np.cumsum(psi_rad)])
-    Rz = se3.rotation_z(heading)
-    t = np.zeros((len(heading), 3))
-    t[1:, :2] = np.cumsum((Rz[:-1, :2, :2] @ t_m[..., None])[..., 0], axis=0)
-    return se3.transform(Rz, t), heading
+    heading = np.append(0.0, np.cumsum(psi_rad))
+    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(planar(heading[:-1], t_m), axis=0)])
+    return planar_pose(np.column_stack([xy, heading])), heading
 
 
 def _median_pose(T: FloatArray) -> FloatArray:

@@ -14,16 +14,16 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.model import FloatArray, IntArray, Parameters, WheelGeometry
+from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
+from mobilecal_cli.model import FloatArray, IntArray, Parameters, Rig, WheelGeometry
 from mobilecal_cli.solvers.transfer import base_motion
 
 _PAIRS_PER_STATION = 40  # at most about twice as many: the pairs grow with the recording, not with its square
 _HEADINGS = 720  # half a degree apart
 # Accuracy of a leg's turn and length against that of nominal values: weights of the priors.
 _LEG_RAD, _LEG_M = 0.003, 0.003
-_NOMINAL_SHARE, _NOMINAL_M = 0.2, 0.1
-# A radius or separation, and a ratio of them, that is zero but for rounding.
-_NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
+#: A radius or separation, and a ratio of them, that is zero but for rounding.
+NO_SIZE_M, _NO_RATIO = 1e-12, 1e-9
 _EXACT = 1e6  # weight of a fixed value over that of a nominal one
 _NEAR_HALF_TURN = 0.05  # cos(theta/2) below this: the sign of the axis is ambiguous
 
@@ -64,6 +64,13 @@ class InitialPrior:
     T_h_c: FloatArray | None = None
     wheels: WheelGeometry | None = None
     head_eye_fixed: bool = False
+
+
+def nominal_of(rig: Rig, head_eye_fixed: bool = False) -> InitialPrior:
+    """The nominal values of a robot."""
+    T_h_reference, wheels = rig.nominal.T_h_reference, rig.nominal.wheels
+    T_h_c = None if T_h_reference is None else T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
+    return InitialPrior(T_h_c, wheels, head_eye_fixed)
 
 
 def ratios_of(wheels: WheelGeometry) -> FloatArray:
@@ -121,7 +128,7 @@ class Rounds:
         """Pairs of stations further apart than a leg, and the camera's rotation over each."""
         first, last, span = _pairs(self._pairs)
         R_c_k = self._pairs.T_c_k[:, :3, :3]
-        return first, last, span, R_c_k[first] @ np.swapaxes(R_c_k[last], 1, 2)
+        return first, last, span, R_c_k[first] @ R_c_k[last].mT
 
     @cached_property
     def _vertical_h(self) -> FloatArray:
@@ -137,34 +144,31 @@ class Rounds:
         if cosine < -1 + 1e-9:
             other = np.cross(n_c, np.eye(3)[np.argmin(np.abs(n_c))])
             return se3.rotation_about(other / np.linalg.norm(other), np.array(math.pi))
-        R: FloatArray = np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
-        return R
+        return np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
 
     def rotation(self, psi_rad: FloatArray) -> FloatArray:
         """Step 2: R_X from the head's rotations, R_hi_hj = R_v_hi^T Rz(psi_ij) R_v_hj (eq. 8)."""
         if self._prior.head_eye_fixed and self._prior.T_h_c is not None:
-            known: FloatArray = self._prior.T_h_c[:3, :3]
-            return known
+            return np.asarray(self._prior.T_h_c[:3, :3])
         if self._common_axis:
             return self._aligned
         first, last, span, R_pairs_c = self._wide
         heading = np.concatenate([[0.0], np.cumsum(psi_rad)])
         Rz = se3.rotation_z(heading[span[:, 1]] - heading[span[:, 0]])
-        R_hi_hj = np.swapaxes(self._R_v_h[first], 1, 2) @ Rz @ self._R_v_h[last]
+        R_hi_hj = self._R_v_h[first].mT @ Rz @ self._R_v_h[last]
         return head_eye_rotation(R_hi_hj, R_pairs_c)[0]
 
     def ratios(self, R_h_c: FloatArray, psi_rad: FloatArray) -> FloatArray:
         """Step 3: (aR, aL) from the turns that the camera saw (eqs. 12-13), unwrapped by odometry."""
-        R_ci_cj, R_hj_v = self._T_ci_cj[:, :3, :3], np.swapaxes(self._R_v_h[self._j], 1, 2)
+        R_ci_cj, R_hj_v = self._T_ci_cj[:, :3, :3], self._R_v_h[self._j].mT
         R = self._R_v_h[self._i] @ R_h_c @ R_ci_cj @ R_h_c.T @ R_hj_v
         psi_seen = np.arctan2(R[:, 1, 0] - R[:, 0, 1], R[:, 0, 0] + R[:, 1, 1])
         turns = psi_seen + 2 * math.pi * np.round((psi_rad - psi_seen) / (2 * math.pi))
         mean, weight = np.zeros(2), np.zeros(2)
         if self._pulled and self._prior.wheels is not None:
             mean = ratios_of(self._prior.wheels)
-            weight = _LEG_RAD / (_NOMINAL_SHARE * np.abs(mean))
-        ratios: FloatArray = _least_squares(self._Phi, turns[None], mean, weight)[0]
-        return ratios
+            weight = _LEG_RAD / (WHEEL_SIGMA * np.abs(mean))
+        return np.asarray(_least_squares(self._Phi, turns[None], mean, weight)[0])
 
     def translation(self, R_h_c: FloatArray, ratios: FloatArray) -> Parameters:
         """Step 4: t_X and rL from the closed loop's translation (eqs. 14-17, with the z row).
@@ -202,13 +206,13 @@ class Rounds:
         """Mean and weight of (t_X, rL)."""
         mean, weight = np.zeros(4), np.zeros(4)
         if self._pulled:
-            weight[:3] = _LEG_M / _NOMINAL_M
+            weight[:3] = _LEG_M / NINE_SIGMAS[3:6]
             if self._prior.T_h_c is not None:
                 mean[:3] = self._prior.T_h_c[:3, 3]
                 weight[:3] *= _EXACT if self._prior.head_eye_fixed else 1.0
             if self._prior.wheels is not None:
                 mean[3] = self._prior.wheels.radius_left_m
-                weight[3] = _LEG_M / (_NOMINAL_SHARE * mean[3])
+                weight[3] = _LEG_M / (WHEEL_SIGMA * mean[3])
         return mean, weight
 
     def _rotations(self, ratios: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
@@ -244,4 +248,4 @@ class Rounds:
 
 def _without_size(wheels: WheelGeometry) -> bool:
     """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
-    return bool(np.abs(wheels.vector).min() < _NO_SIZE_M)
+    return bool(np.abs(wheels.vector).min() < NO_SIZE_M)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mobilecal_cli.likelihood.budget import of_errors, of_legs
 from mobilecal_cli.likelihood.legs import SUPPOSED
-from mobilecal_cli.likelihood.measurements import STAMP
+from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.nuisance import family
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.processes import LENGTHS, LEVELS
+from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
 
 _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
@@ -54,21 +55,19 @@ class Component:
         worth = guess_worth(self.redundancy)
         return (self.squares + worth * guess) / (max(self.redundancy, 0.0) + worth)
 
-    def __add__(self, other: Component) -> Component:
-        """Both together."""
-        return Component(self.squares + other.squares, self.redundancy + other.redundancy)
-
 
 def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
-    views, marginal, state = lin.views, lin.marginals, lin.state
-    taken, posed = marginal.leverage(views.information), lin.data.posed
+    views, posed = lin.views, lin.data.posed
+    taken = lin.marginals.leverage(views.information)
     result: dict[str, Component] = {}
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
         """Squares of whitened residuals of a level, and how much of each is redundant."""
-        more = Component(float(np.sum(squares)), float(np.sum(left)))
-        result[level] = result.get(level, Component(0.0, 0.0)) + more
+        before = result.get(level, Component(0.0, 0.0))
+        result[level] = Component(
+            before.squares + float(squares.sum()), before.redundancy + float(left.sum())
+        )
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
@@ -76,57 +75,33 @@ def components(lin: Posterior) -> dict[str, Component]:
         if of.any():
             add(level, views.cost[of], (count - taken)[of])
 
-    processes = lin.processes
-    ratio = processes.innovations(_within(lin)) ** 2 / processes.variance
-    innovations = marginal.innovations(processes.rho)
-    left = 1 - np.diagonal(innovations, axis1=1, axis2=2) / processes.variance
     means = int(lin.data.log.max())
-    for level, squares, free in zip(LEVELS, ratio.sum(axis=0), left.sum(axis=0), strict=True):
-        add(level, squares, np.maximum(free - means, 0.0))
-
-    e = (lin.leg_weight @ lin.legs.residual[..., None])[..., 0]
-    left_over = lin.leg_weight - lin.leg_weight @ marginal.legs @ lin.leg_weight
-    for level, share in lin.leg_covariances.items():
+    for each in of_errors(lin, _within(lin)):
+        for level in each.parts:
+            squares, free = each.shown(level)
+            if level != "encoder_rad" or lin.noise.encoder_rad:  # encoders without steps show none
+                add(level, squares, np.maximum(free - means, 0.0) if level in LENGTHS else free)
+    of_wheels = of_legs(lin)
+    for level in of_wheels.parts:
         if level != SUPPOSED:
-            add(level, np.einsum("la,lab,lb->", e, share, e), np.einsum("lab,lba->", share, left_over))
-
-    sigma, joints = lin.own_sigmas, lin.data.joints.shape[1]
-    used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
-    used[:, :joints] &= lin.inliers.readings
-    used[:, joints:] &= lin.data.drives[:, None]
-    of_level = used.astype(np.float64)  # the level's variance over that of a reading, 0 of outliers
-    of_level[:, :joints] *= (lin.noise.joint_rad * lin.data.joint_units / sigma[:, :joints]) ** 2
-    ratio = of_level * (lin.own_errors / sigma) ** 2
-    left = of_level * (1 - np.diagonal(marginal.own, axis1=1, axis2=2) / sigma**2)
-    ends = [joints, joints + 2]
-    columns = zip(np.split(ratio, ends, axis=1), np.split(left, ends, axis=1), strict=True)
-    for level, of_columns in zip(("joint_rad", "sway_rad", "sway_m"), columns, strict=True):
-        add(level, *of_columns)
-
-    if lin.noise.encoder_rad:
-        of_level = (lin.noise.encoder_rad * lin.data.encoder_shares / lin.encoder_sigmas) ** 2
-        squares = of_level * (state.encoder_errors / lin.encoder_sigmas) ** 2
-        add("encoder_rad", squares, of_level * (1 - marginal.encoders / lin.encoder_sigmas**2))
-    if lin.data.base_width > STAMP:
-        stamp_s = lin.noise.stamp_s
-        add("stamp_s", (state.stamp_errors / stamp_s) ** 2, 1 - marginal.stamps / stamp_s**2)
+            add(level, *of_wheels.shown(level))
     return result
 
 
 def _within(lin: Posterior) -> FloatArray:
-    """(N, 5) processes without their mean in each recording, where there are several.
+    """(N, K) errors of the base blocks, processes without their mean in each recording, where there are several.
 
     Means that differ say how the recordings differ, not how a process varies along the way.
     """
-    processes, values, log = lin.processes, lin.state.processes, lin.data.log
+    processes, errors, log = lin.processes, lin.state.base[:, ERRORS], lin.data.log
     if not log.max():
-        return values
-    of_one = processes.innovations(np.ones_like(values)) / processes.variance
-    sums = np.zeros((2, int(log.max()) + 1, values.shape[1]))
-    np.add.at(sums[0], log, of_one * processes.innovations(values))
-    np.add.at(sums[1], log, of_one * processes.innovations(np.ones_like(values)))
-    out: FloatArray = values - (sums[0] / sums[1])[log]
-    return out
+        return errors
+    ones = processes.innovations(np.ones_like(errors))
+    sums = np.zeros((2, int(log.max()) + 1, errors.shape[1]))
+    np.add.at(sums[0], log, ones / processes.variance * processes.innovations(errors))
+    np.add.at(sums[1], log, ones / processes.variance * ones)
+    along = [level in LENGTHS for level in processes.levels]
+    return np.where(along, errors - (sums[0] / sums[1])[log], errors)
 
 
 def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, float]:
@@ -138,23 +113,23 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
     processes, posterior, values = lin.processes, lin.marginals, _within(lin)
     j = lin.data.legs[lin.inliers.legs, 1]
     lengths_m: dict[str, float] = {}
-    variance, before = (
-        np.diagonal(part, axis1=1, axis2=2) for part in (posterior.processes, posterior.before)
-    )
+    variance, before = (np.diagonal(part, axis1=1, axis2=2) for part in (posterior.errors, posterior.before))
     here, past = values[j], values[j - 1]
     squares, mixed, earlier = here**2 + variance[j], here * past + before[j], past**2 + variance[j - 1]
-    for level in dict.fromkeys(LENGTHS):
-        if level in given:
+    for length in dict.fromkeys(LENGTHS.values()):
+        if length in given:
             continue
-        tried = getattr(lin.noise, level) * _LENGTHS
-        score = -((np.log(tried / getattr(guess, level)) / math.log(_LENGTH_FACTOR)) ** 2)
-        for k in (k for k, other in enumerate(LENGTHS) if other == level):
+        tried = getattr(lin.noise, length) * _LENGTHS
+        score = -((np.log(tried / getattr(guess, length)) / math.log(_LENGTH_FACTOR)) ** 2)
+        for k, level in enumerate(processes.levels):
+            if LENGTHS.get(level) != length:
+                continue
             x = processes.distance_m[j, k] / tried[:, None]
-            rho, spread = np.exp(-x), getattr(lin.noise, LEVELS[k]) ** 2 * -np.expm1(-2 * x)
+            rho, spread = np.exp(-x), getattr(lin.noise, level) ** 2 * -np.expm1(-2 * x)
             spread = np.maximum(spread, EXACT**2)
             innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
             score -= np.sum(np.log(spread) + innovation / spread, axis=1)
-        lengths_m[level] = min(max(float(tried[np.argmax(score)]), _LEAST[level]), _MOST[level])
+        lengths_m[length] = min(max(float(tried[np.argmax(score)]), _LEAST[length]), _MOST[length])
     return lengths_m
 
 
@@ -261,7 +236,7 @@ class LevelSearch:
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:
     """Whether no level moved by more than a share of itself, and no correlation length by more than five times that."""
     a, b = before.all_levels, after.all_levels
-    allowed = dict.fromkeys(LENGTHS, _LENGTH_TOLERANCE * tolerance)
+    allowed = dict.fromkeys(LENGTHS.values(), _LENGTH_TOLERANCE * tolerance)
     return all(
         abs(level - a.get(name, 1.0)) <= allowed.get(name, tolerance) * a.get(name, 1.0)
         for name, level in b.items()

@@ -52,6 +52,15 @@ def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
     return normal.step(priors.basis @ along), normal.gain - float(s @ along)
 
 
+def to_first_order(lin: Posterior) -> Posterior:
+    """The optimum, to first order.
+
+    Raises:
+        SolveError: a singular matrix.
+    """
+    return lin.predicted(proposed(lin)[0])
+
+
 def optimize(
     start: Posterior,
     near: float = NEAR,

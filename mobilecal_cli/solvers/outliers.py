@@ -40,13 +40,6 @@ _JUDGED_BY = {
 }
 
 
-def _own_misfit(data: Dataset, state: State, stations: IntArray, detected: BoolArray) -> FloatArray:
-    """(n, C, M) distance of the detected corners of some stations from the boards that fit each best, robustly."""
-    T = fitted_poses(data, state, data.T_c_k[stations], stations, detected, robust=True)
-    residual, _ = corner_residuals(data, state, T, stations, by_constants=False)
-    return np.asarray(np.linalg.norm(whitened(data.whitening[stations], residual), axis=-1))
-
-
 def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
     """Corners and whole boards that fit the board's own shape, each station by itself.
 
@@ -68,7 +61,10 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         shown = np.flatnonzero(detected.any(axis=(1, 2)))
         for block in blocks_of(len(shown)):
             mine = shown[block]
-            size[mine] += detected[mine] * _own_misfit(data, state, mine, detected[mine])
+            T = fitted_poses(data, state, data.T_c_k[mine], mine, detected[mine], robust=True)
+            residual, _ = corner_residuals(data, state, T, mine, by_constants=False)
+            off = np.linalg.norm(whitened(data.whitening[mine], residual), axis=-1)
+            size[mine] += detected[mine] * off
     # The median length of a two-dimensional normal vector is 1.1774 sigma.
     own = median_size(size, data.seen) / 1.1774
     common = max(float(np.median(own)), 1e-9)

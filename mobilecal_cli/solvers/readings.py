@@ -11,6 +11,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import MotionSeen, encoder_steps_rad, head_pose, motion_seen
 from mobilecal_cli.likelihood.measurements import MotionPairs, steps_between
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Rig, Track, WheelTrack
+from mobilecal_cli.solvers.linear import InitialPrior, nominal_of
 
 FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, many mistakes fit
 # Reprojection error over the focal length beyond which the images are wrong, not a joint or the wheels: of 120 robots
@@ -65,10 +66,9 @@ class Readings:
         return len(self.log) - len(np.unique(self.log))
 
     @property
-    def nominal_head_eye(self) -> FloatArray | None:
-        """Nominal pose of the first camera on the head, (4, 4)."""
-        nominal = self.rig.nominal.T_h_reference
-        return None if nominal is None else nominal @ se3.inverse(self.rig.cameras.T_c_reference)
+    def nominal(self) -> InitialPrior:
+        """Nominal values of the robot."""
+        return nominal_of(self.rig)
 
     @cached_property
     def pairs(self) -> MotionPairs:

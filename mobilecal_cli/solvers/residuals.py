@@ -1,24 +1,41 @@
-"""Measurements with the estimated constants applied, and station-to-station corner errors in m and in pixels."""
+"""Measurements with the estimated constants applied, and station-to-station corner errors in m and in pixels.
+
+And what these consist of, to first order: corners, joints, floor and wheels.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
-from mobilecal_cli.kinematics import integrate
+from mobilecal_cli.kinematics import head_jacobian, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.nuisance import camera_change, clocks_of, table
-from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, head_at, points_at
-from mobilecal_cli.likelihood.views import board_poses, view_rates
-from mobilecal_cli.model import BoolArray, Extraction, FloatArray, Parameters, Residuals
+from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
+from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.measurements import MotionPairs, in_each_camera
+from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
+from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, constant_stance, head_at, points_at
+from mobilecal_cli.likelihood.views import board_poses, corner_residuals, view_rates
+from mobilecal_cli.model import (
+    BoolArray,
+    CameraRig,
+    ErrorPart,
+    Extraction,
+    FloatArray,
+    Noise,
+    Parameters,
+    Residuals,
+)
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
-_LEAST_DEPTH_M = 0.01  # of a point that a camera does not show
 _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels leaves 1e-6 px after three
 _STILL_M = 1e-9
 
@@ -30,6 +47,7 @@ def at_state(
     noise_px: float | None = None,
     patterns: bool = False,
     corners: BoolArray | None = None,
+    T_c_k: FloatArray | None = None,
 ) -> tuple[Extraction, MotionPairs]:
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
 
@@ -39,16 +57,18 @@ def at_state(
         noise_px: of the corners, px; as stated if None.
         patterns: whether those of the lenses are applied, too.
         corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
+        T_c_k: (N, 4, 4) these poses, if they are known.
     """
     stated, cameras = extraction, cameras_at(data, state)
     extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
-    T_c_k = board_poses(data, state, data.seen if corners is None else corners)
+    if T_c_k is None:
+        T_c_k = board_poses(data, state, data.seen if corners is None else corners)
     points_c = se3.act(T_c_k, points_at(data, state))
     on_boards = zip(extraction.observations, points_c, strict=True)
     seen = tuple(replace(o, points_c=points) for o, points in on_boards)
     extraction = triangulated_again(replace(extraction, observations=seen), factor)
-    as_read = replace(state, joint_errors=np.zeros_like(state.joint_errors))
+    as_read = replace(state, own=np.zeros_like(state.own))
     return extraction, replace(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
@@ -64,30 +84,29 @@ def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: b
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
     lens, which are left in the pixels unless they are asked for.
     """
-    change = camera_change(data.cameras, data.layout.constants, state.constants)
-    if not (patterns or change.readout_s.any() or change.delay_s.any()):
+    rows = data.layout.constants
+    of_lenses = [row for row in rows if isinstance(row.effect, CameraEffect) and row.kind in PATTERNS]
+    of_times = [row for row in rows if isinstance(row.effect, CameraEffect) and row.effect.of in TIMES]
+    undone = [row for row in (*of_lenses * patterns, *of_times) if state.value(row.name)]
+    if not undone:
         return extraction
-    modeled = cameras_at(data, state)
-    actual = change.apply(data.cameras) if patterns else modeled
-    rates = view_rates(data, state)[:, None]
-    points_c = se3.act(data.T_c_k, points_at(data, state))
-    velocity = np.cross(rates[..., :3], points_c) + rates[..., 3:]
-    moved = []
-    for k, (camera, T_c_camera) in enumerate(zip(modeled.each, modeled.T_c_each, strict=True)):
-        rows = (data.pixels[:, k, :, 1] + 0.5) / camera.height - 0.5
-        late_c = points_c + change.late_s(k, rows)[..., None] * velocity
-        points, late = (se3.act(se3.inverse(T_c_camera), at) for at in (points_c, late_c))
-        ahead = data.seen[:, k, :, None]
-        exposed, stamped = (np.where(ahead, at, [0.0, 0.0, 1.0]) for at in (late, points))
-        moved.append(np.where(ahead, project(actual.each[k], exposed) - project(camera, stamped), 0.0))
+    rates = view_rates(data, state)
+    shown, modeled = (
+        corner_residuals(data.with_constants(kept), state, data.T_c_k, rates=rates, by_constants=False)[0]
+        for kept in (
+            [row for row in rows if row not in of_lenses or row in undone],
+            [row for row in rows if row not in of_lenses and row not in of_times],
+        )
+    )
+    moved = np.where(data.seen[..., None], shown - modeled, 0.0)
     observations = tuple(
         replace(
             o,
             views=tuple(
-                replace(view, pixels=view.pixels - by[i]) for view, by in zip(o.views, moved, strict=True)
+                replace(view, pixels=view.pixels - by) for view, by in zip(o.views, of_views, strict=True)
             ),
         )
-        for i, o in enumerate(extraction.observations)
+        for o, of_views in zip(extraction.observations, moved, strict=True)
     )
     return replace(extraction, observations=observations)
 
@@ -142,14 +161,11 @@ def residuals_of(
     i, j = pairs.legs[kept].T
     cameras, observations = extraction.rig.cameras, extraction.observations
     predicted_c = se3.act(camera_motion(pairs, parameters)[kept], pairs.points_c[j])
-    measured = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
-    pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
+    measured, pixels = _of_views(extraction, "seen"), _of_views(extraction, "pixels")
     predicted = np.zeros((len(cameras.each), *predicted_c.shape[:2], 2))
     if measured.any():
-        for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
-            points = se3.act(se3.inverse(T_c_camera), predicted_c) if k else predicted_c
-            ahead = measured[k, i] | (points[..., 2] > _LEAST_DEPTH_M)
-            predicted[k] = project(camera, np.where(ahead[..., None], points, [0.0, 0.0, 1.0]))
+        for k, (camera, _, points) in enumerate(in_each_camera(cameras, predicted_c, measured[:, i])):
+            predicted[k] = project(camera, points)
     squares = (predicted - pixels[:, i]) ** 2
     left_out = np.zeros_like(measured) if rejected is None else np.moveaxis(rejected, 1, 0)
     gross: BoolArray = np.asarray(left_out.any(axis=0))
@@ -171,7 +187,12 @@ def residuals_of(
     )
 
 
-def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extraction:
+def _of_views(extraction: Extraction, name: str) -> NDArray[Any]:
+    """(C, N, ...) an attribute of all views."""
+    return np.stack([[getattr(view, name) for view in o.views] for o in extraction.observations], axis=1)
+
+
+def triangulated_again(extraction: Extraction, factor: float) -> Extraction:
     """The same with corners triangulated anew and their covariances, of cameras that are not those of the recording.
 
     Gauss-Newton steps from the points as they are, none of which changes a depth by more than half of it; corners that
@@ -183,22 +204,19 @@ def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extractio
     """
     observations, cameras = extraction.observations, extraction.rig.cameras
     points = np.stack([o.points_c for o in observations])
-    detected = np.stack([[view.seen for view in o.views] for o in observations], axis=1)
-    pixels = np.stack([[view.pixels for view in o.views] for o in observations], axis=1)
+    detected, pixels = _of_views(extraction, "seen"), _of_views(extraction, "pixels")
     covariance = np.stack([o.points_cov for o in observations])
     several = detected.sum(axis=0) > 1
     for _ in range(_TRIANGULATION_STEPS if several.any() else 0):
         errors, by_point = [], []
-        for k, (camera, T_c_camera) in enumerate(zip(cameras.each, cameras.T_c_each, strict=True)):
-            T_camera_c = se3.inverse(T_c_camera)
-            usable = (detected[k] & several)[..., None]
-            own = se3.act(T_camera_c, points) if k else points
-            at, J = project_with_jacobian(camera, np.where(usable, own, [0.0, 0.0, 1.0]))
-            errors.append(np.where(usable, pixels[k] - at, 0.0))
-            by_point.append(np.where(usable[..., None], J @ T_camera_c[:3, :3] if k else J, 0.0))
+        usable = detected & several
+        for k, (camera, R, own) in enumerate(in_each_camera(cameras, points, usable)):
+            at, J = project_with_jacobian(camera, own)
+            errors.append(np.where(usable[k, ..., None], pixels[k] - at, 0.0))
+            by_point.append(np.where(usable[k, ..., None, None], J @ R, 0.0))
         A = np.concatenate(by_point, axis=-2)
         A = np.where(several[..., None, None], A, np.eye(A.shape[-2], 3))
-        transposed = np.swapaxes(A, -1, -2)
+        transposed = A.mT
         by_pixel = np.linalg.solve(transposed @ A, transposed)  # (N, M, 3, 2 C)
         step = (by_pixel @ np.concatenate(errors, axis=-1)[..., None])[..., 0]
         depth = points[..., 2:]
@@ -209,7 +227,91 @@ def triangulated_again(extraction: Extraction, factor: float = 1.0) -> Extractio
     if several.any():
         of_pixels = np.stack([[view.cov_px2 for view in o.views] for o in observations])  # (N, C, M, 2, 2)
         each = (by_pixel[..., 2 * k : 2 * k + 2] for k in range(len(cameras.each)))
-        parts = (G @ of_pixels[:, k] @ np.swapaxes(G, -1, -2) for k, G in enumerate(each))
+        parts = (G @ of_pixels[:, k] @ G.mT for k, G in enumerate(each))
         covariance = np.where(several[..., None, None], sum(parts), covariance)
     seen = zip(observations, points, factor**2 * covariance, strict=True)
     return replace(extraction, observations=tuple(replace(o, points_c=p, points_cov=c) for o, p, c in seen))
+
+
+def error_parts(
+    lin: Posterior, extraction: Extraction, pairs: MotionPairs, residuals: Residuals
+) -> dict[str, ErrorPart]:
+    """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
+
+    Args:
+        lin: the estimate.
+        extraction, pairs: with the estimated constants, see `residuals.at_state`.
+        residuals: of the estimate.
+    """
+    data, noise, parameters = lin.data, lin.noise, lin.state.parameters
+    if not len(residuals.legs):
+        return {}
+    X, (i, j) = parameters.T_h_c, residuals.legs.T
+    T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
+    points_cov = np.stack([o.points_cov for o in extraction.observations])
+    by_point = _by_point(extraction.rig.cameras, data, points_c)
+    base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
+    turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
+    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], constant_stance(data, lin.state))
+    twists = {
+        "joints": se3.adjoint(se3.inverse(X))
+        @ head_jacobian(data.chain, data.joints)
+        * (noise.joint_rad * np.array(data.chain.joint_units)),
+        "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
+    }
+    by_twist = np.concatenate(
+        [-se3.skew(points_c), np.broadcast_to(np.eye(3), (*points_c.shape, 3))], axis=-1
+    )
+    own = {name: _mean_squares(by_twist @ twist[:, None], by_point) for name, twist in twists.items()}
+    # Corners: detected at one station, triangulated at the other.
+    T_w_v = residuals.T_w_v
+    T_w_c = T_w_v @ T_v_c
+    R = (se3.inverse(T_w_c[i]) @ T_w_c[j])[:, None, :3, :3]
+    carried = R @ points_cov[j] @ R.mT
+    in_image = by_point[i] @ carried @ by_point[i].mT
+    corners_px = np.trace(in_image, axis1=-2, axis2=-1).mean(axis=1) + 2 * noise.pixel_px**2
+    # Wheels: x, y and heading of the base at the end of the leg, seen from its start.
+    end = (se3.inverse(T_w_v[i]) @ T_w_v[j])[:, None, :2, 3]
+    lever = se3.act(T_v_c[i], points_c[i])[..., :2] - end
+    by_pose = np.zeros((*lever.shape[:2], 3, 3))
+    by_pose[..., 0, 0] = by_pose[..., 1, 1] = 1.0
+    by_pose[..., 0, 2], by_pose[..., 1, 2] = -lever[..., 1], lever[..., 0]
+    values, vectors = np.linalg.eigh(_wheel_covariance(data, parameters, residuals, noise))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
+    squares = {
+        "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
+        **{name: square[:, i] + square[:, j] for name, square in own.items()},
+        "wheels": _mean_squares(motion, by_point[i]),
+    }
+    return {name: ErrorPart(*np.sqrt(np.mean(square, axis=1)).tolist()) for name, square in squares.items()}
+
+
+def _by_point(cameras: CameraRig, data: Dataset, points_c: FloatArray) -> FloatArray:
+    """(N, M, 2, 3) px/m, derivative of pixels by points in the first camera's frame, of a camera that has the board."""
+    by_point = np.zeros((*points_c.shape[:2], 2, 3))
+    showing = np.argmax(data.seen.sum(axis=2), axis=1)
+    for k, (camera, R, points) in enumerate(in_each_camera(cameras, points_c, np.moveaxis(data.seen, 1, 0))):
+        mine = showing == k
+        by_point[mine] = project_with_jacobian(camera, points[mine])[1] @ R
+    return by_point
+
+
+def _mean_squares(motion: FloatArray, by_point: FloatArray) -> FloatArray:
+    """(2, n) mean squares, px^2 and m^2, of motions of the corners, (n, M, 3, k), each with its sigma."""
+    return np.stack([np.sum(each**2, axis=(2, 3)).mean(axis=1) for each in (by_point @ motion, motion)])
+
+
+def _wheel_covariance(
+    data: Dataset, parameters: Parameters, residuals: Residuals, noise: Noise
+) -> FloatArray:
+    """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
+    wheels = parameters.wheels
+    every = sum(leg_covariances(data.steps(), wheels, noise).values())
+    covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
+    if noise.encoder_rad:
+        steps = data.encoder_step_rad
+        path_m = noise.encoder_rad * steps / max(steps.max(), 1e-12) * wheels.vector[:2]
+        square = 2 * float(np.sum(path_m**2))  # a reading at both ends
+        covariance = covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2])
+    return covariance

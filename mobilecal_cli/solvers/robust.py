@@ -17,6 +17,7 @@ from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.linearization import solvable
+from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.noise import DEGREES, FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State, Step
@@ -168,14 +169,14 @@ def _own_misfit(lin: Posterior) -> FloatArray:
 
 def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatArray]:
     """Squared distance of each measurement over its limit; a station's allows for readings of little weight."""
-    views, sigma, joints = lin.views, _own_sigmas(lin, of_readings), lin.data.joints.shape[1]
+    views, sigma = lin.views, _own_sigmas(lin, of_readings)
     J, G = views.by_own, views.information[:, :6, :6]
-    g = views.gradient[:, :6] - (G @ (J @ lin.own_errors[..., None]))[..., 0]  # without joint errors and sway
+    g = views.gradient[:, :6] - (G @ (J @ lin.state.own[..., None]))[..., 0]  # without joint errors and sway
     off = (np.linalg.pinv(G, hermitian=True) @ g[..., None])[..., 0]
-    spread = np.eye(6) + G @ ((J * sigma[:, None, :] ** 2) @ np.swapaxes(J, 1, 2))
+    spread = np.eye(6) + G @ ((J * sigma[:, None, :] ** 2) @ J.mT)
     of_views = np.einsum("na,na->n", off, np.linalg.solve(spread, g[..., None])[..., 0])
     of_legs = np.einsum("la,lab,lb->l", lin.legs.residual, lin.leg_weight, lin.legs.residual)
-    of_readings = (lin.state.joint_errors / lin.own_sigmas[:, :joints]) ** 2
+    of_readings = (lin.state.own[:, JOINTS] / lin.own_sigmas[:, JOINTS]) ** 2
     distance = {"views": of_views * lin.inliers.views, "legs": of_legs, "readings": of_readings}
     return {kind: of / _LIMIT[kind] for kind, of in distance.items()}
 
@@ -194,8 +195,8 @@ def _weight(beyond: FloatArray, width: float, limit: float) -> FloatArray:
 
 def _own_sigmas(lin: Posterior, of_readings: FloatArray) -> FloatArray:
     """(N, J + 3) sigma of each station's own errors, with weights (N, J) of the joint readings."""
-    sigma, joints = lin.own_sigmas.copy(), of_readings.shape[1]
-    sigma[:, :joints] = np.minimum(sigma[:, :joints] / np.sqrt(np.maximum(of_readings, _TINY)), FREE_JOINT)
+    sigma = lin.own_sigmas.copy()
+    sigma[:, JOINTS] = np.minimum(sigma[:, JOINTS] / np.sqrt(np.maximum(of_readings, _TINY)), FREE_JOINT)
     return sigma
 
 

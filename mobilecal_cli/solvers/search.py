@@ -38,7 +38,7 @@ from mobilecal_cli.solvers.hypotheses import (
     of_sides,
 )
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import InitialPrior, Rounds, ratios_of
+from mobilecal_cli.solvers.linear import Rounds, nominal_of, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm
 
@@ -211,8 +211,7 @@ class Search:
         full, shown = readings.distinguishes, readings.roams
         if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
             return []
-        pairs, X = _thinned(readings.pairs), readings.nominal_head_eye
-        prior = InitialPrior(X, readings.rig.nominal.wheels)
+        pairs, nominal = _thinned(readings.pairs), readings.nominal
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
         scores: list[_Score] = []
         for ratios in self._starts if full else [np.zeros(2)]:
@@ -220,7 +219,7 @@ class Search:
                 parameters = (
                     Rounds(pairs).after(ratios, ROUNDS)
                     if full
-                    else initial_with_prior(pairs, prior, readings.motion)
+                    else initial_with_prior(pairs, nominal, readings.motion)
                 )
                 misfit, kept = _misfit(pairs, parameters, distance_m)
                 if misfit < _PROMISING:
@@ -228,7 +227,8 @@ class Search:
                     misfit, _ = _misfit(pairs, parameters, distance_m)
             except (SolveError, np.linalg.LinAlgError):
                 continue
-            turn = np.eye(3) if X is None else X[:3, :3].T @ parameters.T_h_c[:3, :3]
+            X = parameters.T_h_c if nominal.T_h_c is None else nominal.T_h_c
+            turn = X[:3, :3].T @ parameters.T_h_c[:3, :3]
             of_all = point_rms_m(pairs, parameters) / distance_m
             possible = not shown or parameters.wheels.positive
             turned_rad = float(np.linalg.norm(se3.log_so3(turn)))
@@ -361,10 +361,10 @@ def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
 
     A planar drive with exchanged or reversed wheels fits as well as the right one, with the base turned by 180 degrees.
     """
-    nominal = rig.nominal.T_h_reference
+    nominal = nominal_of(rig).T_h_c
     if rig.chain.joints or nominal is None:
         return None
-    turn = T_h_c[:3, :3] @ (nominal @ se3.inverse(rig.cameras.T_c_reference))[:3, :3].T
+    turn = T_h_c[:3, :3] @ nominal[:3, :3].T
     if float(np.linalg.norm(se3.log_so3(turn))) < _AROUND_RAD:
         return None
     upside_down, backward = bool(turn[2, 2] < 0), bool(turn[0, 0] < 0)
@@ -439,7 +439,7 @@ def _focal_factor(camera: Camera, pixels: FloatArray, grid: FloatArray) -> tuple
         # across^T across / f^2 + ahead ahead^T is a multiple of the unit matrix, with f over that of K.
         of_f, rest = (
             np.concatenate([M[:, 0, 1], M[:, 0, 0] - M[:, 1, 1]])
-            for M in (np.swapaxes(across, 1, 2) @ across, ahead[:, :, None] * ahead[:, None])
+            for M in (across.mT @ across, ahead[:, :, None] * ahead[:, None])
         )
         information = float(of_f @ of_f)
         inverse_square = -float(of_f @ rest) / information if information else 0.0

@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.processes import path_m
 from mobilecal_cli.likelihood.suggest import suggestions
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
@@ -36,7 +37,6 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.solvers.constraints import Constraints
-from mobilecal_cli.solvers.decomposition import error_parts
 from mobilecal_cli.solvers.findings import (
     constants_of,
     contradictions_of,
@@ -45,16 +45,15 @@ from mobilecal_cli.solvers.findings import (
     pool_recordings,
     scale_of,
 )
-from mobilecal_cli.solvers.fit import Fit
+from mobilecal_cli.solvers.fit import Fit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import at_state, residuals_of
+from mobilecal_cli.solvers.residuals import at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
-from mobilecal_cli.solvers.uncertainty import uncertainty_of
 
 # A mistake is searched for where the point error, without the noise of the corners, is more than this share of the
 # distance to the board and than the steps of the encoders make it, or where more than this share of the stations of a
@@ -148,7 +147,7 @@ def _by_likelihood(
     used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
     solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
     parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
-    parts |= _of_lenses(extraction, fit, solution)
+    parts |= _of_lenses(extraction, fit, solution, corrected.T_c_k)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -166,7 +165,9 @@ def _by_likelihood(
     )
 
 
-def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str, ErrorPart]:
+def _of_lenses(
+    extraction: Extraction, fit: Fit, solution: Solution, T_c_k: FloatArray
+) -> dict[str, ErrorPart]:
     """What the lenses do beside their models contributes to the errors: so much less are these without it.
 
     A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
@@ -178,7 +179,7 @@ def _of_lenses(extraction: Extraction, fit: Fit, solution: Solution) -> dict[str
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
     data, state, rejected = fit.data, fit.lin.state, fit.data.seen & ~fit.inliers.corners
-    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, corners=fit.inliers.corners)
+    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, T_c_k=T_c_k)
     used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
     without = residuals_of(*undone, solution.parameters, used, rejected)
     squares = [
@@ -279,7 +280,6 @@ def _solution(
 ) -> Solution:
     residuals = residuals_of(extraction, pairs, best.parameters, inliers, rejected)
     wheels = best.parameters.wheels
-    path = (wheels.radius_right_m * pairs.steps.right_rad + wheels.radius_left_m * pairs.steps.left_rad) / 2
     psi = integrate(pairs.steps, wheels).psi_rad
     return Solution(
         method=best.method if isinstance(best, Refinement) else "linear",
@@ -290,11 +290,11 @@ def _solution(
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, psi, float(np.sum(np.abs(path)))),
+        motion=_motion(extraction, psi, float(path_m(pairs.steps, wheels).sum())),
     )
 
 
-def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[str, float]:
+def _motion(extraction: Extraction, psi_rad: FloatArray, driven_m: float) -> dict[str, float]:
     chain = extraction.rig.chain
     joints = np.degrees(np.stack([o.joints for o in extraction.observations]))
     ranges = dict(zip(chain.joints, np.ptp(joints, axis=0), strict=True))
@@ -307,7 +307,7 @@ def _motion(extraction: Extraction, psi_rad: FloatArray, path_m: float) -> dict[
         **motion,
         "turned_deg": float(np.degrees(np.sum(np.abs(psi_rad)))),
         "largest_turn_deg": float(np.degrees(np.max(np.abs(psi_rad)))),
-        "driven_m": path_m,
+        "driven_m": driven_m,
     }
 
 

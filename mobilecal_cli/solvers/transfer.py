@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Arcs, integrate
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.measurements import MotionPairs, planar_pose
 from mobilecal_cli.model import FloatArray, Parameters, Refinement
 
 _MAX_STEPS = 100
@@ -23,8 +23,7 @@ _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-15, 1e8
 
 def base_motion(motion: Arcs) -> FloatArray:
     """T_vi_vj of each leg: (L, 4, 4)."""
-    t = np.concatenate([motion.t_m, np.zeros((len(motion.t_m), 1))], axis=1)
-    return se3.transform(se3.rotation_z(motion.psi_rad), t)
+    return planar_pose(np.column_stack([motion.t_m, motion.psi_rad]))
 
 
 def camera_motion(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
@@ -32,16 +31,13 @@ def camera_motion(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     i, j = pairs.legs.T
     T_vi_vj = base_motion(integrate(pairs.steps, parameters.wheels))
     X = parameters.T_h_c
-    T_ci_cj: FloatArray = se3.inverse(pairs.T_v_h[i] @ X) @ T_vi_vj @ pairs.T_v_h[j] @ X
-    return T_ci_cj
+    return np.asarray(se3.inverse(pairs.T_v_h[i] @ X) @ T_vi_vj @ pairs.T_v_h[j] @ X)
 
 
 def residuals_m(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     """Predicted minus detected corners of each leg, p^_i,f - p_i,f: (L, M, 3), m, in frame ci."""
     i, j = pairs.legs.T
-    predicted = se3.act(camera_motion(pairs, parameters), pairs.points_c[j])
-    residuals: FloatArray = predicted - pairs.points_c[i]
-    return residuals
+    return np.asarray(se3.act(camera_motion(pairs, parameters), pairs.points_c[j]) - pairs.points_c[i])
 
 
 def rms_m(residuals: FloatArray) -> float:

@@ -13,14 +13,13 @@ import numpy as np
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.nuisance import NINE_SIGMAS, WHEEL_SIGMA
-from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import NINE, Nominal, Parameters, WheelGeometry
 from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
 from tests.extractions import ideal_extraction
-from tests.truth import errors, parameters_of
+from tests.truth import errors, parameters_of, predicted
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
 _CASES = [(motion, "") for motion in ("head_fixed", "pan_only", "straight", "spin", "base_fixed")]

@@ -92,7 +92,7 @@ class Terms:
             np.concatenate([np.zeros(3), start.parameters.T_h_c[:3, 3]]),
             np.zeros(6),
             np.array([wheels.radius_right_m, wheels.radius_left_m, wheels.separation_m]),
-            [row.copy() for row in start.base],
+            [row.copy() for row in start.base[:, :3]],
             [np.zeros(self.joints) for _ in start.base],
         )
 
@@ -105,8 +105,8 @@ class Terms:
             self.start,
             parameters=replace(self.start.parameters, T_h_c=T_h_c, wheels=wheels),
             T_w_k=T_w_k[None],
-            base=np.stack(at.bases),
-            joint_errors=np.stack(at.errors),
+            base=np.column_stack([at.bases, self.start.base[:, 3:]]),
+            own=np.column_stack([at.errors, self.start.own[:, self.joints :]]),
         )
 
     @_timed

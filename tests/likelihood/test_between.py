@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.between import between_variance, few_logs_factor
-from mobilecal_cli.likelihood.predict import predicted
 from mobilecal_cli.model import Parameters, WheelGeometry
+from tests.truth import predicted
 
 
 @pytest.mark.parametrize(

@@ -202,12 +202,12 @@ def two_slips(whole):
 def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_slips):
     """A wheel that is not read for a while: the board of rejected images is nowhere near the camera's view."""
 
-    def singular(lin):
+    def singular(*_):
         raise np.linalg.LinAlgError("Singular matrix")
 
     extraction, _, fit = two_slips
-    monkeypatch.setattr(jumps, "_Test", singular)
-    assert jumps.cause(None, 3) == ""
+    monkeypatch.setattr(jumps, "_scores", singular)
+    assert jumps.cause(fit.lin, 3) == ""
     assert jumps_of(extraction, fit, lambda fit: None) == ((), fit)
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
+from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import floors_of, table
@@ -79,9 +80,10 @@ class Case:
         read = np.hypot(NOISE.joint_rad, self.data.joints_between)
         sigma = np.where(self.lin.inliers.readings, read, 1.0)
         encoders = np.hypot(NOISE.encoder_rad * np.array([1, 0.25]), self.data.wheels_between)
-        readings = state.joint_errors / sigma, state.encoder_errors / encoders
-        sway = state.sway / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]
-        errors = *readings, sway, self.innovations(state.processes), state.stamp_errors / NOISE.stamp_s
+        readings = state.own[:, JOINTS] / sigma, state.base[:, ENCODERS] / encoders
+        sway = state.own[:, SWAY] / [NOISE.sway_rad, NOISE.sway_rad, NOISE.sway_m]
+        along, stamps = self.innovations(state.base[:, 5:10]), state.base[:, STAMP:] / NOISE.stamp_s
+        errors = *readings, sway, along, stamps
         return np.concatenate([part.ravel() for part in (pixels, legs, *errors)])
 
     def innovations(self, values):
@@ -90,7 +92,7 @@ class Case:
         lengths = [NOISE.floor_length_m] * 3 + [NOISE.wheel_length_m] * 2
         parts = []
         for k in range(5):
-            at = np.cumsum(self.lin.processes.distance_m[:, k])
+            at = np.cumsum(self.lin.processes.distance_m[:, 2 + k])
             joined = self.data.legs[self.lin.inliers.legs, 1]
             cut = np.cumsum(~np.isin(np.arange(STATIONS), joined))
             cov = sigma[k] ** 2 * np.exp(-np.abs(at[:, None] - at) / lengths[k]) * (cut[:, None] == cut)

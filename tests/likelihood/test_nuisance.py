@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood import nuisance
-from mobilecal_cli.likelihood.effects import JointEffect
+from mobilecal_cli.likelihood.effects import JointReading
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.solvers import constraints_of, solve
@@ -20,7 +20,7 @@ SHIFT_RAD = 0.02
 
 
 @dataclass(frozen=True)
-class ShakyJoint(JointEffect):
+class ShakyJoint(JointReading):
     """A made-up constant: the first joint is further than read, at odd stations only."""
 
     def rate(self, data):
@@ -29,7 +29,9 @@ class ShakyJoint(JointEffect):
         return rate
 
 
-SHAKY = Constant("shaky_joint", "shaky", "torso", "shift of the torso at odd stations", ShakyJoint(), 0.005)
+SHAKY = Constant(
+    "shaky_joint", "shaky", "torso", "shift of the torso at odd stations", ShakyJoint(0, "zero"), 0.005
+)
 
 
 @pytest.fixture
@@ -72,7 +74,7 @@ def test_a_made_up_constant_has_a_prior_and_a_share_of_the_budget():
         budget = each.budget
         assert np.allclose(sum(budget.values()), each.lin.covariance, rtol=1e-9, atol=1e-15)
     k = held.data.layout.names.index("shaky_joint")
-    assert held.budget["prior shaky_joint"][k, k] > 0.9 * held.lin.covariance[k, k]
+    assert held.budget["shaky"][k, k] > 0.9 * held.lin.covariance[k, k]
 
 
 @pytest.mark.usefixtures("table")

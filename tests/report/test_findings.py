@@ -15,9 +15,9 @@ from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.constraints import Constraints, constraints_of
+from mobilecal_cli.solvers.fit import uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.uncertainty import uncertainty_of
 from tests.extractions import ideal_extraction
 from tests.judging import judge
 from tests.report.example import drawn, made, make_extraction, make_solution, solved

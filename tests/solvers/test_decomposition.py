@@ -16,8 +16,8 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.decomposition import _by_point, error_parts
 from mobilecal_cli.solvers.initial import initial_state
+from mobilecal_cli.solvers.residuals import _by_point, error_parts
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge

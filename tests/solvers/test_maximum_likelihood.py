@@ -149,8 +149,8 @@ def test_shares_of_the_noise_add_up_to_the_covariance(noisy):
     budget = fit.budget
     total = sum(budget.values())
     assert np.allclose(total, fit.lin.covariance, rtol=1e-9, atol=1e-15)
-    assert np.abs(np.diag(budget["free"])[:9] / np.diag(total)[:9]).max() < 1e-4
-    assert {"pixel_px", "joint_rad", "wheel_rad_per_sqrt_rad", "prior t_x"} <= budget.keys()
+    assert np.abs(np.diag(budget["other"])[:9] / np.diag(total)[:9]).max() < 1e-4
+    assert {"pixel_px", "joint_rad", "wheel_rad_per_sqrt_rad", "nominal"} <= budget.keys()
     assert np.array_equal(fit.covariance, fit.lin.covariance)
 
 
