@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NoReturn
 
 import numpy as np
 
@@ -33,7 +31,6 @@ from mobilecal_cli.model import (
     STRING,
     TRANSFORMS,
     Board,
-    Corners,
     Extraction,
     LogSource,
     Markers,
@@ -43,7 +40,6 @@ from mobilecal_cli.model import (
     RobotDescription,
     Snapshot,
     Track,
-    WheelTrack,
 )
 from mobilecal_cli.readers import (
     Recording,
@@ -134,9 +130,11 @@ def _extracted(
         survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
         rig = complete_rig(survey)
     for log in earlier:
-        for plan in plans:
-            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
-                refuse_same(log.name, name, "wheel and joint readings")
+        if any(same_signals(log.plan, plan) for plan in plans):
+            raise ConfigError(
+                f"{log.name} and {name} are the same recording: they contain the same wheel and joint readings",
+                _ONCE,
+            )
     if board is None:
         progress("finding the board's size", 0, None)
         size = board_size(recording, rig, plans)
@@ -224,7 +222,6 @@ def extract(
         other = _other_cameras(first, new)
         extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
     extraction = _assembled(extracted, sources)
-    refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
         Snapshot(number, station.index, detected.pictures, detected.thumbnail)
         for number, log in enumerate(extracted)
@@ -321,8 +318,8 @@ def _notes(logs: Sequence[ExtractedLog]) -> tuple[str, ...]:
 
 _SAME_SHARE = 0.9  # of the readings while both were recorded
 _LEAST_OVERLAP = 0.05  # of the shorter recording
-_SAME_VALUE = 1e-9  # rad, m or px
-_HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
+_SAME_VALUE = 1e-9  # rad or m
+_ONCE = "give each recording once, in one container: repeated data make the standard deviations too small"
 
 
 def size_bytes(log: Path) -> int:
@@ -340,38 +337,13 @@ def refuse_equal_files(logs: Sequence[LogSource]) -> None:
     first: dict[str, str] = {}
     for log in logs:
         if log.sha256 in first:
-            raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _HINT)
+            raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _ONCE)
         first[log.sha256] = log.path
 
 
-def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> None:
-    """Refuse recordings with the same readings or images, such as one recording in two containers.
-
-    Raises:
-        ConfigError: naming both recordings.
-    """
-    joints = extraction.joint_tracks or ((),) * len(extraction.wheels)
-    signals = list(zip(extraction.wheels, joints, strict=True))
-    by_log = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
-    for i, j in itertools.combinations(range(len(signals)), 2):
-        if same_signals(signals[i], signals[j]):
-            refuse_same(names[i], names[j], "wheel and joint readings")
-        at = {o.time_ns: o.views for o in by_log[i]}
-        pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
-        if any(len(first) == len(other) and all(map(_same_corners, first, other)) for first, other in pairs):
-            refuse_same(names[i], names[j], "images")
-
-
-def refuse_same(first: str, other: str, what: str) -> NoReturn:
-    """Refuse two recordings, always."""
-    raise ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
-
-
-def same_signals(
-    first: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]
-) -> bool:
+def same_signals(first: Plan, other: Plan) -> bool:
     """Whether all readings of both wheels and all joints are the same while both were recorded."""
-    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (first, other))
+    tracks, others = ([plan.wheels.right, plan.wheels.left, *plan.joints] for plan in (first, other))
     return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
 
 
@@ -386,8 +358,3 @@ def _same_readings(first: Track, other: Track) -> bool:
     differences = first.value[i] - other.value[j]
     same = np.abs(differences - np.median(differences)) < _SAME_VALUE
     return int(same.sum()) >= _SAME_SHARE * overlap
-
-
-def _same_corners(first: Corners, other: Corners) -> bool:
-    a, b = first.pixels, other.pixels
-    return a.shape == b.shape and bool(np.abs(a - b).max(initial=0.0) < _SAME_VALUE)

@@ -65,26 +65,25 @@ def batch(
                 progress=progress,
             )
         write_junit(junit_fleet_xml(str(source), rows))
-    robots = [row for row in rows if row.verdict != "SKIPPED"]
-    failed = [row for row in robots if row.verdict != "PASS"]
+    failed = [row for row in rows if row.verdict != "PASS"]
     if as_json:
         typer.echo(fleet_json(rows), nl=False)
     elif not quiet:
         typer.echo(fleet_text(rows), nl=False)
     if failed and (as_json or quiet):
         typer.echo(fleet_text(failed), nl=False, err=True)
-    worst = max(robots, key=lambda row: row.exit_code)
+    worst = max(rows, key=lambda row: row.exit_code)
     kinds = {kind.exit_code: kind for kind in (OutputError, ResourceError)}
     if worst.exit_code in kinds:
-        stopped = sum(row.exit_code == worst.exit_code for row in robots)
+        stopped = sum(row.exit_code == worst.exit_code for row in rows)
         raise kinds[worst.exit_code](
-            f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
+            f"{stopped} of {len(rows)} robots were not calibrated: {worst.name}: {worst.reason}",
             "see the reason, then run the same command again: it calibrates only what is missing",
         )
     names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
-    reason = f"{len(robots)} of {len(robots)} robots passed."
+    reason = f"{len(rows)} of {len(rows)} robots passed."
     if failed:
-        reason = f"{len(failed)} of {len(robots)} robots did not pass: {names}."
+        reason = f"{len(failed)} of {len(rows)} robots did not pass: {names}."
     options.conclude(
         "FAIL" if failed else "PASS",
         reason,

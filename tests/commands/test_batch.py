@@ -22,7 +22,7 @@ from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
-from mobilecal_cli.rig.config import RigConfig, read_urdf
+from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.command import run
@@ -107,13 +107,12 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     rows = batch_module.batch(fleet, out, run=in_this_process)
     assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert records(out) == before
-    assert [row.skipped for row in rows] == [""] + ["already done"] * ROBOTS_HERE
+    assert [row.skipped for row in rows] == [False] + [True] * ROBOTS_HERE
     said = "Skipped, already done: 3 (robot_0, robot_1, robot_2)."
     assert fleet_text(rows).splitlines()[-1] == said
     assert said in (out / "summary.html").read_text(encoding="utf-8")
-    assert [row["skipped"] for row in csv.DictReader(table(out).splitlines())] == [
-        row.skipped for row in rows
-    ]
+    told = [row["skipped"] for row in csv.DictReader(table(out).splitlines())]
+    assert told == [""] + ["already done"] * ROBOTS_HERE
 
 
 def in_this_process(jobs, done):
@@ -166,7 +165,7 @@ def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
 
 
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
-    jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(3)]
+    jobs = [FleetJob(f"r{n}", (), UNCONFIGURED, tmp_path) for n in range(3)]
     monkeypatch.setattr(batch_module, "run_job", die_or_answer)
     rows = []
     batch_module.run_locally(2)(jobs, rows.append)
@@ -197,31 +196,6 @@ def test_a_robot_that_stands_out():
     assert standing_out(rows[2:6]) == {}  # too few to say
 
 
-def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_path):
-    folder, out = tmp_path / "recordings", tmp_path / "recordings" / "out"
-    folder.mkdir()
-    (folder / "paper_robot.mcap").symlink_to(sample_logs / "paper_robot.mcap")
-    (folder / "paper_robot.rig.yaml").write_text("{}", encoding="utf-8")
-    (folder / "notes.txt").write_text("monday", encoding="utf-8")
-    (folder / "empty").mkdir()
-    (folder / ".hidden").write_bytes(b"")
-    rows = batch_module.batch(
-        folder, out, run=lambda jobs, done: [done(FleetRow(j.name, "PASS", 0, "")) for j in jobs]
-    )
-    assert [(row.name, row.verdict, row.skipped) for row in rows] == [
-        ("paper_robot", "PASS", ""),
-        ("empty", "SKIPPED", "no recording"),
-        ("notes.txt", "SKIPPED", "no recording"),
-    ]
-    said = "Skipped, no recording: 2 (empty, notes.txt)."
-    assert fleet_text(rows).splitlines()[-1] == said
-    page = (out / "summary.html").read_text(encoding="utf-8")
-    assert "1 of 1 robots pass" in page
-    assert said in page
-    lines = list(csv.DictReader((out / "summary.csv").read_text(encoding="utf-8").splitlines()))
-    assert [line["skipped"] for line in lines] == ["", "no recording", "no recording"]
-
-
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -246,7 +220,7 @@ def test_a_directory_of_recordings(sample_logs, tmp_path):
         (tmp_path / name).symlink_to(sample_logs / name)
     jobs = batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
     assert [job.name for job in jobs] == ["paper_robot_rosbag2", "straight", "tick_robot"]
-    assert [job.config.name if job.config else None for job in jobs] == [None, None, "tick_robot.rig.yaml"]
+    assert [job.rig.path and job.rig.path.name for job in jobs] == [None, None, "tick_robot.rig.yaml"]
     (tmp_path / "straight.bag").symlink_to(sample_logs / "paper_robot.bag")
     with pytest.raises(ConfigError, match="two robots are named 'straight'"):
         batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
@@ -412,7 +386,7 @@ def test_an_error_whose_cause_is_mended(tmp_path, counted):
     assert (result.verdict, result.exit_code, result.hint) == ("ERROR", 2, "check the path of head.urdf")
     (tmp_path / "elsewhere").rename(tmp_path / "head.urdf")
     (result,) = batch_module.batch(source, out, run=in_this_process)
-    assert (result.verdict, result.skipped) == ("PASS", "")
+    assert (result.verdict, result.skipped) == ("PASS", False)
     (tmp_path / "a.mcap").unlink()
     (result,) = batch_module.batch(source, out, run=in_this_process)
     assert result.reason.endswith("(the files in a/ are of an earlier run)")
@@ -438,7 +412,6 @@ def test_recordings_that_cannot_be_read_are_counted(junk, tmp_path):
     assert "FAIL: 4 of 4 robots did not pass: empty, junk, nothing, unfinished." in done.out
     assert "the file is empty (0 bytes)\n" in done.out
     assert "hint: copy the recording again, or record a new one\n" in done.out
-    assert "Skipped, no recording: 1 (notes.txt)." in done.out
     quiet = run("batch", junk, "--output", "out", "--jobs", "1", "--quiet", cwd=tmp_path)
     assert (quiet.code, quiet.out) == (3, "")
     assert "FAIL: 4 of 4 robots did not pass" in quiet.err

@@ -15,7 +15,7 @@ from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
 from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes
-from mobilecal_cli.readers.signals.sides import sides_of
+from mobilecal_cli.readers.signals.sides import side_of_wheels
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
@@ -88,13 +88,12 @@ def read_signals(
                 )
                 still = np.repeat(tracks[name].value, 2)
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
-        wheels = sides_of(
-            {
-                side: [(wheel.series.label, wheel.track(samples[wheel], own_notes)) for wheel in each]
-                for side, each in turning.items()
-            },
-            own_notes,
-        )
+        wheels = {
+            side: side_of_wheels(
+                side, {wheel.series.label: wheel.track(samples[wheel], own_notes) for wheel in each}
+            )
+            for side, each in turning.items()
+        }
         indices: dict[str, PictureIndex] = {}
         left_out_ns: dict[str, IntArray] = {}
         for name, camera in images.items():
