@@ -1,8 +1,7 @@
-"""`mobilecal batch`: many robots, in local processes or on a Dask cluster."""
+"""`mobilecal batch`: many robots, in worker processes."""
 
 from __future__ import annotations
 
-import asyncio
 import hashlib
 import json
 import os
@@ -184,8 +183,6 @@ def _of_manifest(path: Path) -> Sequence[_Robot]:
 #: Hint for a robot whose process died.
 AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
 
-Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
-
 
 def run_job(job: FleetJob) -> FleetRow:
     """Calibrate one robot, or return the earlier result for the same recordings and settings.
@@ -285,19 +282,15 @@ def _row(job: FleetJob, report: Report) -> FleetRow:
     )
 
 
-def run_locally(count: int) -> Run:
-    """Runs jobs in local processes; if one dies, the other robots are still calibrated."""
-
-    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
-        waiting = {job.name: job for job in jobs}
-        for row in _in_a_pool(list(waiting.values()), count):
-            del waiting[row.name]
-            done(row)
-        for name, job in waiting.items():  # a process died: each remaining job gets its own process
-            crashed = "the worker process died (out of memory, or killed)"
-            done(next(_in_a_pool([job], 1), FleetRow(name, "ERROR", 1, crashed, hint=AGAIN)))
-
-    return run
+def in_processes(jobs: Sequence[FleetJob], count: int = os.cpu_count() or 1) -> Iterator[FleetRow]:
+    """Results in the order of completion, by worker processes; if one dies, the other robots are still calibrated."""
+    waiting = {job.name: job for job in jobs}
+    for row in _in_a_pool(jobs, count):
+        del waiting[row.name]
+        yield row
+    for name, job in waiting.items():  # a process died: each remaining job gets its own process
+        crashed = "the worker process died (out of memory, or killed)"
+        yield next(_in_a_pool([job], 1), FleetRow(name, "ERROR", 1, crashed, hint=AGAIN))
 
 
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
@@ -317,7 +310,7 @@ def batch(
     flags: Mapping[str, Any] | None = None,
     gates: Sequence[str] = (),
     force: bool = False,
-    run: Run | None = None,
+    run: Callable[[Sequence[FleetJob]], Iterable[FleetRow]] = in_processes,
     progress: Progress = silent,
 ) -> tuple[FleetRow, ...]:
     """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
@@ -331,7 +324,7 @@ def batch(
         flags: dotted key → value, over the files.
         gates: `NAME=LIMIT` for each robot.
         force: calibrate all robots again, and replace also results that this batch did not write.
-        run: runs the jobs; by default one process per core.
+        run: does the jobs, in any order.
         progress: receives the number of finished robots.
 
     Raises:
@@ -354,14 +347,11 @@ def batch(
         raise OutputError(
             f"{output}: cannot be created: {error.strerror}", "choose another --output"
         ) from error
-
-    def done(row: FleetRow) -> None:
-        rows[row.name] = row
-        progress("robots", len(rows), len(jobs))
-
     progress("robots", 0, len(jobs))
     try:
-        (run or run_locally(os.cpu_count() or 1))(jobs, done)
+        for row in run(jobs):
+            rows[row.name] = row
+            progress("robots", len(rows), len(jobs))
     except BaseException:
         for path in new:
             with suppress(OSError):  # it contains results
@@ -371,60 +361,3 @@ def batch(
     for name, text in zip(SUMMARIES, (fleet_csv(ordered), fleet_html(ordered)), strict=True):
         write_file(output / name, text.encode(), force=True)
     return ordered
-
-
-def run_on(address: str, timeout_s: float = 30.0) -> Run:
-    """Run jobs on the workers of a Dask scheduler, which must see the same files under the same paths.
-
-    If a worker dies, the scheduler gives its jobs to other workers, which skip finished jobs.
-
-    Args:
-        address: of the scheduler, `tcp://host:8786`.
-        timeout_s: longest time to wait for an answer of the scheduler, and for a worker, s.
-
-    Raises:
-        ConfigError: the extra is not installed, no scheduler answers, or it has no workers.
-    """
-
-    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
-        try:
-            from distributed import Client, as_completed, rpc
-        except ImportError as error:
-            raise ConfigError(
-                "the Dask package `distributed` is not installed",
-                "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
-            ) from error
-
-        async def identity() -> None:
-            async with rpc(address) as scheduler:  # type: ignore[no-untyped-call]
-                await scheduler.identity()
-
-        try:
-            # The client would wait without end for a program that accepts the connection and does not answer.
-            asyncio.run(asyncio.wait_for(identity(), timeout_s))
-            client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError, TimeoutError) as error:
-            why = str(error) or f"no answer within {timeout_s:g} s"
-            raise ConfigError(
-                f"--scheduler {address}: cannot connect to the scheduler: {why}",
-                "start a scheduler and workers with dask scheduler and dask worker, and check the address",
-            ) from error
-        with client:
-            try:
-                client.wait_for_workers(1, timeout=timeout_s)
-            except TimeoutError as error:
-                raise ConfigError(
-                    f"--scheduler {address}: the scheduler has no workers after {timeout_s:g} s",
-                    f"start workers: dask worker {address}",
-                ) from error
-            futures = {
-                client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs
-            }
-            for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
-                if (failed := future.exception()) is None:
-                    done(future.result())
-                else:
-                    reason = f"the worker process died or failed: {type(failed).__name__}: {failed}"
-                    done(FleetRow(futures[future].name, "ERROR", 1, reason, hint=AGAIN))
-
-    return run

@@ -19,7 +19,6 @@ def batch(
     setting: options.Settings = None,
     gate: options.Gates = None,
     jobs: Annotated[int | None, Option(min=1)] = None,
-    scheduler: str | None = None,
     force: bool = False,
     as_json: bool = False,
     junit: Path | None = None,
@@ -32,24 +31,21 @@ def batch(
 
     Example: mobilecal batch recordings/ --output fleet/
 
-    On a cluster: mobilecal batch fleet.yaml --output /shared/fleet --scheduler tcp://host:8786
-
     Args:
         source: Directory with one recording per robot, or a manifest (YAML).
         output: Directory for the results of all robots.
         jobs: Worker processes. [default: one per core]
-        scheduler: Dask scheduler such as tcp://host:8786, instead of local processes.
         force: Calibrate all robots again, and replace also results that this batch did not write.
     """
     import os
+    from functools import partial
 
-    from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
+    from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.fleet import fleet_json, fleet_text
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
-    run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
     summaries = {name: output / name for name in SUMMARIES}
     with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
@@ -61,7 +57,7 @@ def batch(
                 flags=options.flags_of(setting),
                 gates=gate or [],
                 force=force,
-                run=run,
+                run=partial(in_processes, count=jobs or os.cpu_count() or 1),
                 progress=progress,
             )
         write_junit(junit_fleet_xml(str(source), rows))

@@ -1,9 +1,7 @@
-"""Many robots: processes here, and a Dask cluster on loopback."""
+"""Many robots, in worker processes."""
 
 import csv
 import json
-import signal
-import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -14,7 +12,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
-from mobilecal_cli.calibrate.batch import FleetJob, run_on
+from mobilecal_cli.calibrate.batch import FleetJob
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs
@@ -26,7 +24,6 @@ from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.command import run
-from tests.commands.dask_cluster import local_cluster
 from tests.commands.dying import die_or_answer
 from tests.extractions import Noise, ideal_extraction
 from tests.report.schema import validated
@@ -65,10 +62,6 @@ def local(fleet, tmp_path_factory):
 
 def table(out):
     return (out / "summary.csv").read_text(encoding="utf-8")
-
-
-def without_skipped(out):
-    return [{**row, "skipped": ""} for row in csv.DictReader(table(out).splitlines())]
 
 
 def records(out):
@@ -115,9 +108,8 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     assert told == [""] + ["already done"] * ROBOTS_HERE
 
 
-def in_this_process(jobs, done):
-    for job in jobs:
-        done(batch_module.run_job(job))
+def in_this_process(jobs):
+    return map(batch_module.run_job, jobs)
 
 
 def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
@@ -128,47 +120,10 @@ def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
     assert all(row.reason.startswith("a bug in mobilecal: ZeroDivisionError") for row in rows)
 
 
-@pytest.mark.long
-def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
-    """The same table as of the processes here; what was done when the worker died is not done again."""
-    out = tmp_path / "out"
-    then = {}
-
-    def progress(stage, done, total):
-        if done == 3:
-            workers[0].send_signal(signal.SIGKILL)
-            workers[0].wait()
-            then.update(records(out))
-
-    with local_cluster(tmp_path, workers=2) as (address, workers):
-        rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
-    assert len(rows) == ROBOTS_HERE + 1
-    assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
-    assert len(then) >= 3
-    del then["broken"]  # without a result, it is tried again if its worker dies
-    assert then.items() <= records(out).items()
-
-
-def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
-    with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
-        batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
-    with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
-            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
-    assert not (tmp_path / "out").exists()
-    (tmp_path / "cluster").mkdir()
-    refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
-    with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
-        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
     jobs = [FleetJob(f"r{n}", (), UNCONFIGURED, tmp_path) for n in range(3)]
     monkeypatch.setattr(batch_module, "run_job", die_or_answer)
-    rows = []
-    batch_module.run_locally(2)(jobs, rows.append)
+    rows = list(batch_module.in_processes(jobs, 2))
     assert sorted(row.name for row in rows) == ["r0", "r1", "r2"]
     verdicts = {row.name: row.verdict for row in rows}
     assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS"}
