@@ -23,13 +23,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
-    CAMERA_INFO,
     CAMERA_INFO_CHANGES,
-    IMAGES,
-    JOINT_STATE,
-    ODOMETRY,
-    STRING,
-    TRANSFORMS,
     Board,
     Extraction,
     LogSource,
@@ -44,15 +38,12 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers import (
     Recording,
     join_splits,
-    number_fields,
     open_recording,
     read_description,
     sha256_of,
 )
 from mobilecal_cli.rig.config import RigConfig
-from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
-from mobilecal_cli.rig.wheels import needs_numbers
 from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
     Detection,
@@ -65,19 +56,11 @@ from mobilecal_cli.vision import (
     resolve_square,
 )
 
-#: Types that are read by their meaning, not by field paths.
-_KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
-
-def describe(
-    recording: Recording, config: RigConfig, joints_too: bool = False, earlier: RobotDescription | None = None
-) -> Survey:
+def describe(recording: Recording, config: RigConfig, earlier: RobotDescription | None = None) -> Survey:
     """What the description of a recording and a configuration determine.
 
-    Numbers in other messages are read only if no wheel is known without them.
-
     Args:
-        joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
         earlier: of another recording of the robot, whose URDF is used if this one contains none.
 
     Raises:
@@ -88,12 +71,7 @@ def describe(
     if earlier is not None and not description.urdfs and earlier.urdfs:
         description = replace(description, urdfs=earlier.urdfs)
         recording.note("the recording contains no URDF; that of an earlier one is used")
-    survey = None if needs_numbers(config, description) else survey_rig(config, description)
-    if survey is None or (joints_too and survey.lacks):
-        others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
-        description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
-        survey = survey_rig(config, description)
-    return survey
+    return survey_rig(config, description)
 
 
 #: Relative difference of camera infos that is rounding.

@@ -61,7 +61,6 @@ from mobilecal_cli.model.robot_description import (
     STRING,
     TRANSFORMS,
     BoardView,
-    NumberField,
     RobotDescription,
     TopicInfo,
 )

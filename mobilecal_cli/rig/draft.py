@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
@@ -20,8 +20,6 @@ from mobilecal_cli.model import (
     BoardView,
     JointLink,
     Nominal,
-    NumberField,
-    WheelSource,
 )
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.ranges import ACCURACY
@@ -40,10 +38,10 @@ from mobilecal_cli.rig.config import (
     read_urdf,
 )
 from mobilecal_cli.rig.head import pan_and_tilt
-from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
+from mobilecal_cli.rig.names import counter_topics, joint_state_names, wheel_sets
 from mobilecal_cli.rig.resolve import Part, Survey
 from mobilecal_cli.rig.settings import link_settings, pose_settings, wheel_settings
-from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
+from mobilecal_cli.rig.wheels import nominal_wheels, wheel_distance_m
 
 _WIDTH = 100
 #: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
@@ -289,8 +287,6 @@ def _wheels(draft: Draft) -> None:
         "# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it"
     )
     sources, description = draft.survey.wheels, draft.survey.description
-    counted = counters(description.numbers)
-    ticks = tick_counters(counted)
     if sources is not None and sources["left"].assumed:
         why = "recording: no wheels, and the only odometry that is named as theirs"
         draft.fill("wheels.odometry", sources["left"].topic, why)
@@ -302,38 +298,13 @@ def _wheels(draft: Draft) -> None:
         for side in SIDES:
             kind = "counters of a known driver" if sources[side].field else "the only joints named as wheels"
             draft.fill(f"wheels.{side}", wheel_settings(sources[side]), f"recording: {kind}")
-    elif ticks is not None:
-        for side in SIDES:
-            _counters(draft, f"wheels.{side}", ticks[side])
-        draft.ask(
-            "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
-            "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
-            "",
-            needed=True,
-        )
     else:
-        candidates = [_candidate(number) for sides in counted for side in SIDES for number in sides[side]]
         odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
-        candidates += [f"or: wheels: {{odometry: {_quoted(topic)}}}" for topic in odometry[:1]]
-        draft.ask_for("wheels", "wheels", WheelsConfig.example, candidates)
-
-
-def _counters(draft: Draft, key: str, numbers: Sequence[NumberField]) -> None:
-    """The counters of one side, which lack the steps per turn of the wheel."""
-    width, said = counter_width(numbers[0]), "they did not start again"
-    if numbers[0].wraps is not None:
-        said = f"bits: they start again after 2^{numbers[0].wraps} steps"
-    elif width is not None:
-        said = "bits: width of their type"
-    first, *others = (WheelSource(number.topic, field=number.path, bits=width) for number in numbers)
-    entry = {**wheel_settings(replace(first, others=tuple(others))), "ticks_per_revolution": TODO}
-    draft.fill(key, entry, f"recording: the only whole numbers named as counters; {said}")
-
-
-def _candidate(number: NumberField) -> str:
-    kind = "whole number" if number.integer else "number, unit unknown"
-    jumps = "" if number.jump is None else f", jumps by {number.jump}"
-    return f"candidate: topic {_quoted(number.topic)}, field {_quoted(number.path)} ({kind}{jumps})"
+        instead = [f"or: wheels: {{odometry: {_quoted(topic)}}}" for topic in odometry[:1]]
+        template, counters = WheelsConfig.example, wheel_sets(counter_topics(description))
+        for side in SIDES if len(counters) == 1 else ():
+            template = template.replace(f"/ticks/{side}", _quoted(counters[0][side][0]))
+        draft.ask_for("wheels", "wheels", template, instead)
 
 
 def _joints(draft: Draft) -> None:
@@ -348,8 +319,7 @@ def _joints(draft: Draft) -> None:
             draft.fill(f"joints.{role}", name, "name of the joint")
     missing = () if chain is None else [name for name in chain.joints if name not in names]
     template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
-    candidates = [_candidate(n) for name in missing for n in named_as(name, survey.description.numbers)]
-    draft.ask_for("joints", "joints.fields", "\n".join(template), candidates)
+    draft.ask_for("joints", "joints.fields", "\n".join(template))
 
 
 def _head(draft: Draft) -> None:
