@@ -19,7 +19,6 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, 
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
-    CAMERA_INFO_CHANGES,
     NINE,
     SIDES,
     IntArray,
@@ -32,7 +31,7 @@ from mobilecal_cli.model import (
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
+from mobilecal_cli.readers import Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
@@ -41,24 +40,19 @@ from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
-#: At most so much of a recording is decompressed for the motion.
-MOTION_BYTES = 2**28
 #: A smaller share of images during which joints and wheels were recorded limits a calibration.
 _LEAST_COVERED = 0.9
 #: Unit of a joint's range → a larger range is one in degrees or millimeters that was taken for radians or meters.
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
-def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> Iterator[Finding]:
-    """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it.
-
-    What is `unread` of the recording may show the others.
-    """
+def _gaps(about: str, rig: Rig, gaps: Iterable[Gap]) -> Iterator[Finding]:
+    """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it."""
     for gap in gaps:
         of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
         nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
         what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        of = Finding.of if nominal is None and not unread else _limit
+        of = Finding.of if nominal is None else _limit
         yield of(about, SolveError(what, gap.cure))
 
 
@@ -67,8 +61,7 @@ def inspect(
 ) -> Inspection:
     """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
 
-    Only a part of a long recording is read: the first messages of each topic, the index, joints and wheels of at most
-    256 MB of the file, and a few images.
+    Of the images, only a few are read.
 
     Args:
         logs: parts of one recording.
@@ -247,9 +240,8 @@ def _motion(
     recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: list[Finding], notes: list[str]
 ) -> MotionView | None:
     """Motion of the robot; adds what is unobservable from it, and notes."""
-    extent = Extent(MOTION_BYTES)
     try:
-        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
+        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints)
         wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
         findings.append(Finding.of("motion", error))
@@ -280,11 +272,9 @@ def _motion(
         driven_m = float(sum(np.linalg.norm(arcs.t_m, axis=1).sum() for arcs in legs))
         turns_rad = [0.0, *(psi for arcs in legs for psi in arcs.psi_rad)]
         turned_deg = float(np.degrees(np.ptp(np.cumsum(turns_rad))))
-    share = recording.share(rig.sources.motion, extent)
-    rests = _rests(rig, logs, wheels, times, share, findings)
-    # Gaps between the parts that are read would be noted as irregularities.
-    notes += [note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note]
-    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share)
+    rests = _rests(rig, logs, wheels, times, findings)
+    notes += [note for signals in logs for note in signals.notes]
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests)
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
@@ -299,20 +289,19 @@ def _rests(
     logs: Sequence[Signals],
     wheels: Sequence[WheelTrack],
     times: Mapping[str, IntArray],
-    share: float,
     findings: list[Finding],
 ) -> int | None:
     """Number of rests with images; adds what is unobservable from them, or from all of the motion."""
     images = {name: times.get(topic) for name, topic in rig.sources.image.items()}
     # Where a clock steps, log times do not tell which readings belong to an image.
-    if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
+    if len(logs) > 1 or any(logged is None for logged in images.values()):
         moments = [_seconds(track) for track in wheels]
         readings = [
             sampled([signals.joints[name] for name in rig.chain.joints], at)
             for signals, at in zip(logs, moments, strict=True)
         ]
         gaps = gaps_between(rig.chain, np.concatenate(readings), wheels, moments)
-        findings += _gaps("motion", rig, gaps, unread=share < 1)
+        findings += _gaps("motion", rig, gaps)
         return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})

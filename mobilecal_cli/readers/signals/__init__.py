@@ -11,7 +11,6 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
 from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes
@@ -20,9 +19,7 @@ from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, S
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
-def read_signals(
-    recording: Recording, sources: Sources, joints: Sequence[str], extent: Extent = EVERYTHING
-) -> tuple[Signals, ...]:
+def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
@@ -33,7 +30,6 @@ def read_signals(
 
     Args:
         sources: the topics to read; without image topics, no images are read.
-        extent: how much of the recording is read.
 
     Returns:
         The pieces of the recording between the steps of its clocks (`series.cut`), usually one; notes on all of it are
@@ -59,7 +55,7 @@ def read_signals(
     }
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
-    read.run(extent, infos)
+    read.run(infos)
 
     notes: list[str] = []
     for source in (*images.values(), *itertools.chain(*turning.values())):

@@ -10,7 +10,6 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IMAGES, PictureIndex, Track
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, content_of, header_stamp_ns
 from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
@@ -157,11 +156,11 @@ class Subscriptions:
         self._takers.setdefault(topic, []).append(source.take)
         return source
 
-    def run(self, extent: Extent, infos: InfoChanges) -> None:
+    def run(self, infos: InfoChanges) -> None:
         """Run the pass, which also compares the cameras' calibrations."""
         topics = frozenset(self.clocks)
         compared = infos.topics - topics
-        for channel, log_ns, payload in self.recording.messages(topics | compared, extent):
+        for channel, log_ns, payload in self.recording.messages(topics | compared):
             topic = channel.topic
             if topic in compared:
                 infos.add(channel, log_ns, payload)
