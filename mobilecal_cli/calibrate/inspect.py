@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +15,7 @@ from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
-from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
-    NINE,
     SIDES,
     IntArray,
     LogSource,
@@ -92,8 +88,7 @@ def inspect(
             rig = complete_rig(survey)
             notes += survey.notes
             progress("motion", 0, None)
-            findings += _wrong_chain(config, rig, survey.description)
-            findings += _gaps("priors", rig, _without_priors(rig, config))
+            findings += _outside(rig, survey.description)
             findings += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings, notes)
@@ -157,13 +152,8 @@ def _limit(about: str, error: MobilecalError) -> Finding:
     return replace(Finding.of(about, error), state="limit")
 
 
-def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
-    """Joints that the head chain probably has twice, or not at all."""
-    links = Counter(link.joint for link in config.head.chain or () if link.joint)
-    for name in (name for name, count in links.items() if count > 1):
-        what = f"joint {name!r} is in head.chain {links[name]} times"
-        cure = "delete the repeated link, unless the mechanism moves both by the same reading"
-        yield _limit("head chain", SolveError(what, cure))
+def _outside(rig: Rig, description: RobotDescription) -> Iterator[Finding]:
+    """Joints that the head chain probably lacks."""
     for name in outside_chain(rig.chain, description):
         ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
         what = f"{name!r} was recorded, but is not a joint between {ends}"
@@ -178,23 +168,6 @@ def _without_height(rig: Rig) -> list[Finding]:
     what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
     cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
     return [Finding.of("head chain", SolveError(what, cure))]
-
-
-def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
-    """Parameters that are unobservable in any recording, because too many constants are free."""
-    rows = table(rig.cameras, rig.chain)
-    known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
-    free = {row.kind for row in rows} - known
-    if config.board.square_m is None:
-        free.add("square_size")
-    if {"baseline_length", "square_size", "joint_position"} <= free:
-        because = (
-            "the stereo baseline, the squares of the board and the positions of the head joints are all free"
-        )
-        yield Gap(NINE[6:], because, "state how well one of these lengths is known", ())
-    if {"joint_axis", "joint_zero"} <= free:
-        because = "the axes and zero positions of the head joints are all free"
-        yield Gap(NINE[:3], because, "state how well one of the two is known", ())
 
 
 def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -> tuple[int, int] | None:

@@ -25,7 +25,6 @@ from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
-    TODO,
     UNCONFIGURED,
     BoardConfig,
     CamerasConfig,
@@ -162,7 +161,7 @@ def _flow(value: object) -> str:
         return str(value).lower()
     if isinstance(value, float):
         return f"{0.0 if abs(value) < 1e-12 else value:.10g}"
-    return _quoted(value) if isinstance(value, str) and value != TODO else str(value)
+    return _quoted(value) if isinstance(value, str) else str(value)
 
 
 def _shown(value: object) -> str:
@@ -364,8 +363,10 @@ def _nominal(draft: Draft) -> None:
     if drawn.wheels is None:
         apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
         told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
-        sizes = {"radius_left_m": TODO, "radius_right_m": TODO, "separation_m": apart or TODO}
-        draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {_flow(sizes)}")
+        sizes = (
+            f"radius_left_m: TODO, radius_right_m: TODO, separation_m: {_flow(apart) if apart else 'TODO'}"
+        )
+        draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {{{sizes}}}")
     if drawn.T_h_reference is None:
         why = "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not "
         draft.ask("nominal.head_eye", f"{why}show it", f"head_eye: {HeadEyeNominal.example}")
