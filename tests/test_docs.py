@@ -11,7 +11,7 @@ import yaml
 
 from mobilecal_cli import errors
 from mobilecal_cli.__main__ import HELP
-from mobilecal_cli.export.extraction import SCHEMA_VERSION
+from mobilecal_cli.export.extraction import _OLDEST_READ, SCHEMA_VERSION
 from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.command import python, run
 from tests.conftest import REPOSITORY
@@ -62,8 +62,10 @@ def test_the_table_of_formats_is_up_to_date():
 
 def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():
     text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
-    (written,) = re.search(r"its schema version\s\((\d+)\); others are refused", text).groups()
+    stated = r"its schema version\s\((\d+)\); versions (\d+) to (\d+) are still read"
+    written, oldest, newest_old = re.search(stated, text).groups()
     assert int(written) == SCHEMA_VERSION
+    assert [int(oldest), int(newest_old)] == [_OLDEST_READ, SCHEMA_VERSION - 1]
 
 
 def test_the_table_of_priors_is_that_of_the_code():

@@ -32,8 +32,9 @@ Stretch, HSR and TurtleBot3, only the URDF is published here: their recordings a
 joint states of the sample `paper_robot.mcap` under the topics, joints, frames and URDF of these
 robots. Everything that `init` reads from names and URDFs is theirs; the board is that of the sample.
 
-Two stereo cameras, several pairs of wheels, counters, and boards of different sizes are asked for, not
-filled in (tests/rig/test_draft.py).
+Two stereo cameras, several pairs of wheels or counters, counters that start again at another number
+than 2^8, 2^16 or 2^32, and boards of different sizes are asked for, not filled in
+(tests/rig/test_draft.py).
 """
 
 
@@ -107,6 +108,7 @@ def _renamed(
     return names
 
 
+TICKS = "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution"
 ROBOTS = (
     Robot(
         "the robot of the paper",
@@ -120,8 +122,11 @@ ROBOTS = (
         "a robot with tick counters",
         "tick_robot.mcap",
         BOARD | _cameras("/stereo/left", "/stereo/right")
-        | STATES | _head("pan_joint", "tilt_joint", "base_link", "head_link") | _nominal(0.082, 0.34)
-        | {"wheels": None},
+        | {
+            f"wheels.{side}": f"topic: /wheel_ticks/{side}, field: data, bits: 16, sign: 1, ticks_per_revolution: TODO"
+            for side in ("left", "right")
+        }
+        | STATES | _head("pan_joint", "tilt_joint", "base_link", "head_link") | _nominal(0.082, 0.34) | {TICKS: None},
         70,
     ),
     Robot(
@@ -136,8 +141,7 @@ ROBOTS = (
         _wheels("base_l_wheel_joint", "base_r_wheel_joint", "calibration_joint_states")
         | _head("head_pan_joint", "head_tilt_joint"),
     ),
-    Robot("one camera (machinevision-toolbox)", "bags/mvtb/tests/data/test_ros1.bag",
-          {"cameras.camera": "image: /camera/raw", "cameras.rectified": "false"}),
+    Robot("one camera (machinevision-toolbox)", "bags/mvtb/tests/data/test_ros1.bag", {}),
     Robot(
         "Stretch RE2",
         "paper_robot.mcap",

@@ -1,7 +1,8 @@
-"""`mobilecal batch`: many robots, in worker processes."""
+"""`mobilecal batch`: many robots, in local processes or on a Dask cluster."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, 
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
 from mobilecal_cli.report.numbers import reference_pose, reference_std
-from mobilecal_cli.rig.config import Beside, RigConfig, load_rig, read_urdf
+from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
 RECORDS = ".mobilecal_batch"
@@ -40,6 +41,8 @@ RECORDS = ".mobilecal_batch"
 SUMMARIES = ("summary.csv", "summary.html")
 #: Names of directories on all systems, in any script; none begins like a formula in a table or an option.
 _NAME = re.compile(r"\w(?:[\w .,()+-]{0,98}[\w.,()+-])?")
+#: Reasons for skipping, in the order of the summary.
+DONE, NO_RECORDING = "already done", "no recording"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,25 +50,22 @@ class FleetJob:
     """One robot to calibrate.
 
     Attributes:
-        name: name of the robot.
+        name: name of the robot and of its output directory.
         logs: its recordings.
-        rig: its configuration.
-        directory: for its result.
+        config: its rig.yaml, or None.
+        output: parent directory of the output directories.
+        flags: dotted key → value; these override the file.
         gates: `NAME=LIMIT`.
         force: calibrate the robot again, and replace also a result that the batch did not write.
     """
 
     name: str
     logs: tuple[Path, ...]
-    rig: RigConfig
-    directory: Path
+    config: Path | None
+    output: Path
+    flags: Mapping[str, Any] = field(default_factory=dict)
     gates: tuple[str, ...] = ()
     force: bool = False
-
-    @property
-    def record(self) -> Path:
-        """File that says what the result was made from."""
-        return self.directory.parent / RECORDS / f"{self.name}.json"
 
 
 class _Robot(BaseModel, frozen=True, extra="forbid"):
@@ -102,29 +102,29 @@ def fleet_jobs(
         raise ConfigError(f"{source}: cannot be read: {error.strerror}", "check its permissions") from error
     _check_names(source, [robot.name for robot in robots])
     _refuse_shared(source, robots)
-    usual = load_rig(config, flags)
+    for robot in robots:
+        if robot.config is not None:
+            try:
+                load_rig(robot.config, flags)
+            except ConfigError:  # a manifest may name any file: do not quote it
+                raise ConfigError(
+                    f"{source}: the configuration of {robot.name} is not a valid rig.yaml: {robot.config}",
+                    f"calibrate this robot alone with --config {robot.config}, which shows what is wrong",
+                ) from None
+    if config is not None:
+        load_rig(config, flags)
     return tuple(
         FleetJob(
             robot.name,
             tuple(log.absolute() for log in robot.logs),
-            usual if robot.config is None else _rig_of(source, robot.name, robot.config, flags),
-            output.absolute() / robot.name,
+            own.absolute() if (own := robot.config or config) else None,
+            output.absolute(),
+            flags,
             tuple(gates),
             force,
         )
         for robot in sorted(robots, key=lambda robot: robot.name)
     )
-
-
-def _rig_of(source: Path, name: str, config: Path, flags: Mapping[str, Any]) -> RigConfig:
-    """The configuration of one robot. A manifest may name any file: it is not quoted."""
-    try:
-        return load_rig(config, flags)
-    except ConfigError:
-        raise ConfigError(
-            f"{source}: the configuration of {name} is not a valid rig.yaml: {config}",
-            f"calibrate this robot alone with --config {config}, which shows what is wrong",
-        ) from None
 
 
 def _check_names(source: Path, names: Sequence[str]) -> None:
@@ -171,6 +171,18 @@ def _of_directory(folder: Path) -> Sequence[_Robot]:
     return robots
 
 
+def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
+    """The entries of a directory that are no recordings; none for a manifest."""
+    if not source.is_dir():
+        return ()
+    return tuple(
+        FleetRow(path.name, "SKIPPED", 0, f"{path.name} is not a recording", skipped=NO_RECORDING)
+        for path in sorted(source.iterdir())
+        if not (path.name.startswith(".") or path.name.endswith(".rig.yaml") or looks_recorded(path))
+        and path.absolute() != output.absolute()
+    )
+
+
 def _of_manifest(path: Path) -> Sequence[_Robot]:
     hint = "robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
     try:
@@ -180,8 +192,11 @@ def _of_manifest(path: Path) -> Sequence[_Robot]:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
 
 
+_ATTEMPTS = 3  # at a job whose process dies
 #: Hint for a robot whose process died.
 AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
+
+Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
 
 
 def run_job(job: FleetJob) -> FleetRow:
@@ -202,13 +217,19 @@ def run_job(job: FleetJob) -> FleetRow:
         force = job.force or owns_result(job)
         _write_record(job, {})  # from now on, a result of this robot is one of the batch
         with naming_interruptions():
-            report = calibrate(job.logs, job.directory, config=job.rig, gates=job.gates, force=force)
+            report = calibrate(
+                job.logs,
+                job.output / job.name,
+                config=load_rig(job.config, job.flags),
+                gates=job.gates,
+                force=force,
+            )
         row = _row(job, report)
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message, hint=error.hint)
     except Exception as error:  # a bug must not stop the other robots
         row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
-    if row.verdict == "ERROR" and job.directory.is_dir():
+    if row.verdict == "ERROR" and (job.output / job.name).is_dir():
         row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
     row = replace(row, seconds=round(time.perf_counter() - began_s, 3))
     _write_record(job, {"key": key, "row": asdict(row), "params": _params_digest(job)})
@@ -223,20 +244,21 @@ def owns_result(job: FleetJob) -> bool:
 
 def _record(job: FleetJob) -> dict[str, Any] | None:
     try:
-        data = json.loads(read_text(job.record, LARGEST_BYTES))
+        data = json.loads(read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES))
     except (ConfigError, ValueError):
         return None
     return data if isinstance(data, dict) else None
 
 
 def _write_record(job: FleetJob, data: Mapping[str, Any]) -> None:
-    job.record.parent.mkdir(parents=True, exist_ok=True)
-    write_file(job.record, json.dumps(data, indent=1).encode() + b"\n", force=True)
+    path = job.output / RECORDS / f"{job.name}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_file(path, json.dumps(data, indent=1).encode() + b"\n", force=True)
 
 
 def _params_digest(job: FleetJob) -> str:
     """SHA-256 of the robot's params.yaml, "" without one."""
-    path = job.directory / "params.yaml"
+    path = job.output / job.name / "params.yaml"
     return sha256_of(path) if path.is_file() else ""
 
 
@@ -245,10 +267,10 @@ def fingerprint(job: FleetJob) -> str:
 
     Raises:
         RecordingError: a recording cannot be read.
-        ConfigError: a file that the configuration names cannot be read.
+        ConfigError: the configuration or a file that it names cannot be read.
     """
-    stated = job.rig.model_dump_json(), read_urdf(job.rig) or "", *sorted(job.rig.flags)
-    parts = [__version__, *stated, *job.gates]
+    config = load_rig(job.config, job.flags)
+    parts = [__version__, config.model_dump_json(), read_urdf(config) or "", *sorted(job.flags), *job.gates]
     journals = [log.with_name(f"{log.name}-wal") for log in job.logs]  # SQLite reads them with the database
     parts += [sha256_of(path) for path in (*job.logs, *(path for path in journals if path.is_file()))]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
@@ -261,9 +283,9 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
         row, same = TypeAdapter(FleetRow).validate_python(record["row"]), record["key"] == key
     except (ValueError, KeyError, TypeError):
         return None
-    there = all((job.directory / name).is_file() for name in OUTPUT_NAMES)
+    there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
     answered = row.verdict != "ERROR" and there and owns_result(job)
-    return replace(row, skipped=True) if same and answered else None
+    return replace(row, skipped=DONE) if same and answered else None
 
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
@@ -282,15 +304,21 @@ def _row(job: FleetJob, report: Report) -> FleetRow:
     )
 
 
-def in_processes(jobs: Sequence[FleetJob], count: int = os.cpu_count() or 1) -> Iterator[FleetRow]:
-    """Results in the order of completion, by worker processes; if one dies, the other robots are still calibrated."""
-    waiting = {job.name: job for job in jobs}
-    for row in _in_a_pool(jobs, count):
-        del waiting[row.name]
-        yield row
-    for name, job in waiting.items():  # a process died: each remaining job gets its own process
-        crashed = "the worker process died (out of memory, or killed)"
-        yield next(_in_a_pool([job], 1), FleetRow(name, "ERROR", 1, crashed, hint=AGAIN))
+def run_locally(count: int) -> Run:
+    """Runs jobs in local processes; if one dies, the other robots are still calibrated."""
+
+    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
+        waiting = {job.name: job for job in jobs}
+        for row in _in_a_pool(list(waiting.values()), count):
+            del waiting[row.name]
+            done(row)
+        for name, job in waiting.items():  # a process died: each remaining job gets its own process
+            crashed = "the worker process died (out of memory, or killed)"
+            attempts = (list(_in_a_pool([job], 1)) for _ in range(_ATTEMPTS - 1))
+            rows = next(filter(None, attempts), [FleetRow(name, "ERROR", 1, crashed, hint=AGAIN)])
+            done(rows[0])
+
+    return run
 
 
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
@@ -310,12 +338,12 @@ def batch(
     flags: Mapping[str, Any] | None = None,
     gates: Sequence[str] = (),
     force: bool = False,
-    run: Callable[[Sequence[FleetJob]], Iterable[FleetRow]] = in_processes,
+    run: Run | None = None,
     progress: Progress = silent,
 ) -> tuple[FleetRow, ...]:
     """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
 
-    Robots with a result of an earlier run from the same inputs are `skipped`.
+    Robots with a result of an earlier run from the same inputs are skipped; `FleetRow.skipped` has the reason.
 
     Args:
         source: a directory of recordings, or a manifest.
@@ -324,7 +352,7 @@ def batch(
         flags: dotted key → value, over the files.
         gates: `NAME=LIMIT` for each robot.
         force: calibrate all robots again, and replace also results that this batch did not write.
-        run: does the jobs, in any order.
+        run: runs the jobs; by default one process per core.
         progress: receives the number of finished robots.
 
     Raises:
@@ -337,8 +365,8 @@ def batch(
         if path.exists() and not (output / RECORDS).is_dir() and not force:
             raise already_exists(path)
     for job in jobs:
-        if os.path.lexists(job.directory):
-            check_output(job.directory, force or owns_result(job))
+        if os.path.lexists(job.output / job.name):
+            check_output(job.output / job.name, force or owns_result(job))
     rows: dict[str, FleetRow] = {}
     new = [path for path in (output / RECORDS, output) if not path.exists()]
     try:
@@ -347,17 +375,77 @@ def batch(
         raise OutputError(
             f"{output}: cannot be created: {error.strerror}", "choose another --output"
         ) from error
+
+    def done(row: FleetRow) -> None:
+        rows[row.name] = row
+        progress("robots", len(rows), len(jobs))
+
     progress("robots", 0, len(jobs))
     try:
-        for row in run(jobs):
-            rows[row.name] = row
-            progress("robots", len(rows), len(jobs))
+        (run or run_locally(os.cpu_count() or 1))(jobs, done)
     except BaseException:
         for path in new:
             with suppress(OSError):  # it contains results
                 path.rmdir()
         raise
-    ordered = tuple(rows[job.name] for job in jobs)
+    ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
     for name, text in zip(SUMMARIES, (fleet_csv(ordered), fleet_html(ordered)), strict=True):
         write_file(output / name, text.encode(), force=True)
     return ordered
+
+
+def run_on(address: str, timeout_s: float = 30.0) -> Run:
+    """Run jobs on the workers of a Dask scheduler, which must see the same files under the same paths.
+
+    If a worker dies, the scheduler gives its jobs to other workers, which skip finished jobs.
+
+    Args:
+        address: of the scheduler, `tcp://host:8786`.
+        timeout_s: longest time to wait for an answer of the scheduler, and for a worker, s.
+
+    Raises:
+        ConfigError: the extra is not installed, no scheduler answers, or it has no workers.
+    """
+
+    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
+        try:
+            from distributed import Client, as_completed, rpc
+        except ImportError as error:
+            raise ConfigError(
+                "the Dask package `distributed` is not installed",
+                "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
+            ) from error
+
+        async def identity() -> None:
+            async with rpc(address) as scheduler:  # type: ignore[no-untyped-call]
+                await scheduler.identity()
+
+        try:
+            # The client would wait without end for a program that accepts the connection and does not answer.
+            asyncio.run(asyncio.wait_for(identity(), timeout_s))
+            client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError, TimeoutError) as error:
+            why = str(error) or f"no answer within {timeout_s:g} s"
+            raise ConfigError(
+                f"--scheduler {address}: cannot connect to the scheduler: {why}",
+                "start a scheduler and workers with dask scheduler and dask worker, and check the address",
+            ) from error
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=timeout_s)
+            except TimeoutError as error:
+                raise ConfigError(
+                    f"--scheduler {address}: the scheduler has no workers after {timeout_s:g} s",
+                    f"start workers: dask worker {address}",
+                ) from error
+            futures = {
+                client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs
+            }
+            for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
+                if (failed := future.exception()) is None:
+                    done(future.result())
+                else:
+                    reason = f"the worker process died or failed: {type(failed).__name__}: {failed}"
+                    done(FleetRow(futures[future].name, "ERROR", 1, reason, hint=AGAIN))
+
+    return run

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 
@@ -23,8 +25,15 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
 from mobilecal_cli.export import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
+    CAMERA_INFO,
     CAMERA_INFO_CHANGES,
+    IMAGES,
+    JOINT_STATE,
+    ODOMETRY,
+    STRING,
+    TRANSFORMS,
     Board,
+    Corners,
     Extraction,
     LogSource,
     Markers,
@@ -34,16 +43,20 @@ from mobilecal_cli.model import (
     RobotDescription,
     Snapshot,
     Track,
+    WheelTrack,
 )
 from mobilecal_cli.readers import (
     Recording,
     join_splits,
+    number_fields,
     open_recording,
     read_description,
     sha256_of,
 )
 from mobilecal_cli.rig.config import RigConfig
+from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
+from mobilecal_cli.rig.wheels import needs_numbers
 from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
     Detection,
@@ -56,11 +69,19 @@ from mobilecal_cli.vision import (
     resolve_square,
 )
 
+#: Types that are read by their meaning, not by field paths.
+_KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
 
-def describe(recording: Recording, config: RigConfig, earlier: RobotDescription | None = None) -> Survey:
+
+def describe(
+    recording: Recording, config: RigConfig, joints_too: bool = False, earlier: RobotDescription | None = None
+) -> Survey:
     """What the description of a recording and a configuration determine.
 
+    Numbers in other messages are read only if no wheel is known without them.
+
     Args:
+        joints_too: read these numbers also where anything else is unknown, as candidates for head joints.
         earlier: of another recording of the robot, whose URDF is used if this one contains none.
 
     Raises:
@@ -71,7 +92,12 @@ def describe(recording: Recording, config: RigConfig, earlier: RobotDescription 
     if earlier is not None and not description.urdfs and earlier.urdfs:
         description = replace(description, urdfs=earlier.urdfs)
         recording.note("the recording contains no URDF; that of an earlier one is used")
-    return survey_rig(config, description)
+    survey = None if needs_numbers(config, description) else survey_rig(config, description)
+    if survey is None or (joints_too and survey.lacks):
+        others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
+        description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
+        survey = survey_rig(config, description)
+    return survey
 
 
 #: Relative difference of camera infos that is rounding.
@@ -108,11 +134,9 @@ def _extracted(
         survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
         rig = complete_rig(survey)
     for log in earlier:
-        if any(same_signals(log.plan, plan) for plan in plans):
-            raise ConfigError(
-                f"{log.name} and {name} are the same recording: they contain the same wheel and joint readings",
-                _ONCE,
-            )
+        for plan in plans:
+            if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
+                refuse_same(log.name, name, "wheel and joint readings")
     if board is None:
         progress("finding the board's size", 0, None)
         size = board_size(recording, rig, plans)
@@ -200,6 +224,7 @@ def extract(
         other = _other_cameras(first, new)
         extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
     extraction = _assembled(extracted, sources)
+    refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
         Snapshot(number, station.index, detected.pictures, detected.thumbnail)
         for number, log in enumerate(extracted)
@@ -296,8 +321,8 @@ def _notes(logs: Sequence[ExtractedLog]) -> tuple[str, ...]:
 
 _SAME_SHARE = 0.9  # of the readings while both were recorded
 _LEAST_OVERLAP = 0.05  # of the shorter recording
-_SAME_VALUE = 1e-9  # rad or m
-_ONCE = "give each recording once, in one container: repeated data make the standard deviations too small"
+_SAME_VALUE = 1e-9  # rad, m or px
+_HINT = "give each recording once, in one container: repeated data make the standard deviations too small"
 
 
 def size_bytes(log: Path) -> int:
@@ -315,13 +340,38 @@ def refuse_equal_files(logs: Sequence[LogSource]) -> None:
     first: dict[str, str] = {}
     for log in logs:
         if log.sha256 in first:
-            raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _ONCE)
+            raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _HINT)
         first[log.sha256] = log.path
 
 
-def same_signals(first: Plan, other: Plan) -> bool:
+def refuse_equal_recordings(extraction: Extraction, names: Sequence[str]) -> None:
+    """Refuse recordings with the same readings or images, such as one recording in two containers.
+
+    Raises:
+        ConfigError: naming both recordings.
+    """
+    joints = extraction.joint_tracks or ((),) * len(extraction.wheels)
+    signals = list(zip(extraction.wheels, joints, strict=True))
+    by_log = [[o for o in extraction.observations if o.log == log] for log in range(len(signals))]
+    for i, j in itertools.combinations(range(len(signals)), 2):
+        if same_signals(signals[i], signals[j]):
+            refuse_same(names[i], names[j], "wheel and joint readings")
+        at = {o.time_ns: o.views for o in by_log[i]}
+        pairs = [(at[o.time_ns], o.views) for o in by_log[j] if o.time_ns in at]
+        if any(len(first) == len(other) and all(map(_same_corners, first, other)) for first, other in pairs):
+            refuse_same(names[i], names[j], "images")
+
+
+def refuse_same(first: str, other: str, what: str) -> NoReturn:
+    """Refuse two recordings, always."""
+    raise ConfigError(f"{first} and {other} are the same recording: they contain the same {what}", _HINT)
+
+
+def same_signals(
+    first: tuple[WheelTrack, Sequence[Track]], other: tuple[WheelTrack, Sequence[Track]]
+) -> bool:
     """Whether all readings of both wheels and all joints are the same while both were recorded."""
-    tracks, others = ([plan.wheels.right, plan.wheels.left, *plan.joints] for plan in (first, other))
+    tracks, others = ([wheels.right, wheels.left, *joints] for wheels, joints in (first, other))
     return all(_same_readings(a, b) for a, b in zip(tracks, others, strict=False))
 
 
@@ -336,3 +386,8 @@ def _same_readings(first: Track, other: Track) -> bool:
     differences = first.value[i] - other.value[j]
     same = np.abs(differences - np.median(differences)) < _SAME_VALUE
     return int(same.sum()) >= _SAME_SHARE * overlap
+
+
+def _same_corners(first: Corners, other: Corners) -> bool:
+    a, b = first.pixels, other.pixels
+    return a.shape == b.shape and bool(np.abs(a - b).max(initial=0.0) < _SAME_VALUE)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +17,10 @@ from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
+from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
+    CAMERA_INFO_CHANGES,
+    NINE,
     SIDES,
     IntArray,
     LogSource,
@@ -27,7 +32,7 @@ from mobilecal_cli.model import (
     WheelTrack,
     sampled,
 )
-from mobilecal_cli.readers import Recording, join_splits, open_recording, read_signals, sha256_of
+from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, TopicView
 from mobilecal_cli.report.verdict import gates_of
@@ -36,19 +41,24 @@ from mobilecal_cli.rig.head import outside_chain
 from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.stations import PAIR_AT_REST_S, plan_stations, wheel_track
 
+#: At most so much of a recording is decompressed for the motion.
+MOTION_BYTES = 2**28
 #: A smaller share of images during which joints and wheels were recorded limits a calibration.
 _LEAST_COVERED = 0.9
 #: Unit of a joint's range → a larger range is one in degrees or millimeters that was taken for radians or meters.
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
-def _gaps(about: str, rig: Rig, gaps: Iterable[Gap]) -> Iterator[Finding]:
-    """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it."""
+def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> Iterator[Finding]:
+    """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it.
+
+    What is `unread` of the recording may show the others.
+    """
     for gap in gaps:
         of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
         nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
         what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        of = Finding.of if nominal is None else _limit
+        of = Finding.of if nominal is None and not unread else _limit
         yield of(about, SolveError(what, gap.cure))
 
 
@@ -57,7 +67,8 @@ def inspect(
 ) -> Inspection:
     """Summary of one recording (in one file or several): contents, what `calibrate` would use, what is missing.
 
-    Of the images, only a few are read.
+    Only a part of a long recording is read: the first messages of each topic, the index, joints and wheels of at most
+    256 MB of the file, and a few images.
 
     Args:
         logs: parts of one recording.
@@ -88,7 +99,8 @@ def inspect(
             rig = complete_rig(survey)
             notes += survey.notes
             progress("motion", 0, None)
-            findings += _outside(rig, survey.description)
+            findings += _wrong_chain(config, rig, survey.description)
+            findings += _gaps("priors", rig, _without_priors(rig, config))
             findings += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings, notes)
@@ -152,8 +164,13 @@ def _limit(about: str, error: MobilecalError) -> Finding:
     return replace(Finding.of(about, error), state="limit")
 
 
-def _outside(rig: Rig, description: RobotDescription) -> Iterator[Finding]:
-    """Joints that the head chain probably lacks."""
+def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
+    """Joints that the head chain probably has twice, or not at all."""
+    links = Counter(link.joint for link in config.head.chain or () if link.joint)
+    for name in (name for name, count in links.items() if count > 1):
+        what = f"joint {name!r} is in head.chain {links[name]} times"
+        cure = "delete the repeated link, unless the mechanism moves both by the same reading"
+        yield _limit("head chain", SolveError(what, cure))
     for name in outside_chain(rig.chain, description):
         ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
         what = f"{name!r} was recorded, but is not a joint between {ends}"
@@ -168,6 +185,23 @@ def _without_height(rig: Rig) -> list[Finding]:
     what = "no joint tilts the camera, so the recording does not show its height, and nominal.head_eye is not stated"
     cure = "set nominal.head_eye in rig.yaml, or calibrate with --fix and the measured height"
     return [Finding.of("head chain", SolveError(what, cure))]
+
+
+def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
+    """Parameters that are unobservable in any recording, because too many constants are free."""
+    rows = table(rig.cameras, rig.chain)
+    known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
+    free = {row.kind for row in rows} - known
+    if config.board.square_m is None:
+        free.add("square_size")
+    if {"baseline_length", "square_size", "joint_position"} <= free:
+        because = (
+            "the stereo baseline, the squares of the board and the positions of the head joints are all free"
+        )
+        yield Gap(NINE[6:], because, "state how well one of these lengths is known", ())
+    if {"joint_axis", "joint_zero"} <= free:
+        because = "the axes and zero positions of the head joints are all free"
+        yield Gap(NINE[:3], because, "state how well one of the two is known", ())
 
 
 def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -> tuple[int, int] | None:
@@ -213,8 +247,9 @@ def _motion(
     recording: Recording, rig: Rig, times: Mapping[str, IntArray], findings: list[Finding], notes: list[str]
 ) -> MotionView | None:
     """Motion of the robot; adds what is unobservable from it, and notes."""
+    extent = Extent(MOTION_BYTES)
     try:
-        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints)
+        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
         wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
     except RecordingError as error:
         findings.append(Finding.of("motion", error))
@@ -245,9 +280,11 @@ def _motion(
         driven_m = float(sum(np.linalg.norm(arcs.t_m, axis=1).sum() for arcs in legs))
         turns_rad = [0.0, *(psi for arcs in legs for psi in arcs.psi_rad)]
         turned_deg = float(np.degrees(np.ptp(np.cumsum(turns_rad))))
-    rests = _rests(rig, logs, wheels, times, findings)
-    notes += [note for signals in logs for note in signals.notes]
-    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests)
+    share = recording.share(rig.sources.motion, extent)
+    rests = _rests(rig, logs, wheels, times, share, findings)
+    # Gaps between the parts that are read would be noted as irregularities.
+    notes += [note for s in logs for note in s.notes if share == 1 or CAMERA_INFO_CHANGES in note]
+    return MotionView(joints, wheels_deg, driven_m, turned_deg, rests, share)
 
 
 def _seconds(wheels: WheelTrack) -> IntArray:
@@ -262,19 +299,20 @@ def _rests(
     logs: Sequence[Signals],
     wheels: Sequence[WheelTrack],
     times: Mapping[str, IntArray],
+    share: float,
     findings: list[Finding],
 ) -> int | None:
     """Number of rests with images; adds what is unobservable from them, or from all of the motion."""
     images = {name: times.get(topic) for name, topic in rig.sources.image.items()}
     # Where a clock steps, log times do not tell which readings belong to an image.
-    if len(logs) > 1 or any(logged is None for logged in images.values()):
+    if share < 1 or len(logs) > 1 or any(logged is None for logged in images.values()):
         moments = [_seconds(track) for track in wheels]
         readings = [
             sampled([signals.joints[name] for name in rig.chain.joints], at)
             for signals, at in zip(logs, moments, strict=True)
         ]
         gaps = gaps_between(rig.chain, np.concatenate(readings), wheels, moments)
-        findings += _gaps("motion", rig, gaps)
+        findings += _gaps("motion", rig, gaps, unread=share < 1)
         return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})

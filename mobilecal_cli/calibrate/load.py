@@ -10,7 +10,7 @@ from pathlib import Path
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.arguments import AnyPath, path_of
-from mobilecal_cli.calibrate.extract import extract
+from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml, snapshots_from_npz
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
@@ -64,6 +64,7 @@ def read_extraction(path: Path) -> Extraction:
 
     Raises:
         RecordingError: it cannot be read, its parts do not match, or a setting is out of the range of rig.yaml.
+        ConfigError: it contains a recording twice, as those of earlier versions may.
     """
     extraction = extraction_from_npz(path)
     tracks, logs, joints = len(extraction.wheels), len(extraction.logs), len(extraction.joint_tracks)
@@ -78,6 +79,8 @@ def read_extraction(path: Path) -> Extraction:
     except (ConfigError, ArithmeticError, KeyError, ValueError) as error:
         reason = error.message if isinstance(error, ConfigError) else f"{path}: damaged: settings: {error}"
         raise RecordingError(reason, "calibrate again from the recordings") from error
+    refuse_equal_files(extraction.logs)
+    refuse_equal_recordings(extraction, extraction.log_names)
     return extraction
 
 

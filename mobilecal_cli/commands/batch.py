@@ -19,6 +19,7 @@ def batch(
     setting: options.Settings = None,
     gate: options.Gates = None,
     jobs: Annotated[int | None, Option(min=1)] = None,
+    scheduler: str | None = None,
     force: bool = False,
     as_json: bool = False,
     junit: Path | None = None,
@@ -31,21 +32,24 @@ def batch(
 
     Example: mobilecal batch recordings/ --output fleet/
 
+    On a cluster: mobilecal batch fleet.yaml --output /shared/fleet --scheduler tcp://host:8786
+
     Args:
         source: Directory with one recording per robot, or a manifest (YAML).
         output: Directory for the results of all robots.
         jobs: Worker processes. [default: one per core]
+        scheduler: Dask scheduler such as tcp://host:8786, instead of local processes.
         force: Calibrate all robots again, and replace also results that this batch did not write.
     """
     import os
-    from functools import partial
 
-    from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes
+    from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.fleet import fleet_json, fleet_text
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
+    run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
     replace = force or (junit is not None and is_junit(junit))
     summaries = {name: output / name for name in SUMMARIES}
     with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
@@ -57,29 +61,30 @@ def batch(
                 flags=options.flags_of(setting),
                 gates=gate or [],
                 force=force,
-                run=partial(in_processes, count=jobs or os.cpu_count() or 1),
+                run=run,
                 progress=progress,
             )
         write_junit(junit_fleet_xml(str(source), rows))
-    failed = [row for row in rows if row.verdict != "PASS"]
+    robots = [row for row in rows if row.verdict != "SKIPPED"]
+    failed = [row for row in robots if row.verdict != "PASS"]
     if as_json:
         typer.echo(fleet_json(rows), nl=False)
     elif not quiet:
         typer.echo(fleet_text(rows), nl=False)
     if failed and (as_json or quiet):
         typer.echo(fleet_text(failed), nl=False, err=True)
-    worst = max(rows, key=lambda row: row.exit_code)
+    worst = max(robots, key=lambda row: row.exit_code)
     kinds = {kind.exit_code: kind for kind in (OutputError, ResourceError)}
     if worst.exit_code in kinds:
-        stopped = sum(row.exit_code == worst.exit_code for row in rows)
+        stopped = sum(row.exit_code == worst.exit_code for row in robots)
         raise kinds[worst.exit_code](
-            f"{stopped} of {len(rows)} robots were not calibrated: {worst.name}: {worst.reason}",
+            f"{stopped} of {len(robots)} robots were not calibrated: {worst.name}: {worst.reason}",
             "see the reason, then run the same command again: it calibrates only what is missing",
         )
     names = ", ".join(row.name for row in failed[:10]) + (", ..." if len(failed) > 10 else "")
-    reason = f"{len(rows)} of {len(rows)} robots passed."
+    reason = f"{len(robots)} of {len(robots)} robots passed."
     if failed:
-        reason = f"{len(failed)} of {len(rows)} robots did not pass: {names}."
+        reason = f"{len(failed)} of {len(robots)} robots did not pass: {names}."
     options.conclude(
         "FAIL" if failed else "PASS",
         reason,

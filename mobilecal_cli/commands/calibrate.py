@@ -29,6 +29,7 @@ def calibrate(
     gate: options.Gates = None,
     hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
     last: Path | None = None,
+    open_report: bool = False,
     as_json: bool = False,
     junit: Path | None = None,
     summary: Path | None = None,
@@ -57,10 +58,11 @@ def calibrate(
         estimate: Constants, or kinds of them, whose stated values are ignored: pan_zero, stereo_rotation, stereo.
         hold_out: Share at the end of each recording to hold out and to test the result on.
         last: params.yaml to compare the result with. [default: the nominal values]
+        open_report: Open the report in the browser; without a display, print where it is.
         summary: Append verdict, numbers and change to this file as Markdown, for example $GITHUB_STEP_SUMMARY.
     """
     from mobilecal_cli.calibrate import steps
-    from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.commands.terminal import open_page, progress_bar
     from mobilecal_cli.export import append_text, check_appendable
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
@@ -103,6 +105,8 @@ def calibrate(
         typer.echo(report.json, nl=False)
     elif not quiet:
         typer.echo(summary_text(report.values, verbose))
+    if open_report:
+        typer.echo(open_page(output / "report.html"), err=True)
     verdict = report.verdict
     options.conclude(
         verdict.level,

@@ -79,7 +79,7 @@ def draft(
     config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
     with open_recording(logs) as recording:
         progress("topics", 0, None)
-        survey = describe(recording, config)
+        survey = describe(recording, config, joints_too=True)
         board = None
         if survey.images is not None:
             progress("images", 0, None)

@@ -17,7 +17,7 @@ def inspect(
     """Show what a recording contains and what is missing.
 
     Describes the recording: topics, the settings that a calibration would use, the motion and the board; `check` tests
-    a rig.yaml against it. Reads all but most of the images. Writes nothing.
+    a rig.yaml against it. Samples a long recording, so that it takes seconds. Writes nothing.
 
     Example: mobilecal inspect log.mcap
 

@@ -34,7 +34,7 @@ _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
 #: A parameter in the `Args` of a docstring, and its text.
 _DESCRIBED = re.compile(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", re.MULTILINE)
 #: Parameter → the name of its option, if that is another one; and its second, short name.
-_LONG = {"as_json": "--json"}
+_LONG = {"as_json": "--json", "open_report": "--open"}
 _SHORT = {"config": ["-c"], "output": ["-o"], "quiet": ["-q"], "verbose": ["-v"]}
 _LONGEST_SHOWN = 40  # characters of a text that is refused
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import logging
 import os
+import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.model.text import verdict_lines
+from mobilecal_cli.model.text import verdict_lines, visible
 
 _BOLD = {"PASS": "\x1b[1;32m", "FAIL": "\x1b[1;31m", "NOT ENOUGH": "\x1b[1;33m"}  # green, red, yellow
 _BOLD["GATE FAILED"] = _BOLD["FAIL"]
@@ -24,6 +27,36 @@ def verdict_text(level: str, reason: str, next_step: str, to_stderr: bool = Fals
     if stream.isatty() and not os.environ.get("NO_COLOR"):
         lines[0] = f"{_BOLD[level]}{level}{_PLAIN}{lines[0][len(level) :]}"
     return "\n".join(lines)
+
+
+def open_page(page: Path) -> str:
+    """Open a page in the user's browser, without waiting for its end; or do nothing, without a display.
+
+    Returns:
+        A sentence that says where the page is.
+    """
+    shown = visible(str(page.resolve()))
+    if not _has_display():
+        return f"No display to open the report on: {shown}"
+    # A browser in the terminal, or one that stays open, must not hold up this command.
+    process = subprocess.Popen(
+        [sys.executable, "-I", "-m", "webbrowser", "-t", page.resolve().as_uri()],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    threading.Thread(target=process.wait, daemon=True).start()
+    return f"Opening the report in a browser: {shown}"
+
+
+def _has_display() -> bool:
+    """Whether a browser can show a window: $BROWSER also stands for one that shows it elsewhere."""
+    if os.environ.get("BROWSER"):
+        return True
+    if sys.platform == "darwin":
+        return not os.environ.get("SSH_CONNECTION")
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 @contextmanager

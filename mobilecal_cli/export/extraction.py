@@ -20,6 +20,7 @@ from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.reading import problems_of
 from mobilecal_cli.model import (
+    SIDES,
     Board,
     Corners,
     Extraction,
@@ -37,6 +38,8 @@ SCHEMA_VERSION = 9
 #: Most stations with a small image.
 THUMBNAILS = 60
 _LARGEST_THUMBNAIL = 10_000  # bytes
+# 5: both wheels at the same times; 6: no priors of constants; 7: settled_by; 8: stereo pairs only
+_OLDEST_READ = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -47,7 +50,7 @@ _DTYPES: dict[str, type | np.dtype[Any]] = {
     **_OBSERVATION_ARRAYS,
     **_CORNER_ARRAYS,
     "header": np.uint8,
-    **dict.fromkeys(("rad", "value"), np.float64),
+    **dict.fromkeys(("rad", "right_rad", "left_rad", "value"), np.float64),
 }
 #: Fields of an extraction that its header has as they are.
 _STATED = ("rig", "board", "rejections", "notes", "logs", "counts")
@@ -164,9 +167,10 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
     if not isinstance(header, dict) or header.get("format") != _FORMAT:
         raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
     version = header.get("schema_version")
-    if version != SCHEMA_VERSION:
+    if version not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
         raise RecordingError(
-            f"{name}: schema version {version!r}; this version of mobilecal reads {SCHEMA_VERSION}", _HINT
+            f"{name}: schema version {version!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
+            _HINT,
         )
     try:
         return _extraction(header, arrays)
@@ -209,6 +213,14 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
 
 
 def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extraction:
+    rig = header["rig"]
+    if "settled_by" in rig:  # the name in schema versions 5 to 7
+        rig["setting_sources"] = rig.pop("settled_by")
+    if "left" in rig["cameras"]:  # schema versions 5 to 8
+        rig["cameras"] = _pair(rig["cameras"])
+    rig["noise"] = {
+        name: level for name, level in rig["noise"].items() if level is not None
+    }  # None was estimated
     stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
     names = stated.rig.cameras.names
     return Extraction(
@@ -226,11 +238,28 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
 
 
 def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
-    sides = (f"{name}.{side}" for side in ("right", "left"))
-    wheels = WheelTrack(*(Track(arrays[f"{side}.time_ns"], arrays[f"{side}.rad"]) for side in sides))
+    if f"{name}.time_ns" in arrays:  # schema version 5
+        parts = (arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
+        wheels = WheelTrack.at_same_times(*parts)
+    else:
+        sides = (f"{name}.{side}" for side in ("right", "left"))
+        wheels = WheelTrack(*(Track(arrays[f"{side}.time_ns"], arrays[f"{side}.rad"]) for side in sides))
     if not len(wheels.time_ns):
         raise ValueError(f"{name}: no readings of both wheels")
     return wheels
+
+
+def _pair(pair: dict[str, Any]) -> dict[str, Any]:
+    """The plain form of a stereo pair of earlier versions as that of a `CameraRig`."""
+    return {
+        "names": list(SIDES),
+        "each": [pair["left"], pair["right"]],
+        "T_c_each": [np.eye(4).tolist(), pair["T_c_r"]],
+        "R_rect": [pair["R_rect_c"], pair["R_rect_r"]],
+        "rectified": pair["rectified"],
+        "reference": pair.get("reference", "left"),
+        "calibrated": True,
+    }
 
 
 def _observation(arrays: dict[str, NDArray[Any]], names: Sequence[str], index: int) -> Observation:

@@ -61,6 +61,7 @@ from mobilecal_cli.model.robot_description import (
     STRING,
     TRANSFORMS,
     BoardView,
+    NumberField,
     RobotDescription,
     TopicInfo,
 )

@@ -49,6 +49,8 @@ class RobotDescription:
         transforms: (parent frame, child frame) → (n, 4, 4) samples over the recording, m; read only without a
             URDF.
         odometry_frames: odometry topic → frames of its first message, parent and child.
+        numbers: numbers in other messages that may be the readings of wheels or head joints; read only where joint
+            states lack them.
     """
 
     topics: tuple[TopicInfo, ...]
@@ -59,6 +61,27 @@ class RobotDescription:
     transforms: Mapping[tuple[str, str], FloatArray] = field(default_factory=dict)
     unusable: Mapping[str, RecordingError] = field(default_factory=dict)
     odometry_frames: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    numbers: tuple[NumberField, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class NumberField:
+    """A number in the messages of one topic, which may be a wheel's counter or a joint's angle.
+
+    Attributes:
+        topic, path: where it is; `path` as in rig.yaml ("data", "left.ticks").
+        integer: whether it is a whole number.
+        bits: width of its type, None if unknown.
+        wraps: number of bits at which it was seen to start again; None if it was not.
+        jump: size of the jumps where it starts again, if they fit no number of bits.
+    """
+
+    topic: str
+    path: str
+    integer: bool
+    bits: int | None = None
+    wraps: int | None = None
+    jump: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,13 @@
-"""What a recording says of the robot before it is read: its description, and first messages."""
+"""What a recording says of the robot before it is read: description, first messages, and numbers in other messages."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import re
+from collections.abc import Callable, Collection, Sequence
 from itertools import chain, islice
 from typing import Any, TypeVar
+
+import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
@@ -16,12 +19,15 @@ from mobilecal_cli.model import (
     TRANSFORMS,
     CameraInfo,
     FloatArray,
+    NumberField,
     RobotDescription,
 )
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
+from mobilecal_cli.readers.messages.types import leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import transforms_of
+from mobilecal_cli.readers.signals.wheels import wraps
 
 T = TypeVar("T")
 
@@ -153,3 +159,64 @@ def _infos(
         except RecordingError as error:
             unusable[topic] = error
     return infos, unusable
+
+
+#: Messages read per topic to see whether a counter wraps around.
+_MESSAGES = 20_000
+#: Fields that are no readings.
+_NOT_READINGS = {"header", "stamp", "layout", "timestamp"}
+_STANDARD = re.compile(r"std_msgs/msg/U?Int(8|16|32|64)")
+
+
+def number_fields(
+    recording: Recording, topics: Collection[str], wanted: Callable[[str, str], bool]
+) -> tuple[NumberField, ...]:
+    """Numbers in the messages of some topics.
+
+    Args:
+        topics: its topics.
+        `wanted`: whether a number at a topic and a path is of interest.
+
+    Returns:
+        The numbers, by topic and path; a topic that cannot be read has none.
+    """
+    fields: list[NumberField] = []
+    for topic in sorted(topics):
+        try:
+            fields += _of_topic(recording, topic, wanted)
+        except RecordingError as error:  # the calibration may not use the topic
+            recording.note(error.message)
+    return tuple(fields)
+
+
+def _of_topic(
+    recording: Recording, topic: str, wanted: Callable[[str, str], bool]
+) -> tuple[NumberField, ...]:
+    messages = islice(recording.messages([topic]), _MESSAGES)
+    first = next(messages, None)
+    if first is None:
+        return ()
+    decoded = first.decode()
+    paths = [
+        FieldPath.parse(path)
+        for path, value in leaves_of(decoded)
+        if isinstance(value, (int, float, np.number))
+        and not isinstance(value, bool)
+        and _NOT_READINGS.isdisjoint(path.split("."))
+        and wanted(topic, path)
+    ]
+    if not paths:
+        return ()
+    series: dict[str, list[int | float]] = {path.text: [] for path in paths}
+    for message in chain([first], messages):
+        decoded = message.decode()
+        for path in paths:
+            series[path.text].append(path.number(decoded, topic, "the field"))
+    standard = _STANDARD.fullmatch(first.type)
+    bits = int(standard[1]) if standard else None
+    fields = []
+    for name, values in series.items():
+        whole = all(isinstance(value, int) for value in values)  # other numbers do not start again
+        starts_again = wraps(np.array(values, dtype=np.float64)) if whole else (None, None)
+        fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again))
+    return tuple(fields)

@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, IntArray, PictureIndex, Rejection, Sources, StereoLayout
+from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import Message
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
+
+#: Bytes of a topic that are read to find a few images by their order alone.
+_GLANCE_BYTES = 2**25
 
 
 def read_images(
@@ -43,25 +46,25 @@ def read_images(
             places.setdefault(tuple(place), []).append((name, time_ns))
     if not any(index.sequential for index in wanted.values()):
         logged = np.unique(np.concatenate([index.log_ns for index in wanted.values()]))
-        yield from _read(recording, missing, layout, logged)
+        yield from _read(recording, missing, layout, Extent(at_ns=logged))
     if any(missing.values()):  # video, or a wrong index
-        yield from _read(recording, missing, layout, None)
+        yield from _read(recording, missing, layout, EVERYTHING)
 
 
 def _read(
     recording: Recording,
     missing: dict[str, dict[tuple[int, int], list[tuple[str, int]]]],
     layout: StereoLayout,
-    at_ns: IntArray | None,
+    extent: Extent,
 ) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
     """One pass for the missing images; removes those that are found.
 
     Args:
         missing: topic → log time and stamp of an image → its cameras, and the times to return.
-        at_ns: see `Recording.messages`.
+        extent: how much of the recording is read.
     """
     videos: dict[str, Video] = {}
-    for message in recording.messages([topic for topic, places in missing.items() if places], at_ns):
+    for message in recording.messages([topic for topic, places in missing.items() if places], extent):
         try:
             decoded = message.decode()
         except RecordingError:
@@ -86,7 +89,9 @@ def _read(
 def pictures_near(
     recording: Recording, sources: Sources, times_ns: Sequence[int]
 ) -> Iterator[tuple[str, GrayImage | Rejection]]:
-    """First image of each camera after given times (of video, first key frame), by the index if there is one.
+    """First image of each camera after given times (of video, first key frame), without reading the whole recording.
+
+    Without an index, and of video, only stretches spread over the recording are read.
 
     Args:
         times_ns: log times, increasing.
@@ -99,12 +104,12 @@ def pictures_near(
         names.setdefault(topic, []).append(name)
     logged = recording.log_times()
     for topic, cameras in names.items():
-        at_ns = None
+        extent = Extent(_GLANCE_BYTES)
         if topic in logged and not _is_video(recording, topic):
             own = np.sort(logged[topic])
             first = np.unique(np.searchsorted(own, times_ns))
-            at_ns = own[first[first < len(own)]]
-        for picture in _first_after(recording.messages([topic], at_ns), times_ns):
+            extent = Extent(at_ns=own[first[first < len(own)]])
+        for picture in _first_after(recording.messages([topic], extent), times_ns):
             for name in cameras:
                 yield name, _part(picture, name, sources.layout)
 

@@ -26,18 +26,18 @@ _FEWEST = 5  # among fewer robots there are no outliers
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """Result of one robot.
+    """Result of one robot, or a directory entry that was skipped.
 
     Attributes:
-        name: name of the robot.
-        verdict: "PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", or "ERROR" without a result.
+        name: name of the robot, or of the entry.
+        verdict: "PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR" without a result, or "SKIPPED" for an entry.
         exit_code: exit code of `mobilecal calibrate`.
         reason: one sentence.
         stations: number of stations used.
         rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
         lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
         std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
-        skipped: whether it was calibrated in an earlier run.
+        skipped: why the robot was not calibrated in this run; empty if it was.
         hint: what to do next, if it did not pass.
         seconds: how long it took, s.
     """
@@ -50,7 +50,7 @@ class FleetRow:
     rotvec_rad: tuple[float, ...] = ()
     lengths_m: tuple[float, ...] = ()
     std: tuple[float | None, ...] = ()
-    skipped: bool = False
+    skipped: str = ""
     hint: str = ""
     seconds: float = 0.0
 
@@ -106,7 +106,7 @@ def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
             "stations": row.stations,
             **dict(zip(names, values, strict=True)),
             "stands_out": " ".join(out.get(row.name, ())),
-            "skipped": "already done" if row.skipped else "",
+            "skipped": row.skipped,
             "reason": row.reason,
             "hint": row.hint,
         }
@@ -134,7 +134,7 @@ def _cell(value: str | float) -> str:
 
 def fleet_json(rows: Sequence[FleetRow]) -> str:
     """The lines of the robots as JSON, with the exit code of the batch: the largest."""
-    robots = _columns(rows)
+    robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
     content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
     return json_text(content, sort_keys=False)
 
@@ -150,7 +150,8 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
             for value, s in zip(values, sigmas, strict=True)
         ]
         stds = [f"± {std_text(sigma)}" if np.isfinite(sigma) else "" for sigma in sigmas]
-        lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
+        if row.verdict != "SKIPPED":
+            lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
     levels = ("PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
@@ -171,6 +172,8 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
     width = max(len(visible(row.name)) for row in rows)
     lines = []
     for row in rows:
+        if row.verdict == "SKIPPED":
+            continue
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<11}  {visible(row.reason)}{marks}")
         if row.hint and row.verdict != "PASS":
@@ -180,8 +183,14 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
 
 
 def skipped_text(rows: Sequence[FleetRow]) -> str:
-    """Number and names of the robots that were calibrated in an earlier run; "" if there are none."""
-    names = [row.name for row in rows if row.skipped]
-    more = f", and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    named = ", ".join(visible(name) for name in names[:_NAMED])
-    return f"Skipped, already done: {len(names)} ({named}{more})." if names else ""
+    """Number of skipped robots and directory entries by reason; "" if there are none."""
+    names: dict[str, list[str]] = {}
+    for row in rows:
+        if row.skipped:
+            names.setdefault(row.skipped, []).append(row.name)
+    parts = []
+    for reason, entries in names.items():
+        more = f", and {len(entries) - _NAMED} more" if len(entries) > _NAMED else ""
+        named = ", ".join(visible(name) for name in entries[:_NAMED])
+        parts.append(f"{reason}: {len(entries)} ({named}{more})")
+    return f"Skipped, {'; '.join(parts)}." if parts else ""

@@ -63,6 +63,7 @@ class MotionView:
         wheels_deg: side → total rotation forward and back over the recording, degrees.
         driven_m, turned_deg: path length and heading range, by the nominal wheels; None without these.
         rests: number of rests of base and head with images; None if the times of the images are unknown.
+        share_read: share of the recording that was read for this, 1 for all of it.
     """
 
     joints: Mapping[str, JointRange]
@@ -70,6 +71,7 @@ class MotionView:
     driven_m: float | None
     turned_deg: float | None
     rests: int | None
+    share_read: float
 
 
 State = Literal["ok", "limit", "problem", "unknown"]
@@ -316,7 +318,7 @@ def _measured(inspection: Inspection) -> dict[str, str]:
         still = inspection.rig is not None and unseen_height(inspection.rig.chain) is not None
         shown = "all parameters but the camera's height" if still else "all nine parameters"
         stops = (
-            "stops not counted, as a clock steps or log times are unknown"
+            "stops not counted, as only a part of the recording was read"
             if motion.rests is None
             else f"{motion.rests} stops with images; the motion determines {shown}"
         )

@@ -35,12 +35,12 @@ def junit_error_xml(name: str, error: MobilecalError) -> bytes:
 
 def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
     """A test suite of a directory of recordings: each robot is a case, an error if it has no result."""
-    tags = {"PASS": "", "ERROR": "error"}
+    tags, robots = {"PASS": "", "ERROR": "error"}, [row for row in rows if row.verdict != "SKIPPED"]
     cases = [
         _case(r.name, tags.get(r.verdict, "failure"), r.reason, r.verdict.lower(), r.hint, seconds=r.seconds)
-        for r in rows
+        for r in robots
     ]
-    return _xml(name, cases, sum(row.seconds for row in rows))
+    return _xml(name, cases, sum(row.seconds for row in robots))
 
 
 def is_junit(path: Path) -> bool:

@@ -32,6 +32,9 @@ from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry, WheelSo
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
 
+#: Value of a required key that a draft leaves to the user.
+TODO = "TODO"
+
 Number = Annotated[float, Strict()]  # neither a text nor true
 Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
 Separation = Annotated[Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
@@ -458,6 +461,12 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots
         _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
+    todo = sorted(_places_of(data, TODO))
+    if todo:
+        raise ConfigError(
+            f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
+            f"replace each {TODO} by its value; the comments of the draft explain them",
+        )
     rig = _validated(data, "" if path is None else f"{path}: ", given, path and path.parent)
     rig._path, rig._flags = path, tuple(given)
     return rig
@@ -496,6 +505,18 @@ def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None
     if get_origin(annotation) in (dict, tuple) and not inside:
         return None
     return next(filter(None, (_section_of(each, inside) for each in get_args(annotation))), None)
+
+
+def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
+    """Dotted keys, below a mapping or list, that have a value."""
+    if isinstance(data, Mapping):
+        for key, inner in data.items():
+            yield from _places_of(inner, value, f"{prefix}.{key}" if prefix else str(key))
+    elif isinstance(data, list):
+        for number, inner in enumerate(data):
+            yield from _places_of(inner, value, f"{prefix}[{number}]")
+    elif data == value:
+        yield prefix
 
 
 def parse_settings(texts: Iterable[str]) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
@@ -20,11 +20,14 @@ from mobilecal_cli.model import (
     BoardView,
     JointLink,
     Nominal,
+    NumberField,
+    WheelSource,
 )
 from mobilecal_cli.model.text import listed, visible
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
+    TODO,
     UNCONFIGURED,
     BoardConfig,
     CamerasConfig,
@@ -37,10 +40,10 @@ from mobilecal_cli.rig.config import (
     read_urdf,
 )
 from mobilecal_cli.rig.head import pan_and_tilt
-from mobilecal_cli.rig.names import counter_topics, joint_state_names, wheel_sets
+from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
 from mobilecal_cli.rig.resolve import Part, Survey
 from mobilecal_cli.rig.settings import link_settings, pose_settings, wheel_settings
-from mobilecal_cli.rig.wheels import nominal_wheels, wheel_distance_m
+from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
 
 _WIDTH = 100
 #: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
@@ -161,7 +164,7 @@ def _flow(value: object) -> str:
         return str(value).lower()
     if isinstance(value, float):
         return f"{0.0 if abs(value) < 1e-12 else value:.10g}"
-    return _quoted(value) if isinstance(value, str) else str(value)
+    return _quoted(value) if isinstance(value, str) and value != TODO else str(value)
 
 
 def _shown(value: object) -> str:
@@ -286,6 +289,8 @@ def _wheels(draft: Draft) -> None:
         "# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it"
     )
     sources, description = draft.survey.wheels, draft.survey.description
+    counted = counters(description.numbers)
+    ticks = tick_counters(counted)
     if sources is not None and sources["left"].assumed:
         why = "recording: no wheels, and the only odometry that is named as theirs"
         draft.fill("wheels.odometry", sources["left"].topic, why)
@@ -297,13 +302,38 @@ def _wheels(draft: Draft) -> None:
         for side in SIDES:
             kind = "counters of a known driver" if sources[side].field else "the only joints named as wheels"
             draft.fill(f"wheels.{side}", wheel_settings(sources[side]), f"recording: {kind}")
+    elif ticks is not None:
+        for side in SIDES:
+            _counters(draft, f"wheels.{side}", ticks[side])
+        draft.ask(
+            "wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution",
+            "counter steps per turn of the wheel: encoder steps times gear ratio; no recording contains them",
+            "",
+            needed=True,
+        )
     else:
+        candidates = [_candidate(number) for sides in counted for side in SIDES for number in sides[side]]
         odometry = [topic.name for topic in description.topics if topic.type == ODOMETRY]
-        instead = [f"or: wheels: {{odometry: {_quoted(topic)}}}" for topic in odometry[:1]]
-        template, counters = WheelsConfig.example, wheel_sets(counter_topics(description))
-        for side in SIDES if len(counters) == 1 else ():
-            template = template.replace(f"/ticks/{side}", _quoted(counters[0][side][0]))
-        draft.ask_for("wheels", "wheels", template, instead)
+        candidates += [f"or: wheels: {{odometry: {_quoted(topic)}}}" for topic in odometry[:1]]
+        draft.ask_for("wheels", "wheels", WheelsConfig.example, candidates)
+
+
+def _counters(draft: Draft, key: str, numbers: Sequence[NumberField]) -> None:
+    """The counters of one side, which lack the steps per turn of the wheel."""
+    width, said = counter_width(numbers[0]), "they did not start again"
+    if numbers[0].wraps is not None:
+        said = f"bits: they start again after 2^{numbers[0].wraps} steps"
+    elif width is not None:
+        said = "bits: width of their type"
+    first, *others = (WheelSource(number.topic, field=number.path, bits=width) for number in numbers)
+    entry = {**wheel_settings(replace(first, others=tuple(others))), "ticks_per_revolution": TODO}
+    draft.fill(key, entry, f"recording: the only whole numbers named as counters; {said}")
+
+
+def _candidate(number: NumberField) -> str:
+    kind = "whole number" if number.integer else "number, unit unknown"
+    jumps = "" if number.jump is None else f", jumps by {number.jump}"
+    return f"candidate: topic {_quoted(number.topic)}, field {_quoted(number.path)} ({kind}{jumps})"
 
 
 def _joints(draft: Draft) -> None:
@@ -318,7 +348,8 @@ def _joints(draft: Draft) -> None:
             draft.fill(f"joints.{role}", name, "name of the joint")
     missing = () if chain is None else [name for name in chain.joints if name not in names]
     template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
-    draft.ask_for("joints", "joints.fields", "\n".join(template))
+    candidates = [_candidate(n) for name in missing for n in named_as(name, survey.description.numbers)]
+    draft.ask_for("joints", "joints.fields", "\n".join(template), candidates)
 
 
 def _head(draft: Draft) -> None:
@@ -363,10 +394,8 @@ def _nominal(draft: Draft) -> None:
     if drawn.wheels is None:
         apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
         told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
-        sizes = (
-            f"radius_left_m: TODO, radius_right_m: TODO, separation_m: {_flow(apart) if apart else 'TODO'}"
-        )
-        draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {{{sizes}}}")
+        sizes = {"radius_left_m": TODO, "radius_right_m": TODO, "separation_m": apart or TODO}
+        draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {_flow(sizes)}")
     if drawn.T_h_reference is None:
         why = "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not "
         draft.ask("nominal.head_eye", f"{why}show it", f"head_eye: {HeadEyeNominal.example}")

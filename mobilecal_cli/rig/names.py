@@ -1,14 +1,14 @@
-"""Words and side in the names of topics and joints: which of them may be wheels or head joints."""
+"""Words and side in the names of topics, joints and number fields: which of them may be wheels or head joints."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import takewhile
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import SIDES, RobotDescription, Side, listed
+from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, listed
 
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
@@ -111,6 +111,16 @@ def of_one_robot(
     return replace(description, joint_names=joint_names, urdfs=urdfs)
 
 
+_HEAD_JOINT_WORDS = PAN_WORDS | TILT_WORDS
+_WHEEL_WORDS = {*COUNTER_WORDS, "wheel"}
+
+
+def may_be_a_reading(topic: str, path: str) -> bool:
+    """Whether the names of a topic and a field suggest the reading of a wheel or of a head joint."""
+    parts = {*words(topic), *words(path), *_wheel_words(topic), *_wheel_words(path)}
+    return bool(parts & (_WHEEL_WORDS | _HEAD_JOINT_WORDS)) and not parts & _COMMANDS
+
+
 #: Words of the place of a wheel on its side; numbers count as such too.
 _PLACES = {"front", "rear", "back", "middle", "mid", "center", "centre", "fore", "aft"}
 #: Side and place in one word: fl is front left, lr is left rear.
@@ -166,7 +176,38 @@ def wheel_sets(names: Iterable[str]) -> list[dict[Side, tuple[str, ...]]]:
     return [{side: tuple(pair[side] for pair in pairs) for side in SIDES} for pairs in whole if pairs]
 
 
-def counter_topics(description: RobotDescription) -> list[str]:
-    """Topics that are named as tick counters of a wheel."""
-    names = (topic.name for topic in description.topics)
-    return [name for name in names if wheel_place(name) and COUNTER_WORDS & {*words(name)}]
+#: Numbers of the wheels of each side.
+Counters = dict[Side, tuple[NumberField, ...]]
+
+
+def counters(fields: Iterable[NumberField]) -> list[Counters]:
+    """Sets of whole numbers, or of other numbers, that are named as counters of the left and the right wheels.
+
+    Fields named as counters are preferred to those that are only named as something of a wheel.
+    """
+    by_name = {f"{field.topic} {field.path}": field for field in fields}
+    for wanted in (COUNTER_WORDS, _WHEEL_WORDS):
+        named = [
+            name for name in by_name if wanted & {*_wheel_words(name)} and not _NOT_DRIVEN & {*words(name)}
+        ]
+        sets = [
+            {side: tuple(by_name[name] for name in by_side[side]) for side in SIDES}
+            for integer in (True, False)
+            for by_side in wheel_sets(name for name in named if by_name[name].integer is integer)
+        ]
+        if sets:
+            return sets
+    return []
+
+
+def tick_counters(sets: Sequence[Counters]) -> Counters | None:
+    """The only one of the sets of `counters`, if its numbers are whole and jump as a counter does at its end."""
+    numbers = [number for by_side in sets for side in SIDES for number in by_side[side]]
+    whole = all(number.integer and number.jump is None for number in numbers)
+    return sets[0] if len(sets) == 1 and whole else None
+
+
+def named_as(joint: str, fields: Sequence[NumberField]) -> list[NumberField]:
+    """Numbers that share the word of a head joint (pan, tilt, ...) with its name."""
+    wanted = _HEAD_JOINT_WORDS & set(words(joint))
+    return [field for field in fields if wanted & {*words(field.topic), *words(field.path)}]

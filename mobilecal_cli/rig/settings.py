@@ -191,6 +191,7 @@ CHANGEABLE = (
     "noise",
     "gates",
     "nominal",
+    "cameras.reference",
     *(f"wheels.{side}.{name}" for side in SIDES for name in ("sign", "ticks_per_revolution")),
 )
 
@@ -220,6 +221,8 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     sigmas = prior_sigmas(config.priors, rig.cameras, rig.chain)
     levels = config.noise.model_dump(exclude_none=True)
     rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise={**rig.noise, **levels})
+    if config.cameras.reference is not None and "cameras.reference" in given:
+        rig = _seen_from(rig, config.cameras.reference)
     if any(key.startswith("nominal") for key in given):
         rig = _with_nominal(rig, config)
     tracks = extraction.wheels
@@ -228,6 +231,21 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
         if keys:
             rig, tracks = _rescaled(rig, tracks, side, getattr(config.wheels, side), keys)
     return replace(extraction, rig=rig, wheels=tracks)
+
+
+def _seen_from(rig: Rig, reference: str) -> Rig:
+    """The rig with another reference camera; the nominal head-eye transform is converted."""
+    if reference not in rig.cameras.names:
+        raise ConfigError(
+            f"cameras.reference: {reference!r} is not one of the cameras", ", ".join(rig.cameras.names)
+        )
+    cameras, nominal = replace(rig.cameras, reference=reference), rig.nominal
+    if nominal.T_h_reference is not None:
+        T_h_c = nominal.T_h_reference @ se3.inverse(rig.cameras.T_c_reference)
+        nominal = replace(nominal, T_h_reference=T_h_c @ cameras.T_c_reference)
+    before, now = (f"reference camera {side}" for side in (rig.cameras.reference, reference))
+    sources = {now if key == before else key: value for key, value in rig.setting_sources.items()}
+    return replace(rig, cameras=cameras, nominal=nominal, setting_sources={**sources, now: "flag"})
 
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:

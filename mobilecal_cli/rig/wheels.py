@@ -16,6 +16,7 @@ from mobilecal_cli.model import (
     ODOMETRY,
     SIDES,
     FloatArray,
+    NumberField,
     RobotDescription,
     Side,
     WheelGeometry,
@@ -24,10 +25,13 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.rig.config import RigConfig, WheelConfig
 from mobilecal_cli.rig.names import (
-    counter_topics,
+    COUNTER_WORDS,
+    Counters,
+    counters,
     is_wheel,
     joint_state_names,
     require_topic,
+    tick_counters,
     wheel_place,
     wheel_sets,
     words,
@@ -37,8 +41,8 @@ from mobilecal_cli.rig.names import (
 ASSUMED = WheelGeometry(0.1, 0.1, 0.4)
 #: Relative standard deviation of a separation that nothing states.
 UNKNOWN_SHARE = 0.5
-#: Message types of drivers that publish both encoders as `left_encoder` and `right_encoder` → counter steps per turn of
-#: the wheel, and width of the counter.
+#: Message type without its package's ROS release → counter steps per turn of the wheel, and width of the counter, as
+#: the drivers of these robots have them.
 KNOWN_COUNTERS: dict[str, tuple[float, Literal[16] | None]] = {
     "turtlebot3_msgs/msg/SensorState": (4096.0, None),
     "kobuki_msgs/msg/SensorState": (2578.33, 16),
@@ -71,11 +75,11 @@ _OTHER_DRIVES = {
 
 
 def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side, WheelSource]:
-    """Source of each side's rotation: as configured, or found: wheel joints, counters of a known driver, or odometry.
+    """Source of each side's rotation: as configured, or found by names: wheel joints, tick counters, or odometry.
 
     Raises:
         RecordingError: no wheel is found; the hint lists what is present.
-        ConfigError: several sets match.
+        ConfigError: several sets match, or a counter lacks its ticks per revolution.
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
@@ -93,6 +97,12 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
             "set wheels.left and wheels.right to different joints or fields",
         )
     return sources
+
+
+def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
+    """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
+    told = all(wheel.sources for wheel in _of_sides(config).values())
+    return config.wheels.odometry is None and not told and not _wheel_joints(description)
 
 
 def _of_sides(config: RigConfig) -> dict[Side, WheelConfig]:
@@ -126,10 +136,14 @@ def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> s
     return topics[0]
 
 
+def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, ...]]]:
+    return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
+
+
 def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
     """The configuration completed by wheels that are found by names; None if there are none."""
     _refuse_other_drives(description)
-    sets = wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
+    sets = _wheel_joints(description)
     if len(sets) > 1:
         several = "; ".join(
             " and ".join(name for side in SIDES for name in by_side[side]) for by_side in sets
@@ -141,21 +155,8 @@ def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Si
     wheels = _of_sides(config)
     if sets:
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
-    known = next((topic for topic in description.topics if topic.type in KNOWN_COUNTERS), None)
-    if known is None:
-        return None
-    ticks, bits = KNOWN_COUNTERS[known.type]
-    return {
-        side: wheel.model_copy(
-            update={
-                "topic": known.name,
-                "field": f"{side}_encoder",
-                "ticks_per_revolution": wheel.ticks_per_revolution or ticks,
-                "bits": wheel.bits or bits,
-            }
-        )
-        for side, wheel in wheels.items()
-    }
+    counted = counters(description.numbers)
+    return _with_counters(wheels, description, counted) if counted else None
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:
@@ -177,6 +178,50 @@ def _refuse_other_drives(description: RobotDescription) -> None:
             f"{_SERVED}; if this robot is one, name its wheels in rig.yaml (wheels.left, wheels.right or "
             "wheels.odometry)",
         )
+
+
+def _with_counters(
+    wheels: Mapping[Side, WheelConfig], description: RobotDescription, sets: Sequence[Counters]
+) -> dict[Side, WheelConfig]:
+    """The wheels as tick counters found by name, with the steps per turn of the configuration or of a known driver."""
+    types = {topic.name: topic.type for topic in description.topics}
+    shown = [", ".join(f"{n.path} on {n.topic}" for side in SIDES for n in by_side[side]) for by_side in sets]
+    counted = tick_counters(sets)
+    instead = "; or set wheels.odometry" if ODOMETRY in types.values() else ""
+    if counted is None:
+        raise RecordingError(
+            f"no joint is named as a wheel; several numbers could be its counters: {'; '.join(shown)}"
+            if len(sets) > 1
+            else f"no joint is named as a wheel; {shown[0]} may be, but in an unknown unit",
+            f"set topic, field and ticks_per_revolution of wheels.left and wheels.right in rig.yaml{instead}",
+        )
+    completed: dict[Side, WheelConfig] = {}
+    for side, wheel in wheels.items():
+        numbers = counted[side]
+        ticks, bits = KNOWN_COUNTERS.get(types.get(numbers[0].topic, ""), (None, None))
+        ticks = wheel.ticks_per_revolution or ticks
+        if ticks is None:
+            raise RecordingError(
+                f"{shown[0]}: tick counters; their steps per turn of the wheel are not in the recording",
+                "count them (encoder steps times gear ratio) and add to rig.yaml: "
+                "wheels: {left: {ticks_per_revolution: N}, right: {ticks_per_revolution: N}}" + instead,
+            )
+        keys = {
+            "topics": tuple(number.topic for number in numbers),
+            "fields": tuple(number.path for number in numbers),
+            "ticks_per_revolution": ticks,
+            "bits": wheel.bits or next(filter(None, map(counter_width, numbers)), bits),
+        }
+        completed[side] = wheel.model_copy(update=keys)
+    return completed
+
+
+def counter_width(number: NumberField) -> int | None:
+    """Bits after which a counter starts again: as seen, or those of a narrow type."""
+    for bits in (8, 16, 32):
+        if number.wraps == bits or (number.bits == bits and bits < 32):
+            return bits
+    return None
 
 
 def _odometry_topic(description: RobotDescription) -> str:
@@ -240,18 +285,14 @@ def with_drawn_separation(
 
 
 def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> RecordingError:
-    named = counter_topics(description)
+    named = [t.name for t in description.topics if wheel_place(t.name) and COUNTER_WORDS & {*words(t.name)}]
     fact, key = "no joint is named as a left or right wheel", "wheels.left and wheels.right"
-    if named and not odometry:
-        return RecordingError(
-            f"{fact}; {listed(named)} look like tick counters, whose steps per turn of the wheel are not in the "
-            "recording",
-            "count them (encoder steps times gear ratio) and state topic, field and ticks_per_revolution in rig.yaml: "
-            f"wheels: {{left: {{topic: {named[0]}, field: data, ticks_per_revolution: N}}, right: ...}}",
-        )
     if odometry:
         fact += f", and the odometry on {listed(odometry)} is not named as that of wheels"
         key = f"wheels: {{odometry: {odometry[0]}}}"
+    elif named:
+        fact += f"; {listed(named)} look like tick counters, but no numbers can be read there"
+        key += " (topic, field and ticks_per_revolution)"
     return RecordingError(
         fact,
         f"{_SERVED}; record one of them, or set {key} in rig.yaml; joints present: "

@@ -1,4 +1,4 @@
-"""Simulated robots in worker processes, and once more.
+"""Simulated robots, locally and on a Dask cluster that loses a worker: both give the same table.
 
 Every sixth recording is truncated, so some robots fail.
 """
@@ -6,18 +6,20 @@ Every sixth recording is truncated, so some robots fail.
 from __future__ import annotations
 
 import csv
+import signal
 import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 
 from mobilecal_cli import calibrate as progress
 from mobilecal_cli.calibrate import batch as fleet
+from mobilecal_cli.calibrate.batch import RECORDS
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from tests.bench.study import Study
+from tests.commands.dask_cluster import local_cluster
 
 RUNS = 24  # robots
 _CUT = 6  # every so many robots
@@ -30,8 +32,12 @@ def _record(log: Path, seed: int) -> None:
         log.write_bytes(whole[: len(whole) // 2])
 
 
+def _records(out: Path) -> dict[str, int]:
+    return {path.stem: path.stat().st_mtime_ns for path in (out / RECORDS).glob("*.json")}
+
+
 def main(asked: Study) -> None:
-    """Both runs."""
+    """Both runs, compared."""
     robots = asked.runs
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -40,12 +46,28 @@ def main(asked: Study) -> None:
         with ProcessPoolExecutor(2) as pool:
             list(pool.map(_record, [logs / f"robot_{n:02}.mcap" for n in range(robots)], range(robots)))
         began = time.perf_counter()
-        fleet.batch(logs, folder / "here", run=partial(fleet.in_processes, count=2))
+        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
         here_s = time.perf_counter() - began
         began = time.perf_counter()
-        fleet.batch(logs, folder / "here", run=partial(fleet.in_processes, count=2))
+        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
         again_s = time.perf_counter() - began
-        table = (folder / "here" / "summary.csv").read_text(encoding="utf-8")
-        verdicts = Counter(row["verdict"] for row in csv.DictReader(table.splitlines()))
+        kept: dict[str, int] = {}
+        with local_cluster(folder, workers=2) as (address, workers):
+
+            def progress(_: str, done: int, __: int | None) -> None:
+                if done == robots // 2:
+                    workers[0].send_signal(signal.SIGKILL)
+                    workers[0].wait()
+                    kept.update(_records(folder / "cluster"))
+
+            began = time.perf_counter()
+            fleet.batch(logs, folder / "cluster", run=fleet.run_on(address), progress=progress)
+            cluster_s = time.perf_counter() - began
+        tables = [(folder / run / "summary.csv").read_text(encoding="utf-8") for run in ("here", "cluster")]
+        verdicts = Counter(row["verdict"] for row in csv.DictReader(tables[0].splitlines()))
+        redone = sum(_records(folder / "cluster")[robot] != time_ns for robot, time_ns in kept.items())
         print(f"\n{robots} robots: {', '.join(f'{n} {verdict}' for verdict, n in sorted(verdicts.items()))}")
-        print(f"s: {here_s:.0f}, and {again_s:.1f} once more")
+        alike = tables[0] == tables[1]
+        print(f"tables alike: {alike}; done when the worker was killed: {len(kept)}, done twice: {redone}")
+        on_cluster = f"{cluster_s:.0f} on the cluster (one worker from half-way on)"
+        print(f"s: {here_s:.0f} here, {again_s:.1f} here once more, {on_cluster}")

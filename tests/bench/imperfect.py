@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.readers.signals.sides import side_of_wheels
+from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.wheels import rotations
 from mobilecal_cli.simulate.messages import driver_odometry
 from mobilecal_cli.simulate.robot import (
@@ -185,9 +185,11 @@ def _of_four(track: WheelTrack, random: np.random.Generator) -> WheelTrack:
     for side, own in (("right", track.right), ("left", track.left)):
         slip = OWN_SLIP * np.sqrt(np.abs(np.diff(own.value, prepend=own.value[:1])))
         each = [own.value + np.cumsum(slip * random.normal(size=len(slip))) for _ in range(2)]
-        named = {f"{side} {k}": Track(own.time_ns, value) for k, value in enumerate(each)}
-        sides[side] = side_of_wheels(side, named)
-    return WheelTrack(**sides)
+        sides[side] = [(f"{side} {k}", Track(own.time_ns, value)) for k, value in enumerate(each)]
+    notes: list[str] = []
+    averaged = sides_of(sides, notes)
+    assert not notes
+    return WheelTrack(averaged["right"], averaged["left"])
 
 
 def _of_odometry(track: WheelTrack, driver: WheelGeometry, assumed: WheelGeometry) -> WheelTrack:

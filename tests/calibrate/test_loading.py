@@ -68,13 +68,11 @@ def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz
     assert sigmas(priors__all="fixed") == {}
 
 
-@pytest.mark.parametrize(
-    "flag", ["board.square_m", "cameras.reference", "stations", "priorsx", "wheels.left.bits"]
-)
+@pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])
 def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, flag):
     with pytest.raises(ConfigError, match=f"{flag} cannot be changed in an extraction") as told:
         refuse_others({flag}, str(npz))
-    assert "priors, noise, gates, nominal, wheels.left.sign" in told.value.hint
+    assert "priors, noise, gates, nominal, cameras.reference, wheels.left.sign" in told.value.hint
     with pytest.raises(ConfigError, match="stations cannot be changed in an extraction"):
         loaded(npz, stations="all")
     with pytest.raises(ConfigError, match=r"priors\.pan_zer: this robot has no such constant"):
@@ -105,13 +103,19 @@ def test_a_wrong_sign_is_repaired_without_the_recording(npz, tmp_path):
     np.testing.assert_allclose(found.wheels.vector, solve(loaded(npz)).parameters.wheels.vector, rtol=1e-9)
 
 
-def test_nominal_values(npz):
+def test_nominal_values_and_the_reference_camera(npz):
     head_eye = {"translation_m": [0.1, 0.2, 0.3], "quaternion_xyzw": [0, 0, 0, 1]}
     wheels = {"radius_left_m": 0.08, "radius_right_m": 0.08, "separation_m": 0.35}
     rig = loaded(npz, nominal__head_eye=head_eye, nominal__wheels=wheels).rig
     assert rig.nominal.wheels == WheelGeometry(0.08, 0.08, 0.35)
     assert rig.nominal.T_h_reference[:3, 3] == pytest.approx([0.1, 0.2, 0.3])
     assert rig.setting_sources["nominal wheels"] == rig.setting_sources["nominal head_eye"] == "flag"
+    again = replace(loaded(npz), rig=rig)
+    turned = with_settings(again, load_rig(None, {"cameras.reference": "right"})).rig
+    assert turned.cameras.reference == "right"
+    expected = rig.nominal.T_h_reference @ rig.cameras.T_c_each[1]
+    np.testing.assert_allclose(turned.nominal.T_h_reference, expected, atol=1e-12)
+    assert turned.nominal.wheels == rig.nominal.wheels
 
 
 def test_wheels_from_odometry_keep_their_sizes(npz):

@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, same_signals
+from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Extraction, LogSource, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.stations import Plan
 from tests.commands.edited import edited
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, ideal_extraction, joined
 
 ROBOT = paper_robot()
 
@@ -35,28 +34,30 @@ def cut_wheels(extraction: Extraction, first: int | None = None, last: int | Non
     return replace(extraction, wheels=(wheels,))
 
 
-def plan(extraction: Extraction) -> Plan:
-    return Plan((), extraction.wheels[0], extraction.joint_tracks[0], {}, (), ())
+def refused(extraction: Extraction) -> str:
+    with pytest.raises(ConfigError) as caught:
+        refuse_equal_recordings(extraction, ["a.mcap", "b.bag"])
+    return caught.value.message
 
 
 def test_equal_readings():
     one = recorded()
-    assert same_signals(plan(one), plan(one))
+    assert refused(joined(one, one)).endswith("wheel and joint readings")
     # Parts of the recording, whose wheels count from their own start; the second pair overlaps by a third.
     third = len(one.wheels[0].time_ns) // 3
     for a, b in ((one, cut_wheels(one, 400)), (cut_wheels(one, None, 2 * third), cut_wheels(one, third))):
-        assert same_signals(plan(a), plan(b))
+        said = "a.mcap and b.bag are the same recording: they contain the same wheel and joint readings"
+        assert refused(joined(a, b)) == said
 
 
-def test_equal_files():
+def test_equal_images_and_files():
+    one = recorded()
+    late = Track(one.wheels[0].right.time_ns + 1000, one.wheels[0].right.value)
+    other = replace(one, wheels=(WheelTrack(late, late),))
+    assert refused(joined(one, other)).endswith("images")
     refuse_equal_files([LogSource("a", "1"), LogSource("b", "2")])
     with pytest.raises(ConfigError, match=r"^a and c have the same content$"):
         refuse_equal_files([LogSource("a", "1"), LogSource("b", "2"), LogSource("c", "1")])
-
-
-def test_one_recording_in_two_containers(sample_logs):
-    with pytest.raises(ConfigError, match="are the same recording: they contain the same wheel and joint"):
-        extract([sample_logs / "paper_robot.mcap", sample_logs / "paper_robot.bag"], SETTINGS)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +67,8 @@ def test_one_recording_in_two_containers(sample_logs):
 )
 def test_other_recordings_at_the_same_times(seeds, noise):
     """Simulated recordings all begin at the same time."""
-    assert not same_signals(plan(recorded(**noise)), plan(recorded(*seeds, **noise)))
+    one, other = recorded(**noise), recorded(*seeds, **noise)
+    refuse_equal_recordings(joined(one, other), ["a.mcap", "b.mcap"])
 
 
 def repeated(after):

@@ -1,7 +1,9 @@
-"""Many robots, in worker processes."""
+"""Many robots: processes here, and a Dask cluster on loopback."""
 
 import csv
 import json
+import signal
+import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
@@ -12,7 +14,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
-from mobilecal_cli.calibrate.batch import FleetJob
+from mobilecal_cli.calibrate.batch import FleetJob, run_on
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs
@@ -20,10 +22,11 @@ from mobilecal_cli.export.outputs import OUTPUT_NAMES
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
-from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, read_urdf
+from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from tests.command import run
+from tests.commands.dask_cluster import local_cluster
 from tests.commands.dying import die_or_answer
 from tests.extractions import Noise, ideal_extraction
 from tests.report.schema import validated
@@ -64,6 +67,10 @@ def table(out):
     return (out / "summary.csv").read_text(encoding="utf-8")
 
 
+def without_skipped(out):
+    return [{**row, "skipped": ""} for row in csv.DictReader(table(out).splitlines())]
+
+
 def records(out):
     """Robot → when its record was completed."""
     found = (out / batch_module.RECORDS).glob("*.json")
@@ -100,16 +107,18 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     rows = batch_module.batch(fleet, out, run=in_this_process)
     assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert records(out) == before
-    assert [row.skipped for row in rows] == [False] + [True] * ROBOTS_HERE
+    assert [row.skipped for row in rows] == [""] + ["already done"] * ROBOTS_HERE
     said = "Skipped, already done: 3 (robot_0, robot_1, robot_2)."
     assert fleet_text(rows).splitlines()[-1] == said
     assert said in (out / "summary.html").read_text(encoding="utf-8")
-    told = [row["skipped"] for row in csv.DictReader(table(out).splitlines())]
-    assert told == [""] + ["already done"] * ROBOTS_HERE
+    assert [row["skipped"] for row in csv.DictReader(table(out).splitlines())] == [
+        row.skipped for row in rows
+    ]
 
 
-def in_this_process(jobs):
-    return map(batch_module.run_job, jobs)
+def in_this_process(jobs, done):
+    for job in jobs:
+        done(batch_module.run_job(job))
 
 
 def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
@@ -120,10 +129,47 @@ def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
     assert all(row.reason.startswith("a bug in mobilecal: ZeroDivisionError") for row in rows)
 
 
+@pytest.mark.long
+def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
+    """The same table as of the processes here; what was done when the worker died is not done again."""
+    out = tmp_path / "out"
+    then = {}
+
+    def progress(stage, done, total):
+        if done == 3:
+            workers[0].send_signal(signal.SIGKILL)
+            workers[0].wait()
+            then.update(records(out))
+
+    with local_cluster(tmp_path, workers=2) as (address, workers):
+        rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
+    assert len(rows) == ROBOTS_HERE + 1
+    assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
+    assert len(then) >= 3
+    del then["broken"]  # without a result, it is tried again if its worker dies
+    assert then.items() <= records(out).items()
+
+
+def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
+    with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
+        batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+    with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
+            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
+    assert not (tmp_path / "out").exists()
+    (tmp_path / "cluster").mkdir()
+    refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
+    with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
+        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
-    jobs = [FleetJob(f"r{n}", (), UNCONFIGURED, tmp_path) for n in range(3)]
+    jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(3)]
     monkeypatch.setattr(batch_module, "run_job", die_or_answer)
-    rows = list(batch_module.in_processes(jobs, 2))
+    rows = []
+    batch_module.run_locally(2)(jobs, rows.append)
     assert sorted(row.name for row in rows) == ["r0", "r1", "r2"]
     verdicts = {row.name: row.verdict for row in rows}
     assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS"}
@@ -151,6 +197,31 @@ def test_a_robot_that_stands_out():
     assert standing_out(rows[2:6]) == {}  # too few to say
 
 
+def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_path):
+    folder, out = tmp_path / "recordings", tmp_path / "recordings" / "out"
+    folder.mkdir()
+    (folder / "paper_robot.mcap").symlink_to(sample_logs / "paper_robot.mcap")
+    (folder / "paper_robot.rig.yaml").write_text("{}", encoding="utf-8")
+    (folder / "notes.txt").write_text("monday", encoding="utf-8")
+    (folder / "empty").mkdir()
+    (folder / ".hidden").write_bytes(b"")
+    rows = batch_module.batch(
+        folder, out, run=lambda jobs, done: [done(FleetRow(j.name, "PASS", 0, "")) for j in jobs]
+    )
+    assert [(row.name, row.verdict, row.skipped) for row in rows] == [
+        ("paper_robot", "PASS", ""),
+        ("empty", "SKIPPED", "no recording"),
+        ("notes.txt", "SKIPPED", "no recording"),
+    ]
+    said = "Skipped, no recording: 2 (empty, notes.txt)."
+    assert fleet_text(rows).splitlines()[-1] == said
+    page = (out / "summary.html").read_text(encoding="utf-8")
+    assert "1 of 1 robots pass" in page
+    assert said in page
+    lines = list(csv.DictReader((out / "summary.csv").read_text(encoding="utf-8").splitlines()))
+    assert [line["skipped"] for line in lines] == ["", "no recording", "no recording"]
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -175,7 +246,7 @@ def test_a_directory_of_recordings(sample_logs, tmp_path):
         (tmp_path / name).symlink_to(sample_logs / name)
     jobs = batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
     assert [job.name for job in jobs] == ["paper_robot_rosbag2", "straight", "tick_robot"]
-    assert [job.rig.path and job.rig.path.name for job in jobs] == [None, None, "tick_robot.rig.yaml"]
+    assert [job.config.name if job.config else None for job in jobs] == [None, None, "tick_robot.rig.yaml"]
     (tmp_path / "straight.bag").symlink_to(sample_logs / "paper_robot.bag")
     with pytest.raises(ConfigError, match="two robots are named 'straight'"):
         batch_module.fleet_jobs(tmp_path, tmp_path / "out", None, {}, ())
@@ -341,7 +412,7 @@ def test_an_error_whose_cause_is_mended(tmp_path, counted):
     assert (result.verdict, result.exit_code, result.hint) == ("ERROR", 2, "check the path of head.urdf")
     (tmp_path / "elsewhere").rename(tmp_path / "head.urdf")
     (result,) = batch_module.batch(source, out, run=in_this_process)
-    assert (result.verdict, result.skipped) == ("PASS", False)
+    assert (result.verdict, result.skipped) == ("PASS", "")
     (tmp_path / "a.mcap").unlink()
     (result,) = batch_module.batch(source, out, run=in_this_process)
     assert result.reason.endswith("(the files in a/ are of an earlier run)")
@@ -367,6 +438,7 @@ def test_recordings_that_cannot_be_read_are_counted(junk, tmp_path):
     assert "FAIL: 4 of 4 robots did not pass: empty, junk, nothing, unfinished." in done.out
     assert "the file is empty (0 bytes)\n" in done.out
     assert "hint: copy the recording again, or record a new one\n" in done.out
+    assert "Skipped, no recording: 1 (notes.txt)." in done.out
     quiet = run("batch", junk, "--output", "out", "--jobs", "1", "--quiet", cwd=tmp_path)
     assert (quiet.code, quiet.out) == (3, "")
     assert "FAIL: 4 of 4 robots did not pass" in quiet.err

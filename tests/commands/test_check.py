@@ -75,7 +75,7 @@ def test_invalid_files_are_problems_too(sample_logs, rig, tmp_path):
     found = inspect.check(bad, [log])
     (line,) = checklist(found)
     assert (line.about, line.state, line.exit_code) == ("rig.yaml", "problem", 2)
-    assert "wheels.left.ticks_per_revolution: must be a valid number (got 'TODO')" in line.what
+    assert "not filled in yet: wheels.left.ticks_per_revolution" in line.what
     (line,) = checklist(inspect.check(rig, [bad]))
     assert (line.about, line.state, line.exit_code) == ("recording", "problem", 3)
     done = run("check", bad, log, cwd=tmp_path)
@@ -153,11 +153,28 @@ CHAIN = {
     "head.head_frame": "head_link",
     "head.chain": [
         {"joint": "head_pan_joint", "axis": [0, 0, 1]},
+        {"joint": "head_pan_joint", "axis": [0, 0, 1]},
         {"joint": "torso_pitch_joint", "axis": [0, 1, 0]},
     ],
 }
+LENGTHS = {"baseline_length": "free", "joint_position": "free"}
+TURNS = {"joint_axis": "free", "joint_zero": "free"}
 FOUND = {
+    "a joint twice": (CHAIN, "head chain", "limit", "joint 'head_pan_joint' is in head.chain 2 times"),
     "a missing tilt": (CHAIN, "head chain", "limit", "'head_tilt_joint' was recorded, but is not a joint"),
+    "free priors": ({"priors": {"all": "free"}}, "priors", "problem", "r_x, r_y, r_z: unobservable"),
+    "free axes": (
+        {"priors": TURNS},
+        "priors",
+        "problem",
+        "axes and zero positions of the head joints are all",
+    ),
+    "free lengths": (
+        {"priors": LENGTHS},
+        "priors",
+        "limit",
+        "radius_right, radius_left, separation: unobser",
+    ),
     "square size": ({"board.square_m": 0.082}, "square size", "limit", "80.0"),
 }
 
@@ -170,6 +187,20 @@ def test_what_needs_no_solution_is_found(sample_logs, rig, few, name):
     lines = [line for line in checklist(found) if line.about == about and words in line.what]
     assert [(line.state, bool(line.cure)) for line in lines] == [(state, True)]
     assert found.exit_code == (5 if state == "problem" else 0)
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        {"priors": {**LENGTHS, "pan_position_x": 1.0}},
+        {"priors": LENGTHS, "board.square_m": 0.08},
+        {"priors": {**TURNS, "joint_zero": 1.0}},
+        {"board.square_m": 0.0802},
+    ],
+)
+def test_some_free_priors_and_noise_are_no_limits(sample_logs, rig, few, flags):
+    found = inspect.check(rig, [sample_logs / "paper_robot.mcap"], flags)
+    assert (found.missing, found.weak) == ((), ())
 
 
 def changed_states(source, target, change):
@@ -193,12 +224,18 @@ def test_readings_in_degrees_have_impossible_ranges(sample_logs, rig, tmp_path, 
     assert "(limit 360); the readings look like degrees, and radians are expected" in lines[0].what
 
 
-def test_wheels_with_identical_readings(sample_logs, rig, tmp_path, few):
+@pytest.mark.parametrize("whole", [True, False])
+def test_wheels_with_identical_readings(sample_logs, rig, tmp_path, whole, monkeypatch, few):
+    """Also where only a part of the recording is read, and the stops are not known."""
+
     def same(names, values):
         values[names.index("wheel_left_joint")] = values[names.index("wheel_right_joint")]
 
+    if not whole:
+        monkeypatch.setattr(inspect, "MOTION_BYTES", 2**17)
     log = changed_states(sample_logs / "paper_robot.mcap", tmp_path / "same.mcap", same)
     found = inspect.check(rig, [log])
+    assert (found.motion.rests is not None) == whole
     assert found.exit_code == 0
     (line,) = [line for line in checklist(found) if line.about == "motion"]
     assert line.state == "limit"
@@ -225,6 +262,16 @@ def test_images_at_the_ends_are_counted(robot, late_s, counted):
     times = {robot.sources.image["left"]: left, **dict.fromkeys(others, left + round(late_s * 1e9))}
     covered = inspect._covered(robot, times, [])
     assert covered == (counted, 40)
+
+
+def test_motion_that_only_the_part_that_is_read_lacks_is_a_limit(sample_logs, rig, monkeypatch, few):
+    """Nothing was said about the motion of a recording of which a part is read."""
+    whole = inspect.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert (states(whole)["motion"], whole.exit_code) == ("problem", 5)
+    monkeypatch.setattr(inspect, "MOTION_BYTES", 2**17)
+    part = inspect.check(rig, [sample_logs / "head_fixed.mcap"])
+    assert part.motion.share_read < 1
+    assert (states(part)["motion"], part.exit_code) == ("limit", 0)
 
 
 def test_the_height_of_a_camera_that_no_joint_tilts(sample_logs, tmp_path):

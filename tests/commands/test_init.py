@@ -19,24 +19,22 @@ def keys(draft):
 
 
 def test_what_is_left_is_listed_and_then_checked(sample_logs, tmp_path):
-    """The tick robot: everything but its counters is known."""
+    """The tick robot: everything but the resolution of its encoders is known."""
     log = sample_logs / "tick_robot.mcap"
     done = run("init", log, cwd=tmp_path)
     assert (done.code, done.left) == (0, ["rig.yaml"])
-    assert "head.head_frame" in done.out
+    assert "wheels.left   " in done.out
+    assert "topic: /wheel_ticks/left, field: data, bits: 16, sign: 1" in done.out
     needed = done.out.split("TODO: needed for a calibration\n")[1].split("\n\n")[0]
-    assert needed.startswith(
-        "  wheels: no joint is named as a left or right wheel; /wheel_ticks/left, /wheel_ticks/right"
-    )
+    assert needed.startswith("  wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution: ")
     optional = done.out.split("TODO: optional\n")[1].split("\n\n")[0]
     assert "Suggestion: 70 mm (70.0" in " ".join(optional.split())
     assert done.out.endswith(f"Written: rig.yaml\nNext: mobilecal check rig.yaml {log}\n")
     checked = run("check", "rig.yaml", log, cwd=tmp_path)
-    assert checked.code == 3
-    rig, text = tmp_path / "rig.yaml", (tmp_path / "rig.yaml").read_text(encoding="utf-8")
-    for line in ("wheels:", "  left:  {topic", "  right: {topic"):
-        text = text.replace(f"\n# {line}", f"\n{line}")
-    rig.write_text(text)
+    assert checked.code == 2
+    assert "not filled in yet: wheels.left.ticks_per_revolution" in " ".join(checked.out.split())
+    rig = tmp_path / "rig.yaml"
+    rig.write_text(rig.read_text(encoding="utf-8").replace("revolution: TODO", "revolution: 4096"))
     assert run("check", "rig.yaml", log, "--quiet", cwd=tmp_path).code == 0
 
 

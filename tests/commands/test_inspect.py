@@ -28,6 +28,7 @@ def test_sample_log(sample_logs, name):
     assert topics["/robot_description"].rate_hz is None
     assert found.motion is not None
     assert found.motion.rests == 12
+    assert found.motion.share_read == 1
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
     assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
@@ -59,6 +60,7 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
     assert square_m == pytest.approx(0.07, rel=0.002)
     assert data["board"] == {"pictures": 12, "seen": 12, "columns": 9, "rows": 6, "square_stated_m": None}
     assert data["head"]["tilt"] == "tilt_joint"
+    assert data["motion"]["share_read"] == 1
     assert list(tmp_path.iterdir()) == []
 
 
@@ -99,6 +101,15 @@ def test_a_camera_without_camera_info_is_the_only_thing_that_is_missing(tmp_path
     (lack,) = [lack for lack in found.missing if "checkerboard" not in lack.what]
     assert lack.what.startswith("no camera info for the camera images on /camera/image_raw")
     assert "record its camera_info" in lack.cure
+
+
+def test_a_long_recording_is_read_in_part(sample_logs, monkeypatch, few):
+    monkeypatch.setattr("mobilecal_cli.calibrate.inspect.MOTION_BYTES", 2**20)
+    found = inspect.inspect([sample_logs / "paper_robot.mcap"])
+    assert 0 < found.motion.share_read < 1
+    assert found.motion.rests is None
+    assert "only a part of the recording was read" in " ".join(inspection_text(found).split())
+    assert found.missing == ()
 
 
 def test_too_few_rests_to_pass_are_told(sample_logs, tmp_path, few):

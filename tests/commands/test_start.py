@@ -10,7 +10,7 @@ from tests.command import python
 from tests.conftest import REPOSITORY
 
 #: pydantic is not among them: typer itself loads it for the options of the group.
-HEAVY = ("numpy", "scipy", "cv2", "rosbags", "mcap", "jinja2", "rich")
+HEAVY = ("numpy", "scipy", "cv2", "rosbags", "mcap", "jinja2", "rich", "distributed")
 
 
 @pytest.mark.parametrize(

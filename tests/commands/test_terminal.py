@@ -6,10 +6,11 @@ import os
 import pty
 import subprocess
 import sys
+import time
 
 import pytest
 
-from mobilecal_cli.commands.terminal import verdict_text
+from mobilecal_cli.commands.terminal import open_page, verdict_text
 from tests.command import run
 
 
@@ -71,3 +72,26 @@ def test_steps_of_unknown_number_are_counted():
     assert "3/7" in reading
     assert "━" in reading
     assert "37 steps" in solving
+
+
+def test_the_report_is_opened_without_waiting(tmp_path, monkeypatch):
+    """A browser that stays open does not hold up the command."""
+    page, seen, browser = tmp_path / "report.html", tmp_path / "seen", tmp_path / "browser"
+    page.write_text("<p>", encoding="utf-8")
+    browser.write_text(f'#!/bin/sh\necho "$1" > {seen}.part\nmv {seen}.part {seen}\nsleep 5\n')
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", f"{browser} %s")
+    began = time.monotonic()
+    assert open_page(page) == f"Opening the report in a browser: {page}"
+    assert time.monotonic() - began < 4
+    while not seen.exists() and time.monotonic() - began < 60:
+        time.sleep(0.05)
+    assert seen.read_text().strip() == page.as_uri()
+
+
+def test_without_a_display_the_report_is_named(sample_logs, tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    log = sample_logs / "paper_robot.mcap"
+    done = run("calibrate", log, "-o", "out", "--open", "--quiet", "--method", "linear", cwd=tmp_path)
+    assert f"No display to open the report on: {tmp_path / 'out' / 'report.html'}\n" in done.err

@@ -334,7 +334,7 @@ class pool:
 
 unwind_on_signals()
 commands.app = batch.calibrate = importing
-job = batch.FleetJob("robot", (Path("log.mcap"),), batch.RigConfig(), Path("out/robot"))
+job = batch.FleetJob("robot", (Path("log.mcap"),), None, Path("."))
 {end}
 """
     (tmp_path / "log.mcap").touch()

@@ -61,9 +61,9 @@ def every(recording):
     return list(recording.messages({info.name for info in recording.topics}))
 
 
-def one_log(recording, sources, joints):
+def one_log(recording, sources, joints, *options, **more):
     """Signals of a recording without clock steps."""
-    (signals,) = read_signals(recording, sources, joints)
+    (signals,) = read_signals(recording, sources, joints, *options, **more)
     return signals
 
 

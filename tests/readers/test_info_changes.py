@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
-from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers import Extent, open_recording
 
 from . import recordings as r
 
@@ -33,17 +33,19 @@ def world(after=None, count=10, at=6, **before):
     return sorted(items, key=lambda item: item.log_ns)
 
 
-def notes_of(tmp_path, items, writer="mcap"):
+def notes_of(tmp_path, items, writer="mcap", extent=None):
     path = WRITERS[writer](tmp_path / "log", items)
     with open_recording([path]) as recording:
-        notes = r.one_log(recording, r.SOURCES, r.JOINTS).notes
+        options = {} if extent is None else {"extent": extent}
+        notes = r.one_log(recording, r.SOURCES, r.JOINTS, **options).notes
     return [note for note in notes if CAMERA_INFO_CHANGES in note]
 
 
 @pytest.mark.parametrize("writer", WRITERS)
-def test_a_change_is_told_with_its_time_and_size(tmp_path, writer):
+@pytest.mark.parametrize("extent", [None, Extent(10**9)], ids=["together", "alone"])
+def test_a_change_is_told_with_its_time_and_size(tmp_path, writer, extent):
     moved = r.K_LEFT + np.array([[0.0, 0, 2.5], [0, 0, 0], [0, 0, 0]])
-    assert notes_of(tmp_path, world({"K": moved}), writer) == [
+    assert notes_of(tmp_path, world({"K": moved}), writer, extent) == [
         "/left/camera_info: the camera calibration changes 0.6 s after the start: K by up to 2.5 px; 4 of 10 messages "
         "differ from the others, which are used; images recorded while it differs are left out"
     ]

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.containers.blocks import BlockStorage
-from mobilecal_cli.readers.containers.storage import goes_back, steps_back
+from mobilecal_cli.readers.containers.storage import Extent, goes_back, steps_back
 
 from . import recordings as r
 
@@ -85,7 +85,7 @@ def test_log_times_go_on_where_the_recorder_s_clock_steps_back(tmp_path, write, 
             own = [m.log_time_ns for m in found if m.topic == topic]
             assert times.tolist() == own
             some = own[:: len(own) // 7]
-            inside = (m.log_time_ns for m in recording.messages([topic], np.array(some)))
+            inside = (m.log_time_ns for m in recording.messages([topic], Extent(at_ns=np.array(some))))
             assert [log_ns for log_ns in inside if log_ns in some] == some
         assert recording.end_ns - recording.start_ns == pytest.approx(sum(lengths_s) * 1e9, abs=1e8)
 

@@ -1,52 +1,92 @@
-"""Several wheels a side: averaged if they turn alike, refused otherwise."""
+"""Several wheels a side: averaged, unless one of them does not turn as the others do."""
 
 import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Track
-from mobilecal_cli.readers.signals.sides import side_of_wheels
+from mobilecal_cli.readers.signals.sides import sides_of
 
 SECONDS = np.arange(0, 60, 0.02)
 TIMES_NS = (SECONDS * 1e9).astype(np.int64)
 #: Drives ahead, stands, turns in place, drives back.
-LEFT = np.interp(SECONDS, [0, 20, 25, 40, 60], [0, 40, 40, 20, -20])
+PHASES = [0, 20, 25, 40, 60]
+RIGHT = np.interp(SECONDS, PHASES, [0, 40, 40, 60, 20])
+LEFT = np.interp(SECONDS, PHASES, [0, 40, 40, 20, -20])
 
 
-def averaged(*wheels):
-    tracks = (w if isinstance(w, Track) else Track(TIMES_NS, w) for w in wheels)
-    return side_of_wheels("left", {f"left {k}": one for k, one in enumerate(tracks)})
+def track(value, times_ns=TIMES_NS):
+    return Track(times_ns, value)
+
+
+def averaged(left, right=(RIGHT, RIGHT)):
+    notes = []
+    sides = {"left": left, "right": right}
+    tracks = {
+        side: [v if isinstance(v, Track) else track(v) for v in values] for side, values in sides.items()
+    }
+    wheels = {side: [(f"{side} {k}", one) for k, one in enumerate(each)] for side, each in tracks.items()}
+    return sides_of(wheels, notes), notes
 
 
 def test_wheels_that_agree_are_averaged():
-    found = averaged(LEFT + 1, 1.01 * LEFT - 1, 0.99 * LEFT)
-    np.testing.assert_allclose(found.value, LEFT, atol=1e-9)
-    late = Track(TIMES_NS[5:] + 7_000_000, np.interp(SECONDS[5:] + 0.007, SECONDS, LEFT))
-    found = averaged(LEFT, late)
-    at = found.time_ns
-    np.testing.assert_allclose(found.value, np.interp(at * 1e-9, SECONDS, LEFT), atol=0.02)
-    own = Track(TIMES_NS, LEFT)
-    assert averaged(own) is own
+    found, notes = averaged([LEFT + 1, 1.01 * LEFT - 1, 0.99 * LEFT])
+    np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
+    assert notes == []
+    late = track(np.interp(SECONDS[5:] + 0.007, SECONDS, LEFT), TIMES_NS[5:] + 7_000_000)
+    found, notes = averaged([LEFT, late])
+    at = found["left"].time_ns
+    np.testing.assert_allclose(found["left"].value, np.interp(at * 1e-9, SECONDS, LEFT), atol=0.02)
+    assert notes == []
+    own = track(LEFT)
+    found, notes = averaged([own], [RIGHT])
+    assert found["left"] is own
+    assert notes == []
 
 
 BROKEN = {
-    "stands still": (0 * LEFT, "do not turn alike", "wheels.left.joints"),
-    "stops": (np.where(SECONDS < 30, LEFT, LEFT[1500]), "do not turn alike", "wheels.left.fields"),
-    "wrong sign": (-LEFT, "turn in opposite directions", "wheels.left.signs"),
-    "twice the ticks": (2 * LEFT, "do not turn alike", "find out which is wrong"),
-    "slips": (LEFT + np.interp(SECONDS, [0, 5, 15], [0, 0, 20]), "do not turn alike", "wheels.left.joints"),
-    "jumps": (LEFT + 50 * (SECONDS > 10) * (SECONDS % 3 < 1), "do not turn alike", "mecanum"),
+    "stands still": 0 * LEFT,
+    "stops": np.where(SECONDS < 30, LEFT, LEFT[1500]),
+    "wrong sign": -LEFT,
+    "twice the ticks": 2 * LEFT,
+    "slips": LEFT + np.interp(SECONDS, [0, 5, 15], [0, 0, 20]),
+    "jumps": LEFT + 50 * (SECONDS > 10) * (SECONDS % 3 < 1),
 }
 
 
-@pytest.mark.parametrize(("broken", "said", "cure"), BROKEN.values(), ids=BROKEN)
-def test_wheels_that_disagree_are_refused(broken, said, cure):
-    for others in ([LEFT], [LEFT, LEFT]):
-        with pytest.raises(RecordingError, match=f"left 0 and left 1 {said}") as told:
-            averaged(broken, *others)
-        assert cure in told.value.hint
+@pytest.mark.parametrize("broken", BROKEN.values(), ids=BROKEN)
+def test_one_of_three_is_left_out(broken):
+    found, notes = averaged([LEFT, broken, LEFT])
+    np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
+    assert len(notes) == 1
+    assert notes[0].startswith("left 1: left out")
 
 
-def test_wheels_that_were_not_recorded_together():
-    with pytest.raises(RecordingError, match="not recorded at the same time"):
-        averaged(LEFT, Track(TIMES_NS + 10**11, LEFT))
+@pytest.mark.parametrize("which", ["stands still", "stops"])
+def test_one_of_two_that_stands_still_is_left_out(which):
+    found, notes = averaged([BROKEN[which], LEFT])
+    np.testing.assert_allclose(found["left"].value, LEFT, atol=1e-9)
+    assert "left 0: left out, it stands still in" in notes[0]
+
+
+@pytest.mark.parametrize(
+    ("which", "said", "cure"),
+    [
+        ("wrong sign", "turn in opposite directions", "wheels.left.signs"),
+        ("twice the ticks", "do not turn alike", "find out which is wrong"),
+        ("slips", "do not turn alike", "wheels.left.joints"),
+        ("jumps", "do not turn alike", "mecanum"),
+    ],
+)
+def test_two_that_disagree_are_refused(which, said, cure):
+    with pytest.raises(RecordingError, match=f"left 0 and left 1 {said}") as told:
+        averaged([LEFT, BROKEN[which]])
+    assert cure in told.value.hint
+
+
+def test_wheels_that_turn_although_others_stand():
+    with pytest.raises(RecordingError, match="do not turn alike"):
+        averaged([0 * LEFT, LEFT], [0 * RIGHT, 0 * RIGHT])
+    found, notes = averaged([LEFT, 0 * LEFT], [RIGHT, 0 * RIGHT])
+    np.testing.assert_allclose(found["right"].value, RIGHT, atol=1e-9)
+    assert [note.split(":")[0] for note in notes] == ["left 1", "right 1"]

@@ -16,7 +16,7 @@ def test_no_sigma_is_shown_as_zero(extraction):
 
 
 def test_the_first_five_of_what_is_skipped_are_named():
-    done = [FleetRow(f"r{n}", "PASS", 0, "", skipped=True) for n in range(6)]
+    done = [FleetRow(f"r{n}", "PASS", 0, "", skipped="already done") for n in range(6)]
     said = "Skipped, already done: 6 (r0, r1, r2, r3, r4, and 1 more)."
     assert fleet_text(done).splitlines()[-1] == said
 

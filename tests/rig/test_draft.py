@@ -11,10 +11,11 @@ from ruamel.yaml import YAML
 from mobilecal_cli import se3
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.model import BoardView, TopicInfo
+from mobilecal_cli.model import BoardView, NumberField, TopicInfo
 from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
+from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import survey_rig
 from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description, resolve_rig
 
@@ -140,25 +141,58 @@ def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     assert "Suggestion" not in scattered.text
 
 
+def counter(side, bits=16, **changes):
+    return NumberField(f"/ticks/{side}", "data", True, bits, **changes)
+
+
 def bare(**changes):
-    topics = tuple(TopicInfo(f"/wheel_ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
+    topics = tuple(TopicInfo(f"/ticks/{side}", "std_msgs/msg/UInt16", 5) for side in ("left", "right"))
     return description(extra=topics, joint_names=HEAD_ONLY, **changes)
 
 
-def test_tick_counters_are_asked_for():
-    draft = drafted(bare())
-    asked = todo(draft)["wheels"]
-    assert "/wheel_ticks/left, /wheel_ticks/right look like tick counters" in asked
-    assert "state topic, field and ticks_per_revolution in rig.yaml" in asked
+@pytest.mark.parametrize(
+    ("bits", "wraps", "filled"),
+    [(16, None, 16), (8, None, 8), (32, None, None), (32, 16, 16), (None, None, None), (64, 32, 32)],
+)
+def test_tick_counters_wait_for_their_resolution(bits, wraps, filled):
+    """The file cannot be used before the user states the steps per turn."""
+    fields = [counter(side, bits, wraps=wraps) for side in ("left", "right")]
+    draft = drafted(bare(numbers=tuple(fields)))
+    assert set(todo(draft)) == {"wheels.left.ticks_per_revolution, wheels.right.ticks_per_revolution"}
+    wheels = YAML(typ="safe").load(draft.text)["wheels"]
+    expected = {"topic": "/ticks/left", "field": "data", "ticks_per_revolution": "TODO", "sign": 1}
+    assert wheels["left"] == expected | ({} if filled is None else {"bits": filled})
+    with pytest.raises(ValueError, match="ticks_per_revolution"):
+        loaded(draft)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        [
+            counter("left"),
+            counter("right"),
+            *(NumberField(f"/encoder/{s}", "n", True) for s in ("left", "right")),
+        ],
+        [NumberField("/ticks/left", "data", False), NumberField("/ticks/right", "data", False)],
+        [counter("left", jump=4095), counter("right", jump=4095)],
+        [counter("left")],
+    ],
+)
+def test_counters_with_two_answers_are_asked_for(fields):
+    draft = drafted(bare(numbers=tuple(fields)))
+    assert re.search("several numbers|unknown unit|look like tick counters", todo(draft)["wheels"])
     assert not any(one.key.startswith("wheels") for one in draft.filled)
-    assert '#   left:  {topic: "/wheel_ticks/left", field: data, ticks_per_revolution: 4096' in draft.text
+    assert len(re.findall("# candidate: topic", draft.text)) == (len(fields) if len(fields) > 1 else 0)
     loaded(draft)
 
 
-def test_a_joint_in_other_messages_is_asked_for():
+def test_a_joint_in_other_messages_is_asked_for_with_its_candidates():
     names = {"/joint_states": ("wheel_left_joint", "wheel_right_joint", "head_pan_joint")}
-    draft = drafted(description(joint_names=names))
+    numbers = (NumberField("/tilt_servo", "angle", False),)
+    draft = drafted(description(joint_names=names, numbers=numbers))
     assert "no joint state for 'head_tilt_joint'" in todo(draft)["joints.fields"]
+    assert '# candidate: topic "/tilt_servo", field "angle" (number, unit unknown)' in draft.text
     loaded(draft)
 
 
@@ -177,6 +211,15 @@ def test_a_given_urdf_replaces_that_of_the_recording(tmp_path):
     assert str(loaded(draft).head.urdf) == "robots/mine.urdf"
     assert loaded(draft).nominal.wheels.separation_m == 0.5
     assert todo(draft) == {}
+
+
+def test_names_of_readings():
+    assert may_be_a_reading("/wheel_ticks/left", "data")
+    assert may_be_a_reading("/base", "left.encoder")
+    assert may_be_a_reading("/head", "tilt")
+    assert not may_be_a_reading("/wheels/cmd", "left")
+    assert not may_be_a_reading("/head/pan/setpoint", "data")
+    assert not may_be_a_reading("/battery", "voltage")
 
 
 def test_a_chain_of_transforms_is_drafted():

@@ -10,6 +10,7 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CameraInfo,
     JointField,
+    NumberField,
     RobotDescription,
     TopicInfo,
     WheelGeometry,
@@ -536,6 +537,15 @@ def test_each_of_four_wheels_may_be_on_a_topic_of_its_own():
     assert [part.topic for part in sources["right"].every] == ["/joint_states", "/rear"]
 
 
+def test_counters_of_a_side_wrap_alike():
+    log = counted("fl.ticks", "fr.ticks", "rl.ticks", "rr.ticks")
+    numbers = (replace(number, wraps=16 if number.path == "rl.ticks" else None) for number in log.numbers)
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    sources = resolve_rig(config(wheels=stated), replace(log, numbers=tuple(numbers)))[0].sources.wheels
+    assert {part.field: part.bits for part in sources["left"].every} == {"fl.ticks": 16, "rl.ticks": 16}
+    assert [part.bits for part in sources["right"].every] == [None, None]
+
+
 @pytest.mark.parametrize(
     ("joints", "topic", "said"),
     [
@@ -558,16 +568,30 @@ def test_other_drives_are_refused(joints, topic, said):
     assert resolve_rig(config(wheels=named), log)[0].sources.wheels["left"].joint == joints[-2]
 
 
+def counted(*numbers, kind="my_msgs/msg/Base", topic="/core"):
+    log = description(extra=[TopicInfo(topic, kind, 5)], joint_names=HEAD_ONLY)
+    return replace(log, numbers=tuple(NumberField(topic, path, True) for path in numbers))
+
+
+def test_counters_are_found_and_their_resolution_is_asked_for():
+    log = counted("left_encoder", "right_encoder", "left_pwm", "right_pwm")
+    with pytest.raises(
+        RecordingError, match="left_encoder on /core, right_encoder on /core: tick co"
+    ) as told:
+        resolve_rig(RigConfig(), log)
+    assert "ticks_per_revolution: N" in told.value.hint
+    stated = {side: {"ticks_per_revolution": 1000} for side in ("left", "right")}
+    left = resolve_rig(config(wheels=stated), log)[0].sources.wheels["left"]
+    assert left == WheelSource("/core", None, "left_encoder", 1000)
+
+
 @pytest.mark.parametrize(
     ("kind", "ticks", "bits"),
     [("turtlebot3_msgs/msg/SensorState", 4096, None), ("kobuki_msgs/msg/SensorState", 2578.33, 16)],
 )
 def test_counters_of_known_drivers(kind, ticks, bits):
-    log = description(extra=[TopicInfo("/core", kind, 5)], joint_names=HEAD_ONLY)
-    rig = resolve_rig(RigConfig(), log)[0]
+    rig = resolve_rig(RigConfig(), counted("left_encoder", "right_encoder", kind=kind))[0]
     assert rig.sources.wheels["right"] == WheelSource("/core", None, "right_encoder", ticks, bits)
-    stated = config(wheels={"left": {"ticks_per_revolution": 1000}})
-    assert resolve_rig(stated, log)[0].sources.wheels["left"].ticks_per_revolution == 1000
 
 
 def test_both_cameras_in_one_topic():

@@ -16,9 +16,11 @@ import numpy as np
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.storage import (
+    EVERYTHING,
     LATEST_NS,
     LEAST_STEP_NS,
     SIZE_LIMIT,
+    Extent,
     Message,
     Storage,
     goes_back,
@@ -158,9 +160,21 @@ class BlockStorage(Storage):
         blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
         return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
 
-    def messages(self, topics: Collection[str], at_ns: IntArray | None = None) -> Iterator[Message]:
-        every = self._blocks_with(topics)
-        blocks = every if at_ns is None else [block for block in every if _holds(block, at_ns)]
+    def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
+        """Blocks of `_blocks_with` that are read."""
+        blocks = self._blocks_with(topics)
+        if extent.within_bytes is not None:
+            blocks = _spread(blocks, extent.within_bytes)
+        if extent.at_ns is not None:
+            blocks = [b for b in blocks if _holds(b, extent.at_ns)]
+        return blocks
+
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """Number of bytes that `messages` reads."""
+        return sum(block.size for block in self._blocks_of(topics, extent))
+
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
+        blocks = self._blocks_of(topics, extent)
         # A heap; the second is the number in reading order.
         waiting: list[tuple[int, int, Channel, Payload]] = []
         order = count()
@@ -175,7 +189,7 @@ class BlockStorage(Storage):
             while waiting and waiting[0][0] < following_ns:
                 time_ns, _, channel, payload = heapq.heappop(waiting)
                 yield Message(channel, time_ns, payload)
-        if len(blocks) == len(every):
+        if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, read)
 
     def log_times(self) -> dict[int, IntArray]:
@@ -295,6 +309,15 @@ class BlockStorage(Storage):
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
+
+
+def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:
+    """Blocks at even distances, at least one, whose total size is within the limit."""
+    total = sum(block.size for block in blocks)
+    if total <= within_bytes:
+        return blocks
+    count = max(1, len(blocks) * within_bytes // total)
+    return [blocks[i] for i in np.linspace(0, len(blocks) - 1, count).astype(int)]
 
 
 def _holds(block: Block, at_ns: IntArray) -> bool:

@@ -6,13 +6,14 @@ import heapq
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
-from mobilecal_cli.readers.containers.storage import Message, Storage
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
 from mobilecal_cli.readers.messages import Channel
 
 
@@ -131,14 +132,30 @@ class Recording(ExitStack):
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 
-    def messages(self, topics: Collection[str], at_ns: IntArray | None = None) -> Iterator[Message]:
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """Number of bytes that `messages` reads for the topics."""
+        own = self._of_part(extent)
+        return sum(part.bytes_of(topics, own) for part in self.parts)
+
+    def share(self, topics: Collection[str], extent: Extent) -> float:
+        """Share of the bytes of `messages` that an extent leaves, 0 to 1."""
+        every = self.bytes_of(topics)
+        return self.bytes_of(topics, extent) / every if every else 1.0
+
+    def _of_part(self, extent: Extent) -> Extent:
+        """The share of an extent for each file."""
+        if extent.within_bytes is None:
+            return extent
+        return replace(extent, within_bytes=extent.within_bytes // len(self.parts))
+
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """The topics' messages in order of log time.
 
         Consecutive files are read one after the other; files that overlap in time are merged.
 
         Args:
             topics: the topics to read.
-            at_ns: (n,) increasing log times: only their messages are needed, and others may be included.
+            extent: the part of the recording to read.
 
         Raises:
             RecordingError: a topic is missing, its encoding is not supported, or a file is damaged and unreadable.
@@ -148,7 +165,7 @@ class Recording(ExitStack):
             self.topic(name)
         for error in self.unsupported(names).values():
             raise error
-        return self._stream(names, at_ns)
+        return self._stream(names, extent)
 
     def unsupported(self, topics: Collection[str]) -> dict[str, RecordingError]:
         """Those of the topics whose encoding is not supported → the error; one pass over all channels."""
@@ -162,22 +179,23 @@ class Recording(ExitStack):
                         errors[channel.topic] = error
         return errors
 
-    def _stream(self, topics: frozenset[str], at_ns: IntArray | None) -> Iterator[Message]:
+    def _stream(self, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
         read = dict.fromkeys(topics, 0)
+        own = self._of_part(extent)
         for group in _overlapping(self.parts):
-            streams = [self._part(part, topics, at_ns) for part in group]
+            streams = [self._part(part, topics, own) for part in group]
             for message in heapq.merge(*streams, key=lambda message: message.log_time_ns):
                 read[message.topic] += 1
                 yield message
-        for topic in sorted(topics & self.stated.keys()) if at_ns is None else ():
+        for topic in sorted(topics & self.stated.keys()) if extent is EVERYTHING else ():
             if read[topic] < self.stated[topic]:
                 self.note(
                     f"{topic}: metadata.yaml states {self.stated[topic]} messages, {read[topic]} could be read"
                 )
 
-    def _part(self, part: Storage, topics: frozenset[str], at_ns: IntArray | None) -> Iterator[Message]:
+    def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[Message]:
         with boundary(part.path):
-            yield from part.messages(topics, at_ns)
+            yield from part.messages(topics, extent)
 
 
 def _overlapping(parts: Sequence[Storage]) -> Iterator[list[Storage]]:

@@ -20,8 +20,10 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.storage import (
+    EVERYTHING,
     SIZE_LIMIT,
     ZSTD_MAGIC,
+    Extent,
     Message,
     Storage,
     message_payload,
@@ -38,15 +40,16 @@ _HEADER = struct.Struct(">16xH6xII60xI")
 MOST_FAILURES = 10_000
 #: Rows per query; older versions of SQLite accept 999 values at most.
 _BATCH = 500
-_SELECT = "SELECT id, topic_id, timestamp, data FROM messages"
+_SELECT = "SELECT id, topic_id, timestamp, {} FROM messages"
 
 
 class _Log(NamedTuple):
-    """(n,) row numbers, topic ids and log times of all messages, in the order of the table."""
+    """(n,) row numbers, topic ids, log times and bytes of all messages, in the order of the table."""
 
     row: IntArray
     channel: IntArray
     log_ns: IntArray
+    size: IntArray
 
 
 class SqliteStorage(Storage):
@@ -136,18 +139,19 @@ class SqliteStorage(Storage):
             )
 
     def _scan(self) -> None:
-        """Message counts and log times; unknown if the table is damaged."""
-        columns = [array("q") for _ in range(3)]
+        """Message counts, sizes and log times; unknown if the table is damaged."""
+        columns = [array("q") for _ in range(4)]
         counts: Counter[int] = Counter()
         try:
-            for row in self._connection.execute("SELECT id, topic_id, timestamp FROM messages ORDER BY id"):
-                _, topic, time_ns = row
+            # SQLite reads only the length of large messages.
+            for row in self._connection.execute(f"{_SELECT.format('LENGTH(data)')} ORDER BY id"):
+                _, topic, time_ns, _ = row
                 if not isinstance(topic, int):  # SQLite stores values of any type
                     continue
                 counts[topic] += 1
                 if isinstance(time_ns, int):
                     for column, value in zip(columns, row, strict=True):
-                        column.append(value)
+                        column.append(value or 0)
         except (sqlite3.Error, OverflowError):
             return  # noted when the messages are read
         log = _Log(*(np.array(column, dtype=np.int64) for column in columns))
@@ -166,12 +170,15 @@ class SqliteStorage(Storage):
             self.shift_ns += shift_ns
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
-    def messages(self, topics: Collection[str], at_ns: IntArray | None = None) -> Iterator[Message]:
-        """Messages of the topics in order of log time, or as written if the table is damaged."""
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
+        """Messages of the topics in order of log time, or as written if the table is damaged.
+
+        Rows of other topics are not read, so a limit in bytes does not apply.
+        """
         read: Counter[int] = Counter()
         damaged = self._log is None
         wanted = self._wanted(topics)
-        for fetched in self._rows(self._batches(wanted, at_ns)):
+        for fetched in self._rows(self._batches(wanted, extent)):
             if fetched is None:
                 damaged = True
                 continue
@@ -191,8 +198,14 @@ class SqliteStorage(Storage):
             self.note(
                 f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
             )
-        if at_ns is None:
+        if extent.at_ns is None:
             self.compare_counts(topics, read)
+
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """Number of bytes that `messages` reads: the messages, or the whole file if the table is damaged."""
+        if self._log is None:
+            return self.path.stat().st_size
+        return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order; empty if the table is damaged."""
@@ -203,15 +216,15 @@ class SqliteStorage(Storage):
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]
 
-    def _places(self, log: _Log, wanted: list[int], at_ns: IntArray | None) -> IntArray:
+    def _places(self, log: _Log, wanted: list[int], extent: Extent) -> IntArray:
         """Places in the log of the messages that are read, in order of time."""
         own = np.isin(log.channel, wanted)
-        if at_ns is not None:
-            own &= np.isin(log.log_ns, at_ns)
+        if extent.at_ns is not None:
+            own &= np.isin(log.log_ns, extent.at_ns)
         places = np.flatnonzero(own)
         return np.asarray(places[np.argsort(log.log_ns[places], kind="stable")])
 
-    def _batches(self, wanted: list[int], at_ns: IntArray | None) -> Iterator[list[int]]:
+    def _batches(self, wanted: list[int], extent: Extent) -> Iterator[list[int]]:
         """Increasing row numbers in the order of reading; all that the table may have if it is damaged."""
         if self._log is None:
             try:
@@ -221,7 +234,7 @@ class SqliteStorage(Storage):
             every = range(1, (end or 0) + 1)
             yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
             return
-        rows = self._log.row[self._places(self._log, wanted, at_ns)]
+        rows = self._log.row[self._places(self._log, wanted, extent)]
         for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):
             yield from (run[at : at + _BATCH].tolist() for at in range(0, len(run), _BATCH))
 
@@ -230,12 +243,12 @@ class SqliteStorage(Storage):
 
         A damaged page costs only the rows on it. The pass ends after many consecutive damaged or missing rows.
         """
-        failures = 0
+        select, failures = _SELECT.format("data"), 0
         for batch in batches:
             left = batch
             try:
                 places = ",".join("?" * len(batch))
-                for row in self._connection.execute(f"{_SELECT} WHERE id IN ({places}) ORDER BY id", batch):
+                for row in self._connection.execute(f"{select} WHERE id IN ({places}) ORDER BY id", batch):
                     yield row
                     left = batch[bisect_right(batch, row[0]) :]
                 failures = failures + len(left) if left is batch else 0
@@ -243,7 +256,7 @@ class SqliteStorage(Storage):
                 for number in left:
                     fetched = None
                     with suppress(sqlite3.Error):
-                        fetched = self._connection.execute(f"{_SELECT} WHERE id = ?", (number,)).fetchone()
+                        fetched = self._connection.execute(f"{select} WHERE id = ?", (number,)).fetchone()
                     yield fetched
                     failures = 0 if fetched else failures + 1
             if failures >= MOST_FAILURES:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
 
@@ -52,6 +53,23 @@ class Message(NamedTuple):
 SIZE_LIMIT = 2**29
 #: Log times after the year 2116 are damage; these and their differences fit into 64 signed bits.
 LATEST_NS = 2**62
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Extent:
+    """Part of a recording to read.
+
+    Attributes:
+        within_bytes: if the topics need more bytes of the file than this, only stretches spread evenly over it are
+            read; None: no limit.
+        at_ns: (n,) increasing log times: only their messages are needed, and others may be included; None: all times.
+    """
+
+    within_bytes: int | None = None
+    at_ns: IntArray | None = None
+
+
+EVERYTHING = Extent()
 
 
 class Storage(ABC):
@@ -103,12 +121,12 @@ class Storage(ABC):
             )
 
     @abstractmethod
-    def messages(self, topics: Collection[str], at_ns: IntArray | None = None) -> Iterator[Message]:
-        """Messages of the topics in order of log time, as far as the file is intact.
+    def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
+        """Messages of the topics in order of log time, as far as the file is intact."""
 
-        Args:
-            at_ns: (n,) increasing log times: only their messages are needed, and others may be included.
-        """
+    @abstractmethod
+    def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
+        """Number of bytes that `messages` reads."""
 
     @abstractmethod
     def log_times(self) -> dict[int, IntArray]:

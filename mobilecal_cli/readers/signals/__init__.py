@@ -11,15 +11,18 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
 from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes
-from mobilecal_cli.readers.signals.sides import side_of_wheels
+from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
-def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) -> tuple[Signals, ...]:
+def read_signals(
+    recording: Recording, sources: Sources, joints: Sequence[str], extent: Extent = EVERYTHING
+) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
@@ -30,6 +33,7 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
 
     Args:
         sources: the topics to read; without image topics, no images are read.
+        extent: how much of the recording is read.
 
     Returns:
         The pieces of the recording between the steps of its clocks (`series.cut`), usually one; notes on all of it are
@@ -55,7 +59,7 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
     }
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = InfoChanges(recording, sources.info.values())
-    read.run(infos)
+    read.run(extent, infos)
 
     notes: list[str] = []
     for source in (*images.values(), *itertools.chain(*turning.values())):
@@ -84,12 +88,13 @@ def read_signals(recording: Recording, sources: Sources, joints: Sequence[str]) 
                 )
                 still = np.repeat(tracks[name].value, 2)
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
-        wheels = {
-            side: side_of_wheels(
-                side, {wheel.series.label: wheel.track(samples[wheel], own_notes) for wheel in each}
-            )
-            for side, each in turning.items()
-        }
+        wheels = sides_of(
+            {
+                side: [(wheel.series.label, wheel.track(samples[wheel], own_notes)) for wheel in each]
+                for side, each in turning.items()
+            },
+            own_notes,
+        )
         indices: dict[str, PictureIndex] = {}
         left_out_ns: dict[str, IntArray] = {}
         for name, camera in images.items():

@@ -12,6 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.signals.series import Samples, Series
 from mobilecal_cli.readers.signals.sources import Source
@@ -80,8 +81,8 @@ def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoi
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
-#: Samples stored of each transform.
-_MOST_SAMPLES = 400
+#: Bytes of a recording that are read for its transforms, and samples stored of each.
+_SAMPLED_BYTES, _MOST_SAMPLES = 2**28, 400
 #: Other transforms that are kept for messages.
 _MOST_OTHERS = 40
 
@@ -135,9 +136,9 @@ class TransformJoint(Source):
 
 
 def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str, str], FloatArray]:
-    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m."""
+    """Samples of all transforms of a recording, (parent, child) → (n, 4, 4), m; a long recording is read in parts."""
     samples_of: dict[tuple[str, str], list[FloatArray]] = {}
-    for message in recording.messages(topics) if topics else ():
+    for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
             items = message.decode().transforms
         except (RecordingError, AttributeError):

@@ -1,4 +1,4 @@
-"""Rotation of each side of several wheels: their mean, if they turn alike."""
+"""Rotation of each side of several wheels: the mean of those that turn alike."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import FloatArray, Side, Track
+from mobilecal_cli.model import SIDES, BoolArray, FloatArray, IntArray, Side, Track
 
 #: Wheels are compared over windows of this length in which one of them turns by this much.
 _WINDOW_S, _TURNS_RAD = 1.0, 0.2
@@ -16,50 +16,131 @@ _WINDOW_S, _TURNS_RAD = 1.0, 0.2
 _DIFFER_RAD, _DIFFER_SHARE = 0.15, 0.1
 #: ... and disagree if they do so in more than this share of the windows, or differ by this share over all of them.
 _WINDOWS_SHARE, _TOTAL_SHARE = 0.1, 0.05
+#: A wheel that turns by less than this share of the others' rotation stands still.
+_STILL_SHARE = 0.01
+#: Share of the windows in which the opposite side turns too: that side says that the robot moves.
+_OPPOSITE_SHARE = 0.5
 
 
-def side_of_wheels(side: Side, wheels: Mapping[str, Track]) -> Track:
-    """Mean rotation of the wheels of a side, at the times of the one with most readings while all were recorded.
+def _compared(turned_rad: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """In which windows two wheels of a side differ, (K, K, W), and whether they agree over the recording, (K, K).
 
     Args:
-        wheels: name for messages → track.
+        turned_rad: (W, K) rotation of the wheels in each window with motion.
+    """
+    turned = turned_rad.T
+    size = np.abs(turned)
+    limit = np.maximum(_DIFFER_RAD, _DIFFER_SHARE * np.maximum(size[:, None], size))
+    differ = np.abs(turned[:, None] - turned) > limit
+    path = size.sum(axis=1)
+    alike = np.minimum.outer(path, path) >= (1 - _TOTAL_SHARE) * np.maximum.outer(path, path)
+    return differ, alike & (differ.sum(axis=2) <= _WINDOWS_SHARE * len(turned_rad))
+
+
+def _stands(size: FloatArray, differ: BoolArray, opposite: BoolArray) -> bool:
+    """Whether a wheel stands still in most windows in which it differs from another, and the robot moves there.
+
+    Args:
+        size: (2, W) absolute rotation of the wheel and of the other one.
+        differ: (W,) windows in which they differ.
+        opposite: (W,) windows in which the opposite side turns.
+    """
+    own, other = size[:, differ]
+    still = own <= _STILL_SHARE * other
+    return bool(still.mean() > 1 - _WINDOWS_SHARE and opposite[differ].mean() > _OPPOSITE_SHARE)
+
+
+def sides_of(wheels: Mapping[Side, Sequence[tuple[str, Track]]], notes: list[str]) -> dict[Side, Track]:
+    """One track for each side; notes name the wheels that are left out.
+
+    Args:
+        wheels: the wheels of each side, with a name for messages.
+        notes: receives what is left out.
 
     Raises:
-        RecordingError: the wheels were not recorded at the same time, or two of them do not turn alike.
+        RecordingError: the wheels of a side disagree, and the data does not show which of them is wrong.
     """
-    tracks = tuple(wheels.values())
-    if len(tracks) == 1:
-        return tracks[0]
+    if all(len(each) == 1 for each in wheels.values()):
+        return {side: each[0][1] for side, each in wheels.items()}
+    times_ns = _windows(wheels)
+    turned = {
+        side: np.stack([np.diff(track.at(times_ns)) for _, track in each], axis=1)
+        for side, each in wheels.items()
+    }
+    tracks: dict[Side, Track] = {}
+    for side, opposite in zip(SIDES, reversed(SIDES), strict=True):
+        moves = np.abs(turned[side]).max(axis=1) > _TURNS_RAD
+        also = np.abs(turned[opposite][moves]).max(axis=1, initial=0.0) > _TURNS_RAD
+        kept = _kept(side, [name for name, _ in wheels[side]], turned[side][moves], also, notes)
+        tracks[side] = _mean([wheels[side][k][1] for k in kept])
+    return tracks
+
+
+def _windows(wheels: Mapping[Side, Sequence[tuple[str, Track]]]) -> IntArray:
+    """Ends of the windows, within the time of all wheels."""
+    tracks = [track for each in wheels.values() for _, track in each]
     first, last = max(t.time_ns[0] for t in tracks), min(t.time_ns[-1] for t in tracks)
     if last <= first:
         raise RecordingError(
             "the wheels were not recorded at the same time", "record all wheels during the whole recording"
         )
-    ends_ns = np.linspace(first, last, max(2, round((last - first) * 1e-9 / _WINDOW_S) + 1)).astype(np.int64)
-    turned_rad = np.diff([track.at(ends_ns) for track in tracks])
-    moves = np.abs(turned_rad).max(axis=0) > _TURNS_RAD
-    _check_alike(side, tuple(wheels), turned_rad[:, moves])
-    times_ns = max((t.time_ns for t in tracks), key=len)
-    times_ns = times_ns[(times_ns >= first) & (times_ns <= last)]
-    return Track(times_ns, np.mean([track.at(times_ns) for track in tracks], axis=0))
+    return np.linspace(first, last, max(2, round((last - first) * 1e-9 / _WINDOW_S) + 1)).astype(np.int64)
 
 
-def _check_alike(side: Side, names: Sequence[str], turned_rad: FloatArray) -> None:
-    """Refuse wheels of which two do not turn alike; `turned_rad` is (K, W), by wheel and window with motion."""
-    windows = turned_rad.shape[1]
-    for (a, x), (b, y) in itertools.combinations(zip(names, turned_rad, strict=True), 2):
-        larger = np.maximum(np.abs(x), np.abs(y))
-        differ = int(np.sum(np.abs(x - y) > np.maximum(_DIFFER_RAD, _DIFFER_SHARE * larger)))
-        total = np.abs(x).sum(), np.abs(y).sum()
-        if min(total) >= (1 - _TOTAL_SHARE) * max(total) and differ <= _WINDOWS_SHARE * windows:
-            continue
-        what, cure = "do not turn alike", "find out which is wrong"
-        if float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y)):
-            what = "turn in opposite directions"
+def _kept(
+    side: Side, names: Sequence[str], turned_rad: FloatArray, opposite: BoolArray, notes: list[str]
+) -> tuple[int, ...]:
+    """Indices of the wheels that turn alike: more than half of those that do not stand still, or all of them.
+
+    Args:
+        names: of the wheels, for messages.
+        turned_rad: (W, K) rotation of the wheels in each window with motion.
+        opposite: (W,) whether the opposite side turns too.
+        notes: receives what is left out.
+    """
+    every, size = range(len(names)), np.abs(turned_rad)
+    differ, agree = _compared(turned_rad)
+    stand = {
+        a
+        for a, b in itertools.permutations(every, 2)
+        if not agree[a, b] and differ[a, b].any() and _stands(size.T[[a, b]], differ[a, b], opposite)
+    }
+    moving = [k for k in every if k not in stand]
+    groups = (group for count in range(len(moving), 0, -1) for group in itertools.combinations(moving, count))
+    kept = next((group for group in groups if agree[np.ix_(group, group)].all()), ())
+    total, windows = size.sum(axis=0), len(turned_rad)
+    if not kept or 2 * len(kept) <= len(moving):
+        disagree = (pair for pair in itertools.combinations(moving or every, 2) if not agree[pair])
+        a, b = next(disagree, (0, 0))
+        x, y = turned_rad[:, [a, b]].T
+        opposite_ways = float(x @ y) < -0.5 * float(np.linalg.norm(x) * np.linalg.norm(y))
+        what = "turn in opposite directions" if opposite_ways else "do not turn alike"
+        cure = "find out which is wrong"
+        if opposite_ways:
             cure = f"set wheels.{side}.signs, with -1 for a wheel that counts backward"
         raise RecordingError(
-            f"{a} and {b} {what}: they differ by more than 10 % in {differ} of {windows} seconds with motion, and turn "
-            f"by {total[0]:.1f} and {total[1]:.1f} rad; the data does not show which of them is wrong",
+            f"{names[a]} and {names[b]} {what}: they differ by more than 10 % in {int(differ[a, b].sum())} of "
+            f"{windows} seconds with motion, and turn by {total[a]:.1f} and {total[b]:.1f} rad; the data does not "
+            "show which of them is wrong",
             f"{cure}, or name the wheels to read in wheels.{side}.joints or wheels.{side}.fields; the wheels "
             "of mecanum and other omnidirectional robots differ always: they are not supported",
         )
+    usual = float(np.median(total[list(kept)]))
+    for k in every:
+        if k not in kept:
+            why = "stands still in" if k in stand else "differs by more than 10 % in"
+            notes.append(
+                f"{names[k]}: left out, it {why} {int(differ[k, kept[0]].sum())} of {windows} seconds with motion; "
+                f"it turns by {total[k]:.1f} rad, the other {side} wheels by {usual:.1f} rad"
+            )
+    return kept
+
+
+def _mean(tracks: Sequence[Track]) -> Track:
+    """Mean rotation of some wheels, at the times of the one with most readings while all were recorded."""
+    if len(tracks) == 1:
+        return tracks[0]
+    first, last = max(t.time_ns[0] for t in tracks), min(t.time_ns[-1] for t in tracks)
+    times_ns = max((t.time_ns for t in tracks), key=len)
+    times_ns = times_ns[(times_ns >= first) & (times_ns <= last)]
+    return Track(times_ns, np.mean([track.at(times_ns) for track in tracks], axis=0))

@@ -10,6 +10,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IMAGES, PictureIndex, Track
 from mobilecal_cli.readers.containers.recording import Recording
+from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, content_of, header_stamp_ns
 from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
@@ -156,11 +157,11 @@ class Subscriptions:
         self._takers.setdefault(topic, []).append(source.take)
         return source
 
-    def run(self, infos: InfoChanges) -> None:
+    def run(self, extent: Extent, infos: InfoChanges) -> None:
         """Run the pass, which also compares the cameras' calibrations."""
         topics = frozenset(self.clocks)
         compared = infos.topics - topics
-        for channel, log_ns, payload in self.recording.messages(topics | compared):
+        for channel, log_ns, payload in self.recording.messages(topics | compared, extent):
             topic = channel.topic
             if topic in compared:
                 infos.add(channel, log_ns, payload)

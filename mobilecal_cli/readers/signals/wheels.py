@@ -52,7 +52,7 @@ def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> 
     bits = source.bits
     if bits is not None:
         check_width(position.label, (value.min(), value.max()), bits)
-    elif source.ticks_per_revolution is not None and (bits := wraps(value)) is not None:
+    elif source.ticks_per_revolution is not None and (bits := wraps(value)[0]) is not None:
         notes.append(f"{position.label}: the counter starts again after 2^{bits} steps, which is undone")
     if bits is not None:
         value = unwrap(time_ns, value, 2.0**bits)
@@ -239,15 +239,21 @@ def _jumps_of_a_turn(time_ns: IntArray, value: FloatArray, turn: float) -> int:
     return 0 if np.any(jumps < 0.75 * turn) else len(jumps)
 
 
-def wraps(ticks: FloatArray) -> int | None:
-    """Width in bits of a counter that starts again at its end, seen from jumps of nearly its whole range; or None."""
+def wraps(ticks: FloatArray) -> tuple[int | None, int | None]:
+    """How a counter starts again at its end, seen from jumps of nearly its whole range.
+
+    Returns:
+        Its width in bits, if the jumps fit one; else the size of its jumps, if there are any.
+    """
     steps, spread = np.abs(np.diff(ticks)), np.ptp(ticks)
     jumps = steps > spread / 2
     usual = steps[~jumps].max(initial=0.0)
     if not jumps.any() or usual == 0 or steps[jumps].min() < _JUMP * usual:
-        return None
-    fitting = (b for b in _WIDTHS if spread < 2**b and steps[jumps].min() > 2**b - 2 * usual - 1)
-    return next(fitting, None)
+        return None, None
+    for bits in _WIDTHS:
+        if spread < 2**bits and steps[jumps].min() > 2**bits - 2 * usual - 1:
+            return bits, None
+    return None, int(steps[jumps].max())
 
 
 def gap_notes(label: str, track: Track) -> list[str]:
