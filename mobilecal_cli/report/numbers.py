@@ -201,11 +201,10 @@ def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, flo
     assumed, uncertainty = rig.sources.assumed_odometry, solution.uncertainty
     if assumed is None:
         return {}
-    wheels = solution.parameters.wheels
-    values, std = assumed.factors(wheels), [None] * len(FACTORS)
+    wheels, std = solution.parameters.wheels, dict[str, float]()
     if uncertainty is not None:
-        std = np.sqrt(np.diag(assumed.covariance(wheels, uncertainty.reference_covariance[6:, 6:]))).tolist()
-    return {name: (value, s) for name, value, s in zip(FACTORS, values.tolist(), std, strict=True)}
+        std = assumed.factors_std(wheels, uncertainty.reference_covariance[6:, 6:])
+    return {name: (value, std.get(name)) for name, value in assumed.factors(wheels).items()}
 
 
 def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray | None]:

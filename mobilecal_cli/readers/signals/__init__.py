@@ -96,18 +96,18 @@ def read_signals(
             own_notes,
         )
         indices: dict[str, PictureIndex] = {}
-        left_out_ns: dict[str, IntArray] = {}
+        recorded_ns: dict[str, IntArray] = {}
         for name, camera in images.items():
             index = camera.index(samples[camera], own_notes)
             usual = infos.usual_at(sources.info.get(name, ""), index.log_ns)
-            indices[name], left_out_ns[name] = index.rows(usual), np.delete(index.time_ns, usual)
+            indices[name], recorded_ns[name] = index.rows(usual), index.time_ns
             if not len(indices[name].time_ns):
                 raise RecordingError(
                     f"{camera.series.topic}: no usable images", "record all cameras the whole time"
                 )
         for side, track in wheels.items():
             own_notes += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(own_notes), infos.corrected, left_out_ns)
+        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, infos.corrected)
 
     return _usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of, notes)
 
