@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
     FEW_READINGS,
@@ -482,15 +482,7 @@ def plan_stations(
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
-    paired: list[_Pairs] = []
-    problems: list[RecordingError] = []
-    for signals in logs:
-        try:
-            paired.append(_paired(signals, prismatic))
-        except RecordingError as error:
-            problems.append(error)
-    if not paired:
-        raise problems[0]
+    paired, problems = usable(logs, lambda signals: _paired(signals, prismatic))
     rests = sum(len(log.rests) for log in paired)
     plans, moving, picked = [], 0, 0
     for log in paired:
@@ -506,7 +498,9 @@ def plan_stations(
         stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, log.wheels, tracks, images, tuple(log.rejections), ()))
-    notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
+    notes = [
+        f"a piece of the recording between clock steps is not used: {e.message}" for e in problems.values()
+    ]
     notes += (note for log in paired for note in _silences(log.signals.recorded_ns))
     notes += (note for log in paired for note in _blind(log.signals.recorded_ns, log.channels))
     notes += (note for log in paired for note in _not_used(log))

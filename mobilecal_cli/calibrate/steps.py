@@ -170,6 +170,7 @@ def solve(
         [(name, pair_of(f"--prior {name}", pair)) for name, pair in priors.items()],
         names_of("estimate", estimate),
     )
+    check_options(method, constraints, hold_out)
     extraction = data.extraction if isinstance(data, Data) else data
     return fitted(extraction, method, constraints, hold_out, progress)
 
@@ -203,13 +204,12 @@ def fitted(
     hold_out: float | None = None,
     progress: Progress = silent,
 ) -> Fit:
-    """`solve` with constraints as a value.
+    """`solve` with constraints as a value; the options are those that `check_options` allows.
 
     Raises:
         MobilecalError: see `errors`; a `SolveError` also names the motion or readings that the recording lacks.
     """
     constraints = constraints or Constraints()
-    check_options(method, constraints, hold_out)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":

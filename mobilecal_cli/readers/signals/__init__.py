@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
@@ -109,28 +109,10 @@ def read_signals(
             own_notes += gap_notes(f"{side} wheel", track)
         return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, infos.corrected)
 
-    return _usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of, notes)
-
-
-def _usable(
-    pieces: Sequence[Mapping[Source, Samples]],
-    signals_of: Callable[[Mapping[Source, Samples]], Signals],
-    notes: list[str],
-) -> tuple[Signals, ...]:
-    """Signals of the pieces that have all readings; the notes are added to the first of them.
-
-    Raises:
-        RecordingError: that of the first piece, if none has.
-    """
-    usable: list[Signals] = []
-    problems: list[RecordingError] = []
-    for number, piece in enumerate(pieces, 1):
-        try:
-            usable.append(signals_of(piece))
-        except RecordingError as error:
-            problems.append(error)
-            notes.append(f"piece {number} of {len(pieces)} of the recording is not used: {error.message}")
-    if not usable:
-        raise problems[0]
-    first, *others = usable
+    logs, problems = usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of)
+    notes += (
+        f"piece {number} of {len(pieces)} of the recording is not used: {error.message}"
+        for number, error in problems.items()
+    )
+    first, *others = logs
     return (replace(first, notes=tuple(dict.fromkeys([*notes, *first.notes]))), *others)
