@@ -46,7 +46,7 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
-from mobilecal_cli.report.verdict import Case, gates_of, reasons_of
+from mobilecal_cli.report.verdict import Case, gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
@@ -286,7 +286,7 @@ class Report:
         made = (solution, extraction, limits, fit.trial, self.change)
         self._case = Case(*made, provenance=self.provenance)
         self.verdict = self._case.verdict
-        level, reasons = self.verdict.level, reasons_of(self.verdict)
+        level, reasons = self.verdict.level, self.verdict.reasons
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
         self.values = build_report(self._case)

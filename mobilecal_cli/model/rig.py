@@ -407,7 +407,7 @@ class Sources:
     @property
     def assumed_wheels(self) -> WheelGeometry | None:
         """Wheels assumed for odometry whose driver's wheels are unknown: results are factors of them."""
-        return next((source.baked_in for source in self.wheels.values() if source.assumed), None)
+        return None if self.assumed_odometry is None else self.assumed_odometry.wheels
 
     @property
     def assumed_odometry(self) -> AssumedOdometry | None:
