@@ -32,7 +32,7 @@ from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
-from mobilecal_cli.report.numbers import reference_pose, reference_std
+from mobilecal_cli.report.numbers import reference_std
 from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
@@ -288,7 +288,7 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
     solution, verdict = report.fit.solution, report.verdict
-    T, passed = reference_pose(solution.parameters, solution.cameras), verdict.level == "PASS"
+    T, passed = solution.T_h_reference, verdict.level == "PASS"
     return FleetRow(
         job.name,
         verdict.level,

@@ -47,7 +47,7 @@ def batch(
     from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes, on_cluster
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.report.fleet import fleet_json, fleet_text
+    from mobilecal_cli.report.fleet import fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
     local = partial(in_processes, count=jobs or os.cpu_count() or 1)
@@ -67,7 +67,7 @@ def batch(
                 progress=progress,
             )
         write_junit(junit_fleet_xml(str(source), rows))
-    robots = [row for row in rows if row.verdict != "SKIPPED"]
+    robots = robots_of(rows)
     failed = [row for row in robots if row.verdict != "PASS"]
     if as_json:
         typer.echo(fleet_json(rows), nl=False)

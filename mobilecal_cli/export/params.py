@@ -76,7 +76,7 @@ def params_yaml(
         reasons: why it is not PASS, whole sentences.
     """
     cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
-    T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
+    T_h_reference = solution.T_h_reference
     frame, wheels = cameras.of_reference.frame_id, solution.parameters.wheels
     odometry = extraction.rig.sources.assumed_odometry
     shown: dict[str, Any] = {"head_eye_raw": None}

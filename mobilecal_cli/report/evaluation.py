@@ -25,7 +25,7 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
-from mobilecal_cli.report.numbers import DEG, reference_pose, std_text, value_text
+from mobilecal_cli.report.numbers import DEG, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
 from mobilecal_cli.report.verdict import Verdict, decided_by
 
@@ -153,7 +153,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
     uncertainty = own.uncertainty
     assert uncertainty is not None  # the default method always has one
     # Difference in deg, mm and percent, (9,), and its covariance, (9, 9).
-    estimate = Parameters(reference_pose(own.parameters, own.cameras), own.parameters.wheels)
+    estimate = Parameters(own.T_h_reference, own.parameters.wheels)
     scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
     change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate) * scales
     covariance = uncertainty.reference_covariance.copy()
