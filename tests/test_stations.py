@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
+from mobilecal_cli.model import HeadChain, JointLink, PictureIndex, Shot, Signals, Track
 from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track
 from tests.pairs import pair_images
 
@@ -28,8 +28,12 @@ def indexed(stamp_ns):
     return PictureIndex(stamp_ns, stamp_ns, stamp_ns)
 
 
+def head(*joints):
+    return HeadChain("base", "head", tuple(JointLink(name, [0, 0, 1]) for name in joints))
+
+
 def planned(log, joints, **options):
-    (plan,) = plan_stations([log], joints, **options)
+    (plan,) = plan_stations([log], head(*joints), **options)
     return plan
 
 
@@ -141,11 +145,12 @@ def test_readings_that_end_before_the_pictures_begin():
 
 def test_wheels_that_never_overlap():
     with pytest.raises(RecordingError, match="do not overlap"):
-        wheel_track(Track(ns([0, 1]), [0.0, 1.0]), Track(ns([5, 6]), [0.0, 1.0]))
+        wheel_track({"right": Track(ns([0, 1]), [0.0, 1.0]), "left": Track(ns([5, 6]), [0.0, 1.0])})
 
 
 def test_wheels_at_different_rates_are_joined():
-    track = wheel_track(Track(ns([0, 1, 2]), [0.0, 1.0, 2.0]), Track(ns([0.5, 1.5]), [5.0, 6.0]))
+    right, left = Track(ns([0, 1, 2]), [0.0, 1.0, 2.0]), Track(ns([0.5, 1.5]), [5.0, 6.0])
+    track = wheel_track({"right": right, "left": left})
     assert (track.time_ns - START) / S == pytest.approx([0.5, 1.0, 1.5])
     assert track.right_rad == pytest.approx([0.5, 1.0, 1.5])
     assert track.left_rad == pytest.approx([5.0, 5.5, 6.0])
@@ -276,7 +281,7 @@ def slow(hz, **changes):
 
 
 def test_joints_and_wheels_that_are_published_slowly_are_named_with_their_rates():
-    (used,) = plan_stations([slow(1.0)], ("pan",))
+    (used,) = plan_stations([slow(1.0)], head("pan"))
     lost = {(rejection.reason, rejection.detail) for rejection in used.rejections}
     rates = "pan 1 per second, wheels 1 per second; at least 2 needed in motion"
     assert lost == {("too few readings per second", rates)}
@@ -293,5 +298,5 @@ def test_wheels_at_ten_readings_per_second_are_enough():
 def test_images_that_lie_between_slow_readings_in_motion_name_their_rate():
     moving = signals(lambda t: t, lambda t: t, joint_hz=1.0)
     with pytest.raises(RecordingError, match="pan 1 per second, wheels 1 per second; at least 2") as caught:
-        plan_stations([moving], ("pan",))
+        plan_stations([moving], head("pan"))
     assert "20 Hz" in caught.value.hint

@@ -115,7 +115,7 @@ def plan_recording(
         RecordingError: see `read_signals` and `plan_stations`.
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
-    plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
+    plans = plan_stations(logs, rig.chain, everything)
     notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
     return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 

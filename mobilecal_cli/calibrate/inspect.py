@@ -244,7 +244,7 @@ def _motion(
     extent = Extent(MOTION_BYTES)
     try:
         logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
-        wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
+        wheels = [wheel_track(signals.wheels) for signals in logs]
     except RecordingError as error:
         findings.append(Finding.of("motion", error))
         return None
@@ -312,7 +312,7 @@ def _rests(
     index = {side: PictureIndex(ns, ns, ns) for side, ns in unique.items()}
     signals = replace(logs[0], images=index, recorded_ns=unique)
     try:
-        (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
+        (plan,) = plan_stations([signals], rig.chain)
     except RecordingError as unpaired:
         findings.append(Finding.of("motion", unpaired))
         return None
