@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Callable, Iterable
+from typing import ClassVar, TypeVar
 
 
 class MobilecalError(Exception):
@@ -51,3 +52,27 @@ class OutputError(MobilecalError, exit_code=7):
 
 class ResourceError(MobilecalError, exit_code=8):
     """Not enough memory, or not enough space for temporary files."""
+
+
+Part = TypeVar("Part")
+Made = TypeVar("Made")
+
+
+def usable(
+    parts: Iterable[Part], make: Callable[[Part], Made]
+) -> tuple[list[Made], dict[int, RecordingError]]:
+    """What is made of those parts of a recording that can be used; and number of each other one, from 1 → its error.
+
+    Raises:
+        RecordingError: that of the first part, if none can be used.
+    """
+    made: list[Made] = []
+    problems: dict[int, RecordingError] = {}
+    for number, part in enumerate(parts, 1):
+        try:
+            made.append(make(part))
+        except RecordingError as error:
+            problems[number] = error
+    if not made:
+        raise problems[1]
+    return made, problems

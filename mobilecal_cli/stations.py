@@ -8,17 +8,19 @@ from typing import TypeVar
 
 import numpy as np
 
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import (
     FEW_READINGS,
     NO_IMAGES,
     BoolArray,
     FloatArray,
+    HeadChain,
     IntArray,
     PictureIndex,
     Rejection,
     Shot,
+    Side,
     Signals,
     Station,
     Track,
@@ -77,13 +79,13 @@ class Plan:
     notes: tuple[str, ...]
 
 
-def wheel_track(right: Track, left: Track) -> WheelTrack:
+def wheel_track(wheels: Mapping[Side, Track]) -> WheelTrack:
     """Both wheels of a recording, each with its own readings.
 
     Raises:
         RecordingError: the two do not overlap in time.
     """
-    track = WheelTrack(right, left)
+    track = WheelTrack(wheels["right"], wheels["left"])
     if len(track.time_ns) < 2:
         raise RecordingError(
             "the readings of the left and right wheel do not overlap in time",
@@ -333,7 +335,7 @@ class _Pairs:
 
 def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     """Find the shots of a log, and its rests."""
-    wheels = wheel_track(signals.wheels["right"], signals.wheels["left"])
+    wheels = wheel_track(signals.wheels)
     channels = _channels(signals, prismatic)
     pairs, what = list(shots_of(signals.images, PAIR_AT_REST_S)), shots_words(len(signals.images))
     times = np.array([pair.time_ns for pair in pairs])
@@ -459,12 +461,7 @@ def _not_used(log: _Pairs) -> Iterator[str]:
         )
 
 
-def plan_stations(
-    logs: Sequence[Signals],
-    joints: tuple[str, ...],
-    prismatic: frozenset[str] = frozenset(),
-    everything: bool = False,
-) -> tuple[Plan, ...]:
+def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = False) -> tuple[Plan, ...]:
     """Select the moments of a recording at which to search for the board.
 
     Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
@@ -472,8 +469,7 @@ def plan_stations(
 
     Args:
         logs: the recording, or its pieces between clock steps.
-        joints: head joints in the order of `HeadChain.joints`.
-        prismatic: the prismatic joints among them.
+        chain: base to head.
         everything: use all image pairs instead: all of each rest, and all taken in motion.
 
     Returns:
@@ -482,15 +478,7 @@ def plan_stations(
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
     """
-    paired: list[_Pairs] = []
-    problems: list[RecordingError] = []
-    for signals in logs:
-        try:
-            paired.append(_paired(signals, prismatic))
-        except RecordingError as error:
-            problems.append(error)
-    if not paired:
-        raise problems[0]
+    paired, problems = usable(logs, lambda signals: _paired(signals, chain.prismatic))
     rests = sum(len(log.rests) for log in paired)
     plans, moving, picked = [], 0, 0
     for log in paired:
@@ -501,16 +489,18 @@ def plan_stations(
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
             moments = [(spread(run, SHOTS_PER_REST), at_rest) for run, at_rest in moments]
-        tracks = tuple(log.signals.joints[name] for name in joints)
+        tracks = tuple(log.signals.joints[name] for name in chain.joints)
         moments.sort(key=lambda moment: moment[0][0].time_ns)
         stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
         plans.append(Plan(stations, log.wheels, tracks, images, tuple(log.rejections), ()))
-    notes = [f"a piece of the recording between clock steps is not used: {e.message}" for e in problems]
+    notes = [
+        f"a piece of the recording between clock steps is not used: {e.message}" for e in problems.values()
+    ]
     notes += (note for log in paired for note in _silences(log.signals.recorded_ns))
     notes += (note for log in paired for note in _blind(log.signals.recorded_ns, log.channels))
     notes += (note for log in paired for note in _not_used(log))
-    notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(joints) :]))
+    notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(chain.joints) :]))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
         notes.append(

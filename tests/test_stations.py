@@ -1,8 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import PictureIndex, Shot, Signals, Track
+from mobilecal_cli.model import HeadChain, JointLink, PictureIndex, Shot, Signals, Track
 from mobilecal_cli.stations import KEYFRAMES, SHOTS_PER_REST, plan_stations, wheel_track
 from tests.pairs import pair_images
 
@@ -26,8 +28,12 @@ def indexed(stamp_ns):
     return PictureIndex(stamp_ns, stamp_ns, stamp_ns)
 
 
+def head(*joints):
+    return HeadChain("base", "head", tuple(JointLink(name, [0, 0, 1]) for name in joints))
+
+
 def planned(log, joints, **options):
-    (plan,) = plan_stations([log], joints, **options)
+    (plan,) = plan_stations([log], head(*joints), **options)
     return plan
 
 
@@ -39,8 +45,9 @@ def signals(pan, wheel, duration_s=24.0, image_hz=5.0, joint_hz=50.0, **changes)
         "wheels": {"left": Track(ns(times), wheel(times)), "right": Track(ns(times), 1.5 * wheel(times))},
         "images": {side: indexed(ns(pictures)) for side in ("left", "right")},
         "notes": (),
-    }
-    return Signals(**(values | changes))
+    } | changes
+    recorded_ns = {name: index.time_ns for name, index in values["images"].items()}
+    return Signals(**({"recorded_ns": recorded_ns} | values))
 
 
 def test_every_rest_is_one_station():
@@ -115,7 +122,7 @@ def test_pictures_without_readings_are_left_out():
     good = signals(staircase, lambda t: 3 * staircase(t))
     keep = np.abs((good.joints["pan"].time_ns - START) / S - 10.5) > 1.6  # gone over the fourth rest
     pan = Track(good.joints["pan"].time_ns[keep], good.joints["pan"].value[keep])
-    plan = planned(Signals(joints={"pan": pan}, wheels=good.wheels, images=good.images, notes=()), ("pan",))
+    plan = planned(replace(good, joints={"pan": pan}), ("pan",))
     assert len(plan.stations) == 7
     assert {r.reason for r in plan.rejections} == {"no readings around the image"}
     assert {r.detail for r in plan.rejections} == {"pan"}
@@ -127,22 +134,23 @@ def test_pictures_without_readings_are_left_out():
 def test_readings_that_end_before_the_pictures_begin():
     early = Track(ns([0.0, 1.0]) - 100 * S, [0.0, 0.0])
     good = signals(staircase, staircase)
-    bad = Signals(joints={"pan": early}, wheels=good.wheels, images=good.images, notes=())
+    bad = replace(good, joints={"pan": early})
     with pytest.raises(RecordingError, match=r"none of .* stereo pairs has readings") as caught:
         planned(bad, ("pan",))
     assert caught.value.message.endswith("missing: pan")
-    bad = Signals(joints={"pan": early, "tilt": early}, wheels=good.wheels, images=good.images, notes=())
+    bad = replace(good, joints={"pan": early, "tilt": early})
     with pytest.raises(RecordingError, match=r"missing: pan, tilt$"):
         planned(bad, ("pan", "tilt"))
 
 
 def test_wheels_that_never_overlap():
     with pytest.raises(RecordingError, match="do not overlap"):
-        wheel_track(Track(ns([0, 1]), [0.0, 1.0]), Track(ns([5, 6]), [0.0, 1.0]))
+        wheel_track({"right": Track(ns([0, 1]), [0.0, 1.0]), "left": Track(ns([5, 6]), [0.0, 1.0])})
 
 
 def test_wheels_at_different_rates_are_joined():
-    track = wheel_track(Track(ns([0, 1, 2]), [0.0, 1.0, 2.0]), Track(ns([0.5, 1.5]), [5.0, 6.0]))
+    right, left = Track(ns([0, 1, 2]), [0.0, 1.0, 2.0]), Track(ns([0.5, 1.5]), [5.0, 6.0])
+    track = wheel_track({"right": right, "left": left})
     assert (track.time_ns - START) / S == pytest.approx([0.5, 1.0, 1.5])
     assert track.right_rad == pytest.approx([0.5, 1.0, 1.5])
     assert track.left_rad == pytest.approx([5.0, 5.5, 6.0])
@@ -231,7 +239,7 @@ def lost_after(seconds, begin=0.0):
 
 BOTH = lost_after(14.0)
 ONE = {**BOTH, "right": indexed(ns(np.arange(0.1, 24, 0.2)))}
-LEFT_OUT = {side: ns(np.arange(14.1, 24, 0.2)) for side in ("left", "right")}
+ALL = {side: ns(np.arange(0.1, 24, 0.2)) for side in ("left", "right")}
 DURING_RESTS = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in range(8)])
 
 
@@ -241,8 +249,8 @@ DURING_RESTS = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in
     ({"images": lost_after(23.0)}, None),
     ({"images": {"left": indexed(ns(DURING_RESTS))}}, None),
     ({"images": lost_after(26.0), "duration_s": 60.0}, None),  # it waits at the end
-    ({"images": BOTH, "left_out_ns": LEFT_OUT}, None),  # recorded, but not used
-    ({"images": ONE, "left_out_ns": {"left": LEFT_OUT["left"]}}, None),
+    ({"images": BOTH, "recorded_ns": ALL}, None),  # but not used
+    ({"images": ONE, "recorded_ns": ALL}, None),
 ])  # fmt: skip
 def test_cameras_that_stop_while_the_robot_moves_are_named(changes, words):
     plan = planned(signals(staircase, lambda t: 3 * staircase(t), **changes), ("pan",))
@@ -273,7 +281,7 @@ def slow(hz, **changes):
 
 
 def test_joints_and_wheels_that_are_published_slowly_are_named_with_their_rates():
-    (used,) = plan_stations([slow(1.0)], ("pan",))
+    (used,) = plan_stations([slow(1.0)], head("pan"))
     lost = {(rejection.reason, rejection.detail) for rejection in used.rejections}
     rates = "pan 1 per second, wheels 1 per second; at least 2 needed in motion"
     assert lost == {("too few readings per second", rates)}
@@ -290,5 +298,5 @@ def test_wheels_at_ten_readings_per_second_are_enough():
 def test_images_that_lie_between_slow_readings_in_motion_name_their_rate():
     moving = signals(lambda t: t, lambda t: t, joint_hz=1.0)
     with pytest.raises(RecordingError, match="pan 1 per second, wheels 1 per second; at least 2") as caught:
-        plan_stations([moving], ("pan",))
+        plan_stations([moving], head("pan"))
     assert "20 Hz" in caught.value.hint

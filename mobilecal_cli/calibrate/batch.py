@@ -32,7 +32,7 @@ from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html
-from mobilecal_cli.report.numbers import reference_pose, reference_std
+from mobilecal_cli.report.numbers import reference_std
 from mobilecal_cli.rig.config import Beside, load_rig, read_urdf
 
 #: Directory with the records of finished jobs, in the output directory of a batch.
@@ -196,8 +196,6 @@ _ATTEMPTS = 3  # at a job whose process dies
 #: Hint for a robot whose process died.
 AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
 
-Run = Callable[[Sequence[FleetJob], Callable[[FleetRow], None]], None]
-
 
 def run_job(job: FleetJob) -> FleetRow:
     """Calibrate one robot, or return the earlier result for the same recordings and settings.
@@ -290,7 +288,7 @@ def _finished(job: FleetJob, key: str) -> FleetRow | None:
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
     solution, verdict = report.fit.solution, report.verdict
-    T, passed = reference_pose(solution.parameters, solution.cameras), verdict.level == "PASS"
+    T, passed = solution.T_h_reference, verdict.level == "PASS"
     return FleetRow(
         job.name,
         verdict.level,
@@ -304,21 +302,16 @@ def _row(job: FleetJob, report: Report) -> FleetRow:
     )
 
 
-def run_locally(count: int) -> Run:
-    """Runs jobs in local processes; if one dies, the other robots are still calibrated."""
-
-    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
-        waiting = {job.name: job for job in jobs}
-        for row in _in_a_pool(list(waiting.values()), count):
-            del waiting[row.name]
-            done(row)
-        for name, job in waiting.items():  # a process died: each remaining job gets its own process
-            crashed = "the worker process died (out of memory, or killed)"
-            attempts = (list(_in_a_pool([job], 1)) for _ in range(_ATTEMPTS - 1))
-            rows = next(filter(None, attempts), [FleetRow(name, "ERROR", 1, crashed, hint=AGAIN)])
-            done(rows[0])
-
-    return run
+def in_processes(jobs: Sequence[FleetJob], count: int = os.cpu_count() or 1) -> Iterator[FleetRow]:
+    """Rows in the order of completion, by local processes; if one dies, the other robots are still calibrated."""
+    waiting = {job.name: job for job in jobs}
+    for row in _in_a_pool(jobs, count):
+        del waiting[row.name]
+        yield row
+    for name, job in waiting.items():  # a process died: each remaining job gets its own process
+        crashed = "the worker process died (out of memory, or killed)"
+        attempts = (row for _ in range(_ATTEMPTS - 1) for row in _in_a_pool([job], 1))
+        yield next(attempts, FleetRow(name, "ERROR", 1, crashed, hint=AGAIN))
 
 
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
@@ -338,7 +331,7 @@ def batch(
     flags: Mapping[str, Any] | None = None,
     gates: Sequence[str] = (),
     force: bool = False,
-    run: Run | None = None,
+    run: Callable[[Sequence[FleetJob]], Iterable[FleetRow]] = in_processes,
     progress: Progress = silent,
 ) -> tuple[FleetRow, ...]:
     """Calibrate many robots, each into its own directory, and write summary.csv and summary.html.
@@ -352,7 +345,7 @@ def batch(
         flags: dotted key → value, over the files.
         gates: `NAME=LIMIT` for each robot.
         force: calibrate all robots again, and replace also results that this batch did not write.
-        run: runs the jobs; by default one process per core.
+        run: gives the row of each job, in any order.
         progress: receives the number of finished robots.
 
     Raises:
@@ -375,14 +368,11 @@ def batch(
         raise OutputError(
             f"{output}: cannot be created: {error.strerror}", "choose another --output"
         ) from error
-
-    def done(row: FleetRow) -> None:
-        rows[row.name] = row
-        progress("robots", len(rows), len(jobs))
-
     progress("robots", 0, len(jobs))
     try:
-        (run or run_locally(os.cpu_count() or 1))(jobs, done)
+        for row in run(jobs):
+            rows[row.name] = row
+            progress("robots", len(rows), len(jobs))
     except BaseException:
         for path in new:
             with suppress(OSError):  # it contains results
@@ -394,8 +384,8 @@ def batch(
     return ordered
 
 
-def run_on(address: str, timeout_s: float = 30.0) -> Run:
-    """Run jobs on the workers of a Dask scheduler, which must see the same files under the same paths.
+def on_cluster(jobs: Sequence[FleetJob], address: str, timeout_s: float = 30.0) -> Iterator[FleetRow]:
+    """Rows in the order of completion, by the workers of a Dask scheduler, which must see the same files and paths.
 
     If a worker dies, the scheduler gives its jobs to other workers, which skip finished jobs.
 
@@ -406,46 +396,40 @@ def run_on(address: str, timeout_s: float = 30.0) -> Run:
     Raises:
         ConfigError: the extra is not installed, no scheduler answers, or it has no workers.
     """
+    try:
+        from distributed import Client, as_completed, rpc
+    except ImportError as error:
+        raise ConfigError(
+            "the Dask package `distributed` is not installed",
+            "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
+        ) from error
 
-    def run(jobs: Sequence[FleetJob], done: Callable[[FleetRow], None]) -> None:
+    async def identity() -> None:
+        async with rpc(address) as scheduler:  # type: ignore[no-untyped-call]
+            await scheduler.identity()
+
+    try:
+        # The client would wait without end for a program that accepts the connection and does not answer.
+        asyncio.run(asyncio.wait_for(identity(), timeout_s))
+        client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        why = str(error) or f"no answer within {timeout_s:g} s"
+        raise ConfigError(
+            f"--scheduler {address}: cannot connect to the scheduler: {why}",
+            "start a scheduler and workers with dask scheduler and dask worker, and check the address",
+        ) from error
+    with client:
         try:
-            from distributed import Client, as_completed, rpc
-        except ImportError as error:
+            client.wait_for_workers(1, timeout=timeout_s)
+        except TimeoutError as error:
             raise ConfigError(
-                "the Dask package `distributed` is not installed",
-                "run pip install '.[cluster]' in mobilecal's source directory, here and on the workers",
+                f"--scheduler {address}: the scheduler has no workers after {timeout_s:g} s",
+                f"start workers: dask worker {address}",
             ) from error
-
-        async def identity() -> None:
-            async with rpc(address) as scheduler:  # type: ignore[no-untyped-call]
-                await scheduler.identity()
-
-        try:
-            # The client would wait without end for a program that accepts the connection and does not answer.
-            asyncio.run(asyncio.wait_for(identity(), timeout_s))
-            client = Client(address, timeout=timeout_s)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError, TimeoutError) as error:
-            why = str(error) or f"no answer within {timeout_s:g} s"
-            raise ConfigError(
-                f"--scheduler {address}: cannot connect to the scheduler: {why}",
-                "start a scheduler and workers with dask scheduler and dask worker, and check the address",
-            ) from error
-        with client:
-            try:
-                client.wait_for_workers(1, timeout=timeout_s)
-            except TimeoutError as error:
-                raise ConfigError(
-                    f"--scheduler {address}: the scheduler has no workers after {timeout_s:g} s",
-                    f"start workers: dask worker {address}",
-                ) from error
-            futures = {
-                client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs
-            }
-            for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
-                if (failed := future.exception()) is None:
-                    done(future.result())
-                else:
-                    reason = f"the worker process died or failed: {type(failed).__name__}: {failed}"
-                    done(FleetRow(futures[future].name, "ERROR", 1, reason, hint=AGAIN))
-
-    return run
+        futures = {client.submit(run_job, job, key=f"mobilecal-{job.name}", pure=False): job for job in jobs}
+        for future in as_completed(list(futures)):  # type: ignore[no-untyped-call]
+            if (failed := future.exception()) is None:
+                yield future.result()
+            else:
+                reason = f"the worker process died or failed: {type(failed).__name__}: {failed}"
+                yield FleetRow(futures[future].name, "ERROR", 1, reason, hint=AGAIN)

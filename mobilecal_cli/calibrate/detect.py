@@ -115,7 +115,7 @@ def plan_recording(
         RecordingError: see `read_signals` and `plan_stations`.
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
-    plans = plan_stations(logs, rig.chain.joints, rig.chain.prismatic, everything)
+    plans = plan_stations(logs, rig.chain, everything)
     notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
     return plans, logs[0].infos, tuple(dict.fromkeys(notes))
 
@@ -158,7 +158,7 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
         for plan in plans:
             firsts = [replace(s, shots=s.shots[:1]) for s in plan.stations if next(numbers) in chosen]
             wanted = images_of(firsts, plan.images)
-            for name, _, picture in read_images(recording, rig.sources.image, wanted, rig.sources.layout):
+            for name, _, picture in read_images(recording, rig.sources, wanted):
                 if isinstance(picture, Rejection):
                     rejections.append(picture)
                 else:
@@ -231,8 +231,7 @@ def detect_segment(
         for station in stations
     ]
     followers = {name: BoardFollower(board, segment.thorough) for name in names}
-    sources = rig.sources
-    for name, stamp, picture in read_images(recording, sources.image, segment.images, sources.layout):
+    for name, stamp, picture in read_images(recording, rig.sources, segment.images):
         station = where[name, stamp]
         place = detections[station]
         if isinstance(picture, Rejection):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
-from mobilecal_cli.calibrate.load import load, parameters_of, read_params, used_for
+from mobilecal_cli.calibrate.load import load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution, WheelGeometry
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
@@ -74,7 +74,8 @@ def evaluate(
         reference=reference or nominal,
         constants=constants,
     )
-    used = used_for(robot, extraction)
+    made_from = {log.sha256 for log in robot.logs}  # a copy has another name
+    used = tuple(log.path for log in extraction.logs if log.sha256 in made_from)
     gated = gate_checks(limits, evaluated_figures(evaluation))
     verdict = judge_evaluation(evaluation, extraction, robot, own, cure, used, gated)
     return Evaluated(evaluation, extraction, verdict, used)

@@ -15,7 +15,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
 from mobilecal_cli.calibrate.sample import sample_board
-from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError, SolveError
+from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.model import (
@@ -58,8 +58,7 @@ def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> It
         of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
         nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
         what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        of = Finding.of if nominal is None and not unread else _limit
-        yield of(about, SolveError(what, gap.cure))
+        yield Finding.of(about, SolveError(what, gap.cure), prevents=nominal is None and not unread)
 
 
 def inspect(
@@ -159,23 +158,18 @@ def check(
         return Inspection(str(logs[0]), findings=(Finding.of(about, error),))
 
 
-def _limit(about: str, error: MobilecalError) -> Finding:
-    """An error that limits a calibration, but does not prevent it."""
-    return replace(Finding.of(about, error), state="limit")
-
-
 def _wrong_chain(config: RigConfig, rig: Rig, description: RobotDescription) -> Iterator[Finding]:
     """Joints that the head chain probably has twice, or not at all."""
     links = Counter(link.joint for link in config.head.chain or () if link.joint)
     for name in (name for name, count in links.items() if count > 1):
         what = f"joint {name!r} is in head.chain {links[name]} times"
         cure = "delete the repeated link, unless the mechanism moves both by the same reading"
-        yield _limit("head chain", SolveError(what, cure))
+        yield Finding.of("head chain", SolveError(what, cure), prevents=False)
     for name in outside_chain(rig.chain, description):
         ends = f"{rig.chain.base_frame} and {rig.chain.head_frame}"
         what = f"{name!r} was recorded, but is not a joint between {ends}"
         cure = "set head.head_frame to the link that the joint moves, or add it to head.chain, if it moves the cameras"
-        yield _limit("head chain", SolveError(what, cure))
+        yield Finding.of("head chain", SolveError(what, cure), prevents=False)
 
 
 def _without_height(rig: Rig) -> list[Finding]:
@@ -225,7 +219,7 @@ def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -
             f"{count} of {total} {name} images were recorded while {others_words}joints and wheels were",
             f"record {cameras_words}, joint states and wheels at the same time",
         )
-        findings.append((_limit if count else Finding.of)("time", error))
+        findings.append(Finding.of("time", error, prevents=not count))
     return count, total
 
 
@@ -250,7 +244,7 @@ def _motion(
     extent = Extent(MOTION_BYTES)
     try:
         logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
-        wheels = [wheel_track(signals.wheels["right"], signals.wheels["left"]) for signals in logs]
+        wheels = [wheel_track(signals.wheels) for signals in logs]
     except RecordingError as error:
         findings.append(Finding.of("motion", error))
         return None
@@ -267,7 +261,7 @@ def _motion(
                 f"the readings look like {like}, and {expected} are expected"
             )
             cure = "set its unit in joints.fields, or correct the driver"
-            findings.append(_limit("joints", SolveError(what, cure)))
+            findings.append(Finding.of("joints", SolveError(what, cure), prevents=False))
     alone = rig.sources.assumed_wheels is not None  # odometry has no wheels
     wheels_deg: dict[str, float] = {
         side: float(sum(np.degrees(np.abs(np.diff(signals.wheels[side].value)).sum()) for signals in logs))
@@ -315,9 +309,10 @@ def _rests(
         findings += _gaps("motion", rig, gaps, unread=share < 1)
         return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
-    signals = replace(logs[0], images={side: PictureIndex(ns, ns, ns) for side, ns in unique.items()})
+    index = {side: PictureIndex(ns, ns, ns) for side, ns in unique.items()}
+    signals = replace(logs[0], images=index, recorded_ns=unique)
     try:
-        (plan,) = plan_stations([signals], rig.chain.joints, rig.chain.prismatic)
+        (plan,) = plan_stations([signals], rig.chain)
     except RecordingError as unpaired:
         findings.append(Finding.of("motion", unpaired))
         return None
@@ -327,7 +322,7 @@ def _rests(
             f"and {MIN_STATIONS} to pass.",
             "record at least ten rests of two seconds, and move head and base in between",
         )
-        findings.append((Finding.of if len(plan.stations) < FEWEST_STATIONS else _limit)("motion", error))
+        findings.append(Finding.of("motion", error, prevents=len(plan.stations) < FEWEST_STATIONS))
     if plan.stations:
         at = np.array([station.time_ns for station in plan.stations])
         stops = np.stack([station.joints for station in plan.stations])

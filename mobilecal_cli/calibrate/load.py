@@ -96,12 +96,6 @@ def read_params(params: AnyPath) -> CalibratedRobot:
     return parameters_from_yaml(text, str(path))
 
 
-def used_for(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
-    """Names of the recordings that a calibration was made from, found by their content."""
-    made_from = {log.sha256 for log in robot.logs}
-    return tuple(log.path for log in extraction.logs if log.sha256 in made_from)
-
-
 def differences(robot: CalibratedRobot, extraction: Extraction) -> tuple[str, ...]:
     """What shows that a calibration was not made from these measurements: recordings, names and nominal sizes."""
     rig, nominal = extraction.rig, extraction.rig.nominal.wheels

@@ -89,10 +89,9 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     )
     pairs = () if cameras is None or findings else _stereo_pairs(cameras, board, detections)
     squares_m = tuple(pair.square_m for pair in pairs)
-    square_m = float(np.median(squares_m)) if squares_m else None
     findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
     size = board.columns, board.rows
-    return BoardView(len(readable), detected, size, square_m, squares_m, stated_m, others), findings
+    return BoardView(len(readable), detected, size, squares_m, stated_m, others), findings
 
 
 def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:

@@ -162,9 +162,7 @@ def _images(extraction: Extraction, logs: Sequence[Path]) -> dict[int, dict[str,
                     numbers |= {(name, at): number for name, at in taken if at is not None}
                 firsts = [replace(station, shots=station.shots[:1]) for station in mine]
                 index = images_of(firsts, plan.images)
-                for name, time_ns, picture in read_images(
-                    recording, rig.sources.image, index, rig.sources.layout
-                ):
+                for name, time_ns, picture in read_images(recording, rig.sources, index):
                     if not isinstance(picture, Rejection):
                         jpegs.setdefault(numbers[name, time_ns], {})[name] = snapshot_jpeg(picture)
                 log += 1

@@ -46,7 +46,7 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
-from mobilecal_cli.report.verdict import Case, gates_of, reasons_of
+from mobilecal_cli.report.verdict import Case, gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
@@ -170,6 +170,7 @@ def solve(
         [(name, pair_of(f"--prior {name}", pair)) for name, pair in priors.items()],
         names_of("estimate", estimate),
     )
+    check_options(method, constraints, hold_out)
     extraction = data.extraction if isinstance(data, Data) else data
     return fitted(extraction, method, constraints, hold_out, progress)
 
@@ -203,13 +204,12 @@ def fitted(
     hold_out: float | None = None,
     progress: Progress = silent,
 ) -> Fit:
-    """`solve` with constraints as a value.
+    """`solve` with constraints as a value; the options are those that `check_options` allows.
 
     Raises:
         MobilecalError: see `errors`; a `SolveError` also names the motion or readings that the recording lacks.
     """
     constraints = constraints or Constraints()
-    check_options(method, constraints, hold_out)
     extraction, rest = (whole, None) if hold_out is None else held_out(whole, hold_out)
     require_stations(extraction)
     if method != "ml":
@@ -286,7 +286,7 @@ class Report:
         made = (solution, extraction, limits, fit.trial, self.change)
         self._case = Case(*made, provenance=self.provenance)
         self.verdict = self._case.verdict
-        level, reasons = self.verdict.level, reasons_of(self.verdict)
+        level, reasons = self.verdict.level, self.verdict.reasons
         self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
         self.values = build_report(self._case)

@@ -42,14 +42,16 @@ def batch(
         force: Calibrate all robots again, and replace also results that this batch did not write.
     """
     import os
+    from functools import partial
 
-    from mobilecal_cli.calibrate.batch import SUMMARIES, run_locally, run_on
+    from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes, on_cluster
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.report.fleet import fleet_json, fleet_text
+    from mobilecal_cli.report.fleet import fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
-    run = run_on(scheduler) if scheduler else run_locally(jobs or os.cpu_count() or 1)
+    local = partial(in_processes, count=jobs or os.cpu_count() or 1)
+    run = partial(on_cluster, address=scheduler) if scheduler else local
     replace = force or (junit is not None and is_junit(junit))
     summaries = {name: output / name for name in SUMMARIES}
     with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
@@ -65,7 +67,7 @@ def batch(
                 progress=progress,
             )
         write_junit(junit_fleet_xml(str(source), rows))
-    robots = [row for row in rows if row.verdict != "SKIPPED"]
+    robots = robots_of(rows)
     failed = [row for row in robots if row.verdict != "PASS"]
     if as_json:
         typer.echo(fleet_json(rows), nl=False)

@@ -48,7 +48,7 @@ def camera_constants(rig: Rig, constants: Mapping[str, float]) -> dict[str, floa
 
 def improved_cameras(
     rig: Rig, constants: Mapping[str, float], kalibr: bool = False
-) -> tuple[CameraRig, float, float]:
+) -> tuple[CameraRig, tuple[str, ...]]:
     """The cameras with the estimated constants; their lens corrections are part of the distortion models.
 
     Args:
@@ -57,26 +57,17 @@ def improved_cameras(
         kalibr: without the third radial coefficient of plumb_bob, which Kalibr does not have.
 
     Returns:
-        The cameras; largest distance between the pixels with the corrections and with the distortion models, over all
-        images, px; and its root mean square in the worst of them, px.
+        The cameras, and sentences on them: whether they are estimated, and how well the models describe the lenses.
     """
     cameras = camera_change(rig.cameras, table(rig.cameras, rig.chain), constants).apply(rig.cameras)
     plain, off = zip(*(without_correction(camera, kalibr) for camera in cameras.each), strict=True)
-    largest = max(float(each.max(initial=0.0)) for each in off)
-    usual = max(float(np.sqrt(np.mean(each**2))) for each in off)
-    return replace(cameras, each=plain), largest, usual
-
-
-def cameras_with_notes(
-    rig: Rig, changed: Mapping[str, float], kalibr: bool = False
-) -> tuple[CameraRig, tuple[str, ...]]:
-    """The cameras for other programs, and sentences on it; `changed` is of `camera_constants`."""
-    cameras, largest, usual = improved_cameras(rig, changed, kalibr)
+    cameras = replace(cameras, each=plain)
     what = "stereo pair is" if cameras.calibrated else "cameras are" if len(cameras.each) > 1 else "camera is"
-    if not changed:
+    if not camera_constants(rig, constants):
         return cameras, (f"The {what} as stated in the recording.",)
     notes: tuple[str, ...] = (f"The {what} as estimated by the calibration.",)
-    if largest:
+    if largest := max(float(each.max(initial=0.0)) for each in off):
+        usual = max(float(np.sqrt(np.mean(each**2))) for each in off)
         note = f"The distortion model differs from the estimated lens by {usual:.2g} px rms and at most"
         note += f" {largest:.2g} px"
         limit = f" (limit {_LENS_PX:g} px). To describe the lens better, calibrate the camera with a richer model."

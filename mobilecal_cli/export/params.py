@@ -76,7 +76,7 @@ def params_yaml(
         reasons: why it is not PASS, whole sentences.
     """
     cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
-    T_h_reference = solution.parameters.T_h_c @ cameras.T_c_reference
+    T_h_reference = solution.T_h_reference
     frame, wheels = cameras.of_reference.frame_id, solution.parameters.wheels
     odometry = extraction.rig.sources.assumed_odometry
     shown: dict[str, Any] = {"head_eye_raw": None}
@@ -85,14 +85,14 @@ def params_yaml(
         T_h_raw = T_h_reference @ se3.transform(R_rect_raw, np.zeros(3))
         shown["head_eye_raw"] = _transform(chain.head_frame, f"{frame}_raw", T_h_raw)
     if odometry is not None:
-        shown["factors"] = zip(FACTORS, odometry.factors(wheels).tolist(), strict=True)
+        shown["factors"] = odometry.factors(wheels).items()
     if uncertainty is not None:
         covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
         order = NINE
         if odometry is not None:
             order, units = _FACTOR_ORDER, odometry.units
-            of_factors = odometry.covariance(wheels, uncertainty.reference_covariance[6:, 6:])
-            shown["factors_std"] = zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True)
+            of_wheels = uncertainty.reference_covariance[6:, 6:]
+            shown["factors_std"] = odometry.factors_std(wheels, of_wheels).items()
             covariance = covariance / np.outer(units, units)
         shown |= {
             "order": order,

@@ -119,17 +119,16 @@ class CalibratedRobot(ReadOnly):
         return np.asarray(~self.knowledge.observable & (np.diag(self.knowledge.covariance) > 0))
 
     @property
-    def factors(self) -> FloatArray:
-        """(5,) factors of the odometry, in the order of `FACTORS`; empty for a robot with wheels."""
-        return np.zeros(0) if self.odometry is None else self.odometry.factors(self.wheels)
+    def factors(self) -> dict[str, float]:
+        """Name → factor of the odometry; empty for a robot with wheels."""
+        return {} if self.odometry is None else self.odometry.factors(self.wheels)
 
     @property
-    def factors_std(self) -> FloatArray:
-        """(5,) standard deviations of `factors`; empty where there are none."""
+    def factors_std(self) -> dict[str, float]:
+        """Standard deviations of `factors`; empty where there are none."""
         if self.odometry is None or self.knowledge is None:
-            return np.zeros(0)
-        covariance = self.odometry.covariance(self.wheels, self.knowledge.covariance[6:, 6:])
-        return np.asarray(np.sqrt(np.diag(covariance)))
+            return {}
+        return self.odometry.factors_std(self.wheels, self.knowledge.covariance[6:, 6:])
 
     def with_assumed(self, wheels: WheelGeometry) -> CalibratedRobot:
         """The same calibration of odometry for other assumed wheels.

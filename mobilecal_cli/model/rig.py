@@ -407,7 +407,7 @@ class Sources:
     @property
     def assumed_wheels(self) -> WheelGeometry | None:
         """Wheels assumed for odometry whose driver's wheels are unknown: results are factors of them."""
-        return next((source.baked_in for source in self.wheels.values() if source.assumed), None)
+        return None if self.assumed_odometry is None else self.assumed_odometry.wheels
 
     @property
     def assumed_odometry(self) -> AssumedOdometry | None:
@@ -473,20 +473,21 @@ class AssumedOdometry:
         """(9,) what one is of each of the nine parameters, with factors in place of the wheels: m for these."""
         return np.concatenate([np.ones(6), self.wheels.vector])
 
-    def factors(self, wheels: WheelGeometry) -> FloatArray:
-        """(5,) factors for estimated wheels, in the order of `FACTORS`."""
-        right, left, separation = wheels.vector / self.wheels.vector
+    def factors(self, wheels: WheelGeometry) -> dict[str, float]:
+        """Each of the `FACTORS` for estimated wheels."""
+        right, left, separation = (wheels.vector / self.wheels.vector).tolist()
         linear = (right + left) / 2
-        return np.array([right, left, separation, linear, linear / separation])
+        return dict(zip(FACTORS, (right, left, separation, linear, linear / separation), strict=True))
 
-    def covariance(self, wheels: WheelGeometry, of_wheels: FloatArray) -> FloatArray:
-        """(5, 5) covariance of the factors, from that of the wheels, (3, 3) m^2, and of the assumed separation."""
-        right, left, separation, linear, _ = self.factors(wheels)
+    def factors_std(self, wheels: WheelGeometry, covariance: FloatArray) -> dict[str, float]:
+        """Standard deviation of each, from the covariance of the wheels, (3, 3) m^2, and of the assumed separation."""
+        right, left, separation, linear, _ = self.factors(wheels).values()
         of_angular = [0.5 / separation, 0.5 / separation, -linear / separation**2]
         J = np.vstack([np.eye(3), [0.5, 0.5, 0.0], of_angular]) / self.wheels.vector
         half = (right - left) / 2 * self.separation_share
         apart = np.array([half, -half, 0.0, 0.0, 0.0])
-        return np.asarray(J @ of_wheels @ J.T + np.outer(apart, apart))
+        of_factors = J @ covariance @ J.T + np.outer(apart, apart)
+        return dict(zip(FACTORS, np.sqrt(np.diag(of_factors)).tolist(), strict=True))
 
 
 #: What odometry is wrong by, in the order of `AssumedOdometry.factors`: as diff_drive_controller takes it, then as

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model.arrays import FloatArray
 from mobilecal_cli.model.rig import CameraInfo
@@ -92,9 +94,7 @@ class BoardView:
         pictures: number of images searched.
         seen: number of images with a whole board of the most frequent size.
         size: (columns, rows) inner corners, None if no size is the most frequent.
-        square_m: side of a square measured with the stereo pair, m: median over the pairs; None if no pair shows the
-            board.
-        squares_m: measured side in each pair, m.
+        squares_m: side of a square measured in each stereo pair that shows the board, m.
         stated_m: side of a square as configured, m; None if it is not.
         other_sizes: number of images that show a board of another size, which is no part of this one.
     """
@@ -102,7 +102,11 @@ class BoardView:
     pictures: int
     seen: int
     size: tuple[int, int] | None
-    square_m: float | None = None
     squares_m: tuple[float, ...] = ()
     stated_m: float | None = None
     other_sizes: int = 0
+
+    @property
+    def square_m(self) -> float | None:
+        """Median of the measured sides, m; None where there are none."""
+        return float(np.median(self.squares_m)) if self.squares_m else None

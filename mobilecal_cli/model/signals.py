@@ -113,24 +113,16 @@ class Signals:
         images: name of each camera → its images.
         notes: irregularities: clocks that step, duplicate stamps, gaps, zero stamps. Whole sentences.
         infos: camera-info topic → calibration in most of its messages, where its first message states another.
-        left_out_ns: name of a camera → times of its images that are not in `images`: another calibration applied.
+        recorded_ns: name of each camera → times of all its images, also of those that are not in `images` because
+            another calibration applied, sorted.
     """
 
     joints: Mapping[str, Track]
     wheels: Mapping[Side, Track]
     images: Mapping[str, PictureIndex]
     notes: tuple[str, ...]
+    recorded_ns: Mapping[str, IntArray]
     infos: Mapping[str, CameraInfo] = field(default_factory=dict)
-    left_out_ns: Mapping[str, IntArray] = field(default_factory=dict)
-
-    @property
-    def recorded_ns(self) -> dict[str, IntArray]:
-        """Name of each camera → times of all its images, sorted."""
-        nothing = np.zeros(0, dtype=np.int64)
-        return {
-            name: np.sort(np.concatenate([index.time_ns, self.left_out_ns.get(name, nothing)]))
-            for name, index in self.images.items()
-        }
 
 
 @dataclass(frozen=True, slots=True)

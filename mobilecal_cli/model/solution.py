@@ -335,6 +335,12 @@ class Solution:
         errors = f"point error {1e3 * self.point_rms_m:.3g} mm, {self.reprojection_rms_px:.3g} px"
         return f"Solution({self.method!r}, {errors}, {len(self.outliers)} outliers)"
 
+    @property
+    def T_h_reference(self) -> FloatArray:
+        """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
+        T: FloatArray = self.parameters.T_h_c @ self.cameras.T_c_reference
+        return T
+
 
 @dataclass(frozen=True, slots=True)
 class Provenance:

@@ -20,15 +20,12 @@ _GLANCE_BYTES = 2**25
 
 
 def read_images(
-    recording: Recording,
-    image_topics: Mapping[str, str],
-    wanted: Mapping[str, PictureIndex],
-    layout: StereoLayout = "separate",
+    recording: Recording, sources: Sources, wanted: Mapping[str, PictureIndex]
 ) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
     """Selected images, one at a time, in the order of the recording.
 
     Args:
-        image_topics: image topic of each camera.
+        sources: topics of the images, and their layout.
         `wanted`: rows of the index of each camera's images.
 
     Yields:
@@ -39,16 +36,16 @@ def read_images(
     """
     missing: dict[str, dict[tuple[int, int], list[tuple[str, int]]]] = {}
     for name, index in wanted.items():
-        places = missing.setdefault(image_topics[name], {})
+        places = missing.setdefault(sources.image[name], {})
         for time_ns, *place in zip(
             *(a.tolist() for a in (index.time_ns, index.log_ns, index.stamp_ns)), strict=True
         ):
             places.setdefault(tuple(place), []).append((name, time_ns))
     if not any(index.sequential for index in wanted.values()):
         logged = np.unique(np.concatenate([index.log_ns for index in wanted.values()]))
-        yield from _read(recording, missing, layout, Extent(at_ns=logged))
+        yield from _read(recording, missing, sources.layout, Extent(at_ns=logged))
     if any(missing.values()):  # video, or a wrong index
-        yield from _read(recording, missing, layout, EVERYTHING)
+        yield from _read(recording, missing, sources.layout, EVERYTHING)
 
 
 def _read(

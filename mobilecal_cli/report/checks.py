@@ -452,11 +452,11 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
     sources = made.extraction.rig.sources
     if sources.assumed_odometry is not None:
-        values = sources.assumed_odometry.factors(wheels)
+        values = sources.assumed_odometry.factors(wheels).items()
         cure = (
             "Check the wheel radius and the wheel separation in the driver, and board.square_m in rig.yaml."
         )
-        for metric, name, value in zip(metrics, FACTORS, values.tolist(), strict=False):
+        for metric, (name, value) in zip(metrics, values, strict=False):
             off, slips = 100 * (value - 1), metric is metrics[2] and 1 <= value <= _MOST_EFFECTIVE
             yield metric.check(
                 off, _SIZE_BAD, f"{name.replace('_', ' ')} against 1", cure,

@@ -17,7 +17,6 @@ from mobilecal_cli.model import (
     CalibratedRobot,
     Evaluation,
     Extraction,
-    FloatArray,
     Parameters,
     Solution,
 )
@@ -25,7 +24,7 @@ from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
-from mobilecal_cli.report.numbers import reference_pose, std_text, value_text
+from mobilecal_cli.report.numbers import DEG, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
 from mobilecal_cli.report.verdict import Verdict, decided_by
 
@@ -154,7 +153,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
     uncertainty = own.uncertainty
     assert uncertainty is not None  # the default method always has one
     # Difference in deg, mm and percent, (9,), and its covariance, (9, 9).
-    estimate = Parameters(reference_pose(own.parameters, own.cameras), own.parameters.wheels)
+    estimate = Parameters(own.T_h_reference, own.parameters.wheels)
     scales = np.array([*[180 / np.pi] * 3, *[1e3] * 3, *(100 / estimate.wheels.vector)])
     change = Parameters(robot.T_parent_child, robot.wheels).minus(estimate) * scales
     covariance = uncertainty.reference_covariance.copy()
@@ -226,30 +225,24 @@ class LegErrorData(JsonValue):
     translation_mm: float
 
 
-class LegErrors(JsonValue):
-    """Errors on each leg, (legs,): px, degrees and mm."""
-
-    reprojection_px: FloatArray
-    rotation_deg: FloatArray
-    translation_mm: FloatArray
+def _legs(evaluation: Evaluation) -> tuple[LegErrorData, ...]:
+    errors = evaluation.reprojection_px, evaluation.rotation_rad * DEG, evaluation.translation_m * 1e3
+    return tuple(
+        LegErrorData(
+            log=log, from_station=i, to_station=j, reprojection_px=px, rotation_deg=deg, translation_mm=mm
+        )
+        for (log, i, j), px, deg, mm in zip(
+            *(each.tolist() for each in (evaluation.legs, *errors)), strict=True
+        )
+    )
 
 
 def _spread(name: str) -> Any:  # noqa: ANN401
     def of(evaluation: Evaluation) -> SpreadData:
-        values = getattr(like(LegErrors, evaluation), name)
+        values = np.array([getattr(leg, name) for leg in _legs(evaluation)])
         return SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
 
     return by(of)
-
-
-def _legs(evaluation: Evaluation) -> tuple[LegErrorData, ...]:
-    errors = {name: each.tolist() for name, each in vars(like(LegErrors, evaluation)).items()}
-    return tuple(
-        LegErrorData(
-            log=log, from_station=i, to_station=j, **{name: each[k] for name, each in errors.items()}
-        )
-        for k, (log, i, j) in enumerate(evaluation.legs.tolist())
-    )
 
 
 class EvaluationData(JsonValue):

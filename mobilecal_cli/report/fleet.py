@@ -55,6 +55,11 @@ class FleetRow:
     seconds: float = 0.0
 
 
+def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
+    """The rows of robots, without entries that were skipped."""
+    return [row for row in rows if row.verdict != "SKIPPED"]
+
+
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
     """Parameters, (n, 9), and standard deviations, (n, 9), in deg and mm, NaN where there are none.
 
@@ -134,24 +139,22 @@ def _cell(value: str | float) -> str:
 
 def fleet_json(rows: Sequence[FleetRow]) -> str:
     """The lines of the robots as JSON, with the exit code of the batch: the largest."""
-    robots = [line for line in _columns(rows) if line["verdict"] != "SKIPPED"]
+    robots = _columns(robots_of(rows))
     content = {"exit_code": max(line["exit_code"] for line in robots), "robots": robots}
     return json_text(content, sort_keys=False)
 
 
 def fleet_html(rows: Sequence[FleetRow]) -> str:
     """The table as an HTML page with links to the reports."""
-    numbers, std = fleet_numbers(rows)
-    out = standing_out(rows)
-    lines = []
-    for row, values, sigmas in zip(rows, numbers, std, strict=True):
+    robots = robots_of(rows)
+    out, lines = standing_out(robots), []
+    for row, values, sigmas in zip(robots, *fleet_numbers(robots), strict=True):
         texts = [
             value_text(value, s, 2) if np.isfinite(value) else ""
             for value, s in zip(values, sigmas, strict=True)
         ]
         stds = [f"± {std_text(sigma)}" if np.isfinite(sigma) else "" for sigma in sigmas]
-        if row.verdict != "SKIPPED":
-            lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
+        lines.append((row, zip(NINE, texts, stds, strict=True), out.get(row.name, ())))
     levels = ("PASS", "FAIL", "NOT ENOUGH", "GATE FAILED", "ERROR")
     return template("fleet.html.jinja").render(
         lines=lines,
@@ -171,9 +174,7 @@ def fleet_text(rows: Sequence[FleetRow]) -> str:
     out = standing_out(rows)
     width = max(len(visible(row.name)) for row in rows)
     lines = []
-    for row in rows:
-        if row.verdict == "SKIPPED":
-            continue
+    for row in robots_of(rows):
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<11}  {visible(row.reason)}{marks}")
         if row.hint and row.verdict != "PASS":

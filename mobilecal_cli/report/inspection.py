@@ -97,9 +97,9 @@ class Finding:
     exit_code: int = 0
 
     @classmethod
-    def of(cls, about: str, error: MobilecalError) -> Finding:
-        """An error that prevents a calibration."""
-        return cls(about, "problem", error.message, error.hint, error.exit_code)
+    def of(cls, about: str, error: MobilecalError, *, prevents: bool = True) -> Finding:
+        """An error that prevents a calibration, or only limits it."""
+        return cls(about, "problem" if prevents else "limit", error.message, error.hint, error.exit_code)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
-from mobilecal_cli.report.fleet import FleetRow
+from mobilecal_cli.report.fleet import FleetRow, robots_of
 from mobilecal_cli.report.verdict import LEVELS, Verdict
 
 
@@ -35,12 +35,12 @@ def junit_error_xml(name: str, error: MobilecalError) -> bytes:
 
 def junit_fleet_xml(name: str, rows: Sequence[FleetRow]) -> bytes:
     """A test suite of a directory of recordings: each robot is a case, an error if it has no result."""
-    tags, robots = {"PASS": "", "ERROR": "error"}, [row for row in rows if row.verdict != "SKIPPED"]
+    tags = {"PASS": "", "ERROR": "error"}
     cases = [
         _case(r.name, tags.get(r.verdict, "failure"), r.reason, r.verdict.lower(), r.hint, seconds=r.seconds)
-        for r in robots
+        for r in robots_of(rows)
     ]
-    return _xml(name, cases, sum(row.seconds for row in robots))
+    return _xml(name, cases, sum(row.seconds for row in rows))
 
 
 def is_junit(path: Path) -> bool:

@@ -18,10 +18,8 @@ from mobilecal_cli.model import (
     FACTORS,
     NINE,
     WHEEL_WORDS,
-    CameraRig,
     Extraction,
     FloatArray,
-    Parameters,
     Rig,
     Solution,
     WheelGeometry,
@@ -145,7 +143,7 @@ class NumberData(JsonValue):
 
 def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
-    T, uncertainty = reference_pose(solution.parameters, solution.cameras), solution.uncertainty
+    T, uncertainty = solution.T_h_reference, solution.uncertainty
     values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
     stds = reference_std(solution) or (None,) * len(PARAMETERS)
     states = [""] * len(PARAMETERS)
@@ -190,22 +188,15 @@ def stations_text(extraction: Extraction) -> str:
     return f"{used} of {searched}{f' ({said})' if said and used < searched else ''}"
 
 
-def reference_pose(parameters: Parameters, cameras: CameraRig) -> FloatArray:
-    """Head-eye transform of the reference camera, (4, 4): camera coordinates to head coordinates, m."""
-    T: FloatArray = parameters.T_h_c @ cameras.T_c_reference
-    return T
-
-
 def odometry_factors(rig: Rig, solution: Solution) -> dict[str, tuple[float, float | None]]:
     """Name → value and standard deviation of the factors of odometry; empty for robots with wheels."""
     assumed, uncertainty = rig.sources.assumed_odometry, solution.uncertainty
     if assumed is None:
         return {}
-    wheels = solution.parameters.wheels
-    values, std = assumed.factors(wheels), [None] * len(FACTORS)
+    wheels, std = solution.parameters.wheels, dict[str, float]()
     if uncertainty is not None:
-        std = np.sqrt(np.diag(assumed.covariance(wheels, uncertainty.reference_covariance[6:, 6:]))).tolist()
-    return {name: (value, s) for name, value, s in zip(FACTORS, values.tolist(), std, strict=True)}
+        std = assumed.factors_std(wheels, uncertainty.reference_covariance[6:, 6:])
+    return {name: (value, std.get(name)) for name, value in assumed.factors(wheels).items()}
 
 
 def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray | None]:
@@ -214,7 +205,7 @@ def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray 
     None if any part of the rotation is fixed by the user; the second also near gimbal lock. The covariance is that of a
     small rotation r about the head's axes: `R_true = exp(r) R`.
     """
-    R, uncertainty = reference_pose(solution.parameters, solution.cameras)[:3, :3], solution.uncertainty
+    R, uncertainty = solution.T_h_reference[:3, :3], solution.uncertainty
     if uncertainty is None or None in reference_std(solution)[:3]:
         return None, None
     C = uncertainty.reference_covariance[:3, :3]

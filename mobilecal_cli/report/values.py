@@ -58,7 +58,6 @@ from mobilecal_cli.report.numbers import (
     image_coverage,
     numbers_of,
     odometry_factors,
-    reference_pose,
     rejection_counts,
     rotation_std_deg,
     stations_looked_at,
@@ -90,7 +89,7 @@ class ParametersData(JsonValue):
 
 def _nine(case: Case, parameters: Parameters) -> ParametersData:
     """Parameters with the pose of the reference camera; with odometry alone nobody measured the wheels."""
-    T, wheels = reference_pose(parameters, case.solution.cameras), parameters.wheels
+    T, wheels = parameters.T_h_c @ case.solution.cameras.T_c_reference, parameters.wheels
     odometry = case.extraction.rig.sources.assumed_wheels is not None
     lock_deg, (x_mm, y_mm, z_mm) = se3.gimbal_margin_deg(T[:3, :3]), (T[:3, 3] * 1e3).tolist()
     return ParametersData(
@@ -448,7 +447,7 @@ class RobotData(JsonValue):
 
     base_frame: str = by(lambda case: case.extraction.rig.chain.base_frame)
     frames: tuple[FrameData, ...] = by(_frames)
-    camera: Matrix = by(lambda case: reference_pose(case.solution.parameters, case.solution.cameras)[:3])
+    camera: Matrix = by(lambda case: case.solution.T_h_reference[:3])
     nominal_camera: Matrix | None = by(_nominal_camera)
 
 

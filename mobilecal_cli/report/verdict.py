@@ -37,6 +37,11 @@ class Verdict:
     next_step: str
     checks: Annotated[Checks, json_as(tuple[Check, ...])]
 
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """One sentence or two for each criterion that is not met; none for PASS."""
+        return tuple(check.why for check in self.checks if check.outcome in LEVELS)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Case(Calibration):
@@ -80,11 +85,6 @@ def decided_by(check: Check, checks: Checks) -> Verdict:
     level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
     return Verdict(level, check.why, check.next_step + first, checks)
-
-
-def reasons_of(verdict: Verdict) -> tuple[str, ...]:
-    """One sentence or two for each criterion that is not met; none for PASS."""
-    return tuple(check.why for check in verdict.checks if check.outcome in LEVELS)
 
 
 _USE_GATES = frozenset(figure.name for figure in FIGURES)

@@ -11,6 +11,7 @@ import tempfile
 import time
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 from mobilecal_cli import calibrate as progress
@@ -45,11 +46,11 @@ def main(asked: Study) -> None:
         logs.mkdir()
         with ProcessPoolExecutor(2) as pool:
             list(pool.map(_record, [logs / f"robot_{n:02}.mcap" for n in range(robots)], range(robots)))
-        began = time.perf_counter()
-        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
+        began, here = time.perf_counter(), partial(fleet.in_processes, count=2)
+        fleet.batch(logs, folder / "here", run=here)
         here_s = time.perf_counter() - began
         began = time.perf_counter()
-        fleet.batch(logs, folder / "here", run=fleet.run_locally(2))
+        fleet.batch(logs, folder / "here", run=here)
         again_s = time.perf_counter() - began
         kept: dict[str, int] = {}
         with local_cluster(folder, workers=2) as (address, workers):
@@ -61,7 +62,8 @@ def main(asked: Study) -> None:
                     kept.update(_records(folder / "cluster"))
 
             began = time.perf_counter()
-            fleet.batch(logs, folder / "cluster", run=fleet.run_on(address), progress=progress)
+            there = partial(fleet.on_cluster, address=address)
+            fleet.batch(logs, folder / "cluster", run=there, progress=progress)
             cluster_s = time.perf_counter() - began
         tables = [(folder / run / "summary.csv").read_text(encoding="utf-8") for run in ("here", "cluster")]
         verdicts = Counter(row["verdict"] for row in csv.DictReader(tables[0].splitlines()))

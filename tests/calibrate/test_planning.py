@@ -74,7 +74,9 @@ def planned(paths):
     """The plan and its notes; each image shows its own time, so that the chosen ones can be checked."""
     with open_recording(paths) as recording:
         (plan,), _, notes = plan_recording(recording, RIG)
-        found = {(side, ns): image[0, 0] for side, ns, image in read_images(recording, IMAGES, plan.images)}
+        found = {
+            (side, ns): image[0, 0] for side, ns, image in read_images(recording, RIG.sources, plan.images)
+        }
         assert recording.damage == ()
     pairs = [pair.times_ns for station in plan.stations for pair in station.shots]
     keys = [(side, pair[k]) for pair in pairs for k, side in enumerate(IMAGES)]

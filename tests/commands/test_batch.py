@@ -8,13 +8,14 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
-from mobilecal_cli.calibrate.batch import FleetJob, run_on
+from mobilecal_cli.calibrate.batch import FleetJob, on_cluster
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export import extraction_to_npz, write_outputs
@@ -116,9 +117,8 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     ]
 
 
-def in_this_process(jobs, done):
-    for job in jobs:
-        done(batch_module.run_job(job))
+def in_this_process(jobs):
+    return map(batch_module.run_job, jobs)
 
 
 def test_a_bug_is_an_error_of_its_robot(fleet, tmp_path, monkeypatch):
@@ -142,7 +142,7 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
             then.update(records(out))
 
     with local_cluster(tmp_path, workers=2) as (address, workers):
-        rows = batch_module.batch(fleet, out, run=run_on(address), progress=progress)
+        rows = batch_module.batch(fleet, out, run=partial(on_cluster, address=address), progress=progress)
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
     assert len(then) >= 3
@@ -152,24 +152,27 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
 
 def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
     with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
-        batch_module.batch(fleet, tmp_path / "out", run=run_on("tcp://127.0.0.1:9", timeout_s=1.0))
+        batch_module.batch(
+            fleet, tmp_path / "out", run=partial(on_cluster, address="tcp://127.0.0.1:9", timeout_s=1.0)
+        )
     with socket.create_server(("127.0.0.1", 0)) as server:  # it accepts, and that is all
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with pytest.raises(ConfigError, match=r"cannot connect to the scheduler: no answer within 0\.5 s"):
-            batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=0.5))
+            batch_module.batch(
+                fleet, tmp_path / "out", run=partial(on_cluster, address=address, timeout_s=0.5)
+            )
     assert not (tmp_path / "out").exists()
     (tmp_path / "cluster").mkdir()
     refused = pytest.raises(ConfigError, match=r"the scheduler has no workers after 1 s")
     with local_cluster(tmp_path / "cluster", workers=0) as (address, _), refused:
-        batch_module.batch(fleet, tmp_path / "out", run=run_on(address, timeout_s=1.0))
+        batch_module.batch(fleet, tmp_path / "out", run=partial(on_cluster, address=address, timeout_s=1.0))
     assert not (tmp_path / "out").exists()
 
 
 def test_a_process_that_dies_takes_no_other_along(tmp_path, monkeypatch):
     jobs = [FleetJob(f"r{n}", (), None, tmp_path) for n in range(3)]
     monkeypatch.setattr(batch_module, "run_job", die_or_answer)
-    rows = []
-    batch_module.run_locally(2)(jobs, rows.append)
+    rows = list(batch_module.in_processes(jobs, 2))
     assert sorted(row.name for row in rows) == ["r0", "r1", "r2"]
     verdicts = {row.name: row.verdict for row in rows}
     assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS"}
@@ -205,9 +208,7 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
     (folder / "notes.txt").write_text("monday", encoding="utf-8")
     (folder / "empty").mkdir()
     (folder / ".hidden").write_bytes(b"")
-    rows = batch_module.batch(
-        folder, out, run=lambda jobs, done: [done(FleetRow(j.name, "PASS", 0, "")) for j in jobs]
-    )
+    rows = batch_module.batch(folder, out, run=lambda jobs: [FleetRow(j.name, "PASS", 0, "") for j in jobs])
     assert [(row.name, row.verdict, row.skipped) for row in rows] == [
         ("paper_robot", "PASS", ""),
         ("empty", "SKIPPED", "no recording"),

@@ -81,7 +81,7 @@ def _read(path: Path) -> None:
         description = read_description(recording)
         survey_rig(load_rig(None, {}), description)
         for signals in read_signals(recording, r.SOURCES, r.JOINTS):
-            for _ in read_images(recording, r.SOURCES.image, signals.images):
+            for _ in read_images(recording, r.SOURCES, signals.images):
                 pass
         sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
         for _ in pictures_near(recording, sources, [recording.start_ns or 0]):

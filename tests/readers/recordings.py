@@ -81,7 +81,7 @@ def read_images(recording, image_topics, stamps, layout="separate"):
         stamp_ns = np.array(sorted(stamp for stamp in some if stamp in places), dtype=np.int64)
         log_ns = np.array([places[stamp][0] for stamp in stamp_ns.tolist()], dtype=np.int64)
         wanted[side] = PictureIndex(stamp_ns, stamp_ns, log_ns, any(video for _, video in places.values()))
-    return readers.read_images(recording, image_topics, wanted, layout)
+    return readers.read_images(recording, Sources(image_topics, {}, (), {}, layout=layout), wanted)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str = "") -> Any:

@@ -65,7 +65,7 @@ def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatc
             load = part.load
             monkeypatch.setattr(part, "load", lambda block, load=load: (loaded.append(block), load(block))[1])
     wanted = {side: signals.images[side].rows(np.array([1, 4])) for side in ("left", "right")}
-    found = {(side, ns): p for side, ns, p in read_images(recording, r.SOURCES.image, wanted)}
+    found = {(side, ns): p for side, ns, p in read_images(recording, r.SOURCES, wanted)}
     assert set(found) == {(side, ns) for side, index in wanted.items() for ns in index.time_ns.tolist()}
     for k in (1, 4):
         left, right = (found[side, int(signals.images[side].time_ns[k])] for side in ("left", "right"))
@@ -82,7 +82,7 @@ def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
     for part in recording.parts:
         if isinstance(part, BlockStorage):
             part.blocks = [replace(block, end_ns=block.start_ns) for block in part.blocks]
-    found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES.image, signals.images)]
+    found = [(side, ns) for side, ns, _ in read_images(recording, r.SOURCES, signals.images)]
     expected = {side: index.time_ns.tolist() for side, index in signals.images.items()}
     assert sorted(found) == sorted((side, ns) for side, stamps in expected.items() for ns in stamps)
 

@@ -14,7 +14,6 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import FixedLink, JointLink, LogSource, Nominal, Outlier, Rejection
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import FleetRow, fleet_html
-from mobilecal_cli.report.numbers import reference_pose
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
@@ -181,7 +180,7 @@ def test_the_robot_stands_as_its_chain_says(browser, tmp_path):
     said = browser.evaluate("document.getElementById('picked').textContent")
     T_v_h = head_pose(chain, joints)
     for label, T in (
-        ("estimated", reference_pose(solution.parameters, solution.cameras)),
+        ("estimated", solution.T_h_reference),
         ("nominal", T_nominal),
     ):
         numbers = re.search(rf"{label} camera at ([-\d., ]+) m", said).group(1)

@@ -37,7 +37,7 @@ def todo(draft, needed=True):
 
 
 def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
-    values = {"pictures": 12, "seen": seen, "size": (9, 6), "square_m": 0.08, "squares_m": squares_m}
+    values = {"pictures": 12, "seen": seen, "size": (9, 6), "squares_m": squares_m}
     return BoardView(**(values | changes))
 
 
@@ -113,7 +113,7 @@ def test_the_joint_positions_are_those_of_the_urdf():
     [
         (board(seen=2), "2 of 12 images show a whole board of 9 x 6;"),
         (board(other_sizes=1), "show a whole board of 9 x 6, 1 a board of another size;"),
-        (board(seen=0, size=None, squares_m=(), square_m=None), "0 of 12 images show a whole checkerboard"),
+        (board(seen=0, size=None, squares_m=()), "0 of 12 images show a whole checkerboard"),
     ],
 )
 def test_a_board_that_is_not_certain_is_asked_for(seen, words):
@@ -130,14 +130,14 @@ def test_a_board_that_is_not_certain_is_asked_for(seen, words):
 def test_the_size_of_the_squares_is_a_suggestion(measured_m, likely_m):
     """The nearest millimeter, if it is within the error of the measurement."""
     sides = (measured_m, measured_m * 1.001, measured_m * 0.999)
-    draft = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
+    draft = drafted(description(), board=board(squares_m=sides))
     assert f"# square_m: {likely_m:g}\n" in draft.text
     assert f"Suggestion: {likely_m * 1e3:g} mm ({measured_m * 1e3:.2f} mm by" in " ".join(
         map(str, draft.todo)
     )
     assert loaded(draft).board.square_m is None
     sides = (measured_m, measured_m * 1.05, measured_m)
-    scattered = drafted(description(), board=board(square_m=measured_m, squares_m=sides))
+    scattered = drafted(description(), board=board(squares_m=sides))
     assert "Suggestion" not in scattered.text
 
 

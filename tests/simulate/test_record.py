@@ -47,7 +47,7 @@ def contents(path: Path, scenario: Scenario):
     with open_recording([path]) as recording:
         description = read_description(recording)
         (signals,) = read_signals(recording, sources, robot.joint_names)
-        found = read_images(recording, sources.image, signals.images)
+        found = read_images(recording, sources, signals.images)
         pictures = {f"{side} {stamp}": image for side, stamp, image in found}
     return description, signals, pictures
 

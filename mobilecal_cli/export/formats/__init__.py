@@ -17,7 +17,7 @@ from pathlib import Path
 from mobilecal_cli import se3
 from mobilecal_cli.export.scene import Scene
 from mobilecal_cli.export.text import comment, rendered
-from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot, Extraction
+from mobilecal_cli.model import NINE, CalibratedRobot, Extraction
 from mobilecal_cli.model.text import visible
 
 CONVENTION = (
@@ -121,7 +121,7 @@ def head_eye_text(robot: CalibratedRobot, template: str, **values: str) -> str:
         translation_m=T[:3, 3].tolist(),
         quaternion_xyzw=se3.quaternion_xyzw(T[:3, :3]).tolist(),
         rpy_rad=se3.to_rpy(T[:3, :3]).tolist(),
-        factors=dict(zip(FACTORS, robot.factors.tolist(), strict=False)),
+        factors=robot.factors,
         **values,
     )
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
-from mobilecal_cli.export.improved import camera_constants, cameras_with_notes
+from mobilecal_cli.export.improved import improved_cameras
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, CameraRig
 
@@ -19,7 +19,7 @@ _KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equid
 def export(of: Source) -> Exported:
     """The cameras as estimated, in the format of Kalibr"""
     rig = of.measurements().rig
-    cameras, notes = cameras_with_notes(rig, camera_constants(rig, of.robot.constants or {}), kalibr=True)
+    cameras, notes = improved_cameras(rig, of.robot.constants or {}, kalibr=True)
     return Exported(camchain_yaml(cameras, rig.sources.image).encode(), notes)
 
 

@@ -8,18 +8,17 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
-from mobilecal_cli.export.improved import camera_constants, cameras_with_notes, rectified_pair
+from mobilecal_cli.export.improved import camera_constants, improved_cameras, rectified_pair
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera
 
 
 def export(of: Source, camera: str | None = None) -> Exported:
     """The camera as estimated (`--camera`: another than the reference), with new R and P; only for raw images"""
-    rig = of.measurements().rig
-    changed = camera_constants(rig, of.robot.constants or {})
-    cameras, notes = cameras_with_notes(rig, changed)
+    rig, constants = of.measurements().rig, of.robot.constants or {}
+    cameras, notes = improved_cameras(rig, constants)
     what = "the stereo pair was" if cameras.calibrated else "the cameras were"
-    if not changed:
+    if not camera_constants(rig, constants):
         raise ConfigError(
             f"{of.params}: {what} not estimated, so its camera_info does not change",
             "calibrate extraction.npz again with this version, --method ml, and priors that are not fixed",

@@ -47,8 +47,8 @@ def _wheels(robot: CalibratedRobot) -> dict[str, Any]:
     return {
         "odometry": {
             "topic": robot.odometry.topic,
-            **dict(zip(FACTORS, robot.factors.tolist(), strict=True)),
-            "std": dict(zip(FACTORS, robot.factors_std.tolist(), strict=False)),
+            **robot.factors,
+            "std": robot.factors_std,
             "assumed_separation_m": robot.odometry.wheels.separation_m,
         },
         "order": [*NINE[:6], *FACTORS[:3]],

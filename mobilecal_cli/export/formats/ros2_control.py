@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import FACTORS, SIDES, CalibratedRobot, Side
+from mobilecal_cli.model import SIDES, CalibratedRobot, Side
 
 
 def export(of: Source, wheel_joints: Mapping[Side, str]) -> Exported:
@@ -48,6 +48,6 @@ def diff_drive_yaml(robot: CalibratedRobot, joints: Mapping[Side, str]) -> str:
         separation_m=sizes.separation_m,
         no_radius=no_radius,
         no_separation=no_separation,
-        factors=dict(zip(FACTORS, robot.factors.tolist(), strict=False)),
-        std=dict(zip(FACTORS, robot.factors_std.tolist(), strict=False)),
+        factors=robot.factors,
+        std=robot.factors_std,
     )

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
@@ -96,41 +96,23 @@ def read_signals(
             own_notes,
         )
         indices: dict[str, PictureIndex] = {}
-        left_out_ns: dict[str, IntArray] = {}
+        recorded_ns: dict[str, IntArray] = {}
         for name, camera in images.items():
             index = camera.index(samples[camera], own_notes)
             usual = infos.usual_at(sources.info.get(name, ""), index.log_ns)
-            indices[name], left_out_ns[name] = index.rows(usual), np.delete(index.time_ns, usual)
+            indices[name], recorded_ns[name] = index.rows(usual), index.time_ns
             if not len(indices[name].time_ns):
                 raise RecordingError(
                     f"{camera.series.topic}: no usable images", "record all cameras the whole time"
                 )
         for side, track in wheels.items():
             own_notes += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(own_notes), infos.corrected, left_out_ns)
+        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, infos.corrected)
 
-    return _usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of, notes)
-
-
-def _usable(
-    pieces: Sequence[Mapping[Source, Samples]],
-    signals_of: Callable[[Mapping[Source, Samples]], Signals],
-    notes: list[str],
-) -> tuple[Signals, ...]:
-    """Signals of the pieces that have all readings; the notes are added to the first of them.
-
-    Raises:
-        RecordingError: that of the first piece, if none has.
-    """
-    usable: list[Signals] = []
-    problems: list[RecordingError] = []
-    for number, piece in enumerate(pieces, 1):
-        try:
-            usable.append(signals_of(piece))
-        except RecordingError as error:
-            problems.append(error)
-            notes.append(f"piece {number} of {len(pieces)} of the recording is not used: {error.message}")
-    if not usable:
-        raise problems[0]
-    first, *others = usable
+    logs, problems = usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of)
+    notes += (
+        f"piece {number} of {len(pieces)} of the recording is not used: {error.message}"
+        for number, error in problems.items()
+    )
+    first, *others = logs
     return (replace(first, notes=tuple(dict.fromkeys([*notes, *first.notes]))), *others)
