@@ -72,7 +72,7 @@ class Tolerances:
 
 
 _COARSE, _QUICK = Tolerances(0.1, NEAR), Tolerances(0.1, 1e-3)
-FINE = Tolerances(0.015, NEAR)
+FINE = Tolerances(0.005, NEAR)
 _HELD = 2.0
 
 
@@ -363,10 +363,11 @@ class Inference:
         return worst, replace(fit, lin=lin)
 
     def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump with which several outliers of a recording fit the others, and the fit without it.
+        """The jump with which most outliers of a recording, several, fit the others, and the fit without it.
 
         All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
-        the legs beside outlier stations, the images agree better; the jump then explains these measurements.
+        the legs beside outlier stations, the images agree better; the jump then explains these measurements. It
+        explains few of those that are scattered over the recording.
         """
         was = fit.inliers
         images = replace(
@@ -376,7 +377,8 @@ class Inference:
             legs=fit.sure_legs,
         )
         everything = fit.lin.with_inliers(replace(images, legs=np.ones_like(was.legs)))
-        if outliers.restored(was, replace(fit, lin=everything)).max() < _SEVERAL:
+        every = outliers.restored(was, replace(fit, lin=everything))
+        if every.max() < _SEVERAL:
             return None
         try:
             lin = to_first_order(self.refit(fit, images).lin.with_inliers(everything.inliers))
@@ -387,8 +389,9 @@ class Inference:
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
-        explained = outliers.restored(was, without, agreeing=True)[self.data.log[jump.station]]
-        return (jump, without) if explained >= _SEVERAL else None
+        log = self.data.log[jump.station]
+        explained = outliers.restored(was, without, agreeing=True)[log]
+        return (jump, without) if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
 
     def _levels_near(
         self, lin: Posterior, tolerance: float, kept: frozenset[str] = frozenset()

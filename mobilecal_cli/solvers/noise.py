@@ -30,6 +30,7 @@ _TOO_NARROW, _ALL_TOO_NARROW = 1.0, 1.5
 _SHOWN, _WIDEST = 0.01, 1e3
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 5, 3.0, 0.3
+_FURTHER = 1.8  # times the step of its fixed point that a prior's scale moves: below 2 it converges
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -129,8 +130,21 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
             spread = np.maximum(spread, EXACT**2)
             innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
             score -= np.sum(np.log(spread) + innovation / spread, axis=1)
-        lengths_m[length] = min(max(float(tried[np.argmax(score)]), _LEAST[length]), _MOST[length])
+        likeliest = float(np.exp(_maximum(np.log(tried), score)))
+        lengths_m[length] = min(max(likeliest, _LEAST[length]), _MOST[length])
     return lengths_m
+
+
+def _maximum(x: FloatArray, y: FloatArray) -> float:
+    """Where y is largest, by a parabola through the largest value and its neighbors; x is evenly spaced.
+
+    A fixed point that moves in steps of x is not found by acceleration, and hangs on rounding.
+    """
+    k = min(max(int(np.argmax(y)), 1), len(y) - 2)
+    before, at, after = y[k - 1 : k + 2].tolist()
+    bend = before - 2 * at + after
+    offset = (before - after) / (2 * bend) if bend < 0 else 0.0
+    return float(x[k] + min(max(offset, -1.0), 1.0) * (x[1] - x[0]))
 
 
 def estimated(noise: Noise, shown: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
@@ -222,7 +236,7 @@ class LevelSearch:
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
         kinds = np.array([name in shown.wider for name in names])
-        step = np.where(kinds, change, step)  # where two explain the same, neither is preferred
+        step = np.where(kinds, _FURTHER * change, step)  # where two explain the same, neither is preferred
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)
         return noise.with_levels(
