@@ -202,6 +202,26 @@ def test_a_recording_without_full_motion_and_a_wrong_fixed_value_is_no_mistake_o
     assert found.diagnosis is None
 
 
+@pytest.mark.parametrize(
+    ("case", "seed"),
+    [
+        (imperfect.Case(stations=40), 2),
+        pytest.param(imperfect.Case(motion="moving"), 5, marks=pytest.mark.long),
+    ],
+)
+def test_slips_that_are_scattered_are_no_jump(case, seed):
+    """A jump that explained two of eight was named: "the board moved by 185 mm and 4.8 degrees"."""
+    extraction = case.drawn(noise=imperfect.CORRELATED).extraction(seed)
+    random = np.random.default_rng(seed)
+    for leg in random.choice(len(extraction.observations) - 1, 8, replace=False).tolist():
+        turn = random.choice([-1, 1]) * random.uniform(0.05, 0.3)
+        extraction = slipped(extraction, leg, *((turn, 0.0) if random.random() < 0.5 else (0.0, turn)))
+    solution = solve(extraction)
+    assert len([o for o in solution.outliers if o.kind == "slip"]) >= 7
+    assert not solution.jumps
+    assert judge(solution, extraction).level == "PASS"
+
+
 def test_many_outliers_of_a_kind_are_noise():
     """Pan and tilt read wrong by about a degree at half of the stations, where 0.05 degrees are usual."""
     extraction, random = recorded("standard", 1), np.random.default_rng(0)
