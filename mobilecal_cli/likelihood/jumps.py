@@ -42,8 +42,8 @@ class Jump:
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
         sigmas: standard deviations of a normal distribution with the same chance, for the best of all that were tried.
-        shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
-            deviations.
+        shift_sigmas: how far the jump moves the nine parameters, or is itself in their units or those of the camera's
+            pose: the largest, in standard deviations.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
             own frame (rad, m), rotation and position of a camera against the first one (rad, m), m of the radius, or
             constants of the board, in units of a few prior sigmas.
@@ -83,14 +83,8 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
     parts["board"] = of_images(delta, se3.adjoint(board_in_camera(data, lin.state)))
-    for camera, name in enumerate(data.cameras.names[1:], 1):
-        own = [
-            k
-            for k, effect in enumerate(effects, 6)
-            if isinstance(effect, CameraEffect) and effect.camera == camera and effect.of in POSE
-        ]
-        if own:
-            parts[camera_words(name)] = of_images(own, np.eye(len(own)))
+    for name, own in _poses(lin).items():
+        parts[name] = of_images([6 + k for k in own], np.eye(len(own)))
     shape = [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect)]
     if shape and data.logs > 1:
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
@@ -100,6 +94,15 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
         by_wheel = lin.legs.by_shared[:, :, k : k + 1]
         parts[f"{side} wheel"] = _Part(np.zeros((*views.gradient.shape, 1)), by_wheel)
     return parts
+
+
+def _poses(lin: Posterior) -> dict[str, list[int]]:
+    """Camera → which of the direct constants are its pose in the first camera."""
+    names, poses = lin.data.cameras.names, dict[str, list[int]]()
+    for k, (_, _, effect) in enumerate(lin.data.layout.direct):
+        if isinstance(effect, CameraEffect) and effect.camera and effect.of in POSE:
+            poses.setdefault(camera_words(names[effect.camera]), []).append(k)
+    return poses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,11 +218,12 @@ def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump
         jump: from `again`.
     """
     moved = lin.state.parameters.minus(written.state.parameters)
-    return max(_in_sigmas(moved, np.diag(covariance)[:9]), _own_sigmas(lin.covariance, jump))
+    return max(_in_sigmas(moved, np.diag(covariance)[:9]), _own_sigmas(lin, jump))
 
 
-def _own_sigmas(covariance: FloatArray, jump: Jump) -> float:
-    variance, size = np.diag(covariance), np.abs(jump.value)
+def _own_sigmas(lin: Posterior, jump: Jump) -> float:
+    covariance, size, poses = lin.covariance, np.abs(jump.value), _poses(lin)
+    variance = np.diag(covariance)
     if jump.part == "head mount":
         return _in_sigmas(size, variance[:6])
     if jump.part.startswith("joint"):
@@ -228,6 +232,8 @@ def _own_sigmas(covariance: FloatArray, jump: Jump) -> float:
         known = np.linalg.pinv(covariance[6:9, 6:9], hermitian=True)
         k = int(jump.part == "left wheel")
         return float(size[0] * math.sqrt(max(known[k, k], 0.0)))
+    if jump.part in poses:
+        return _in_sigmas(size, variance[lin.views.direct[poses[jump.part]]])
     return 0.0
 
 

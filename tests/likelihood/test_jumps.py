@@ -267,3 +267,13 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
     ]
     solution = solve(joined(*both))
     assert [(jump.part, jump.log) for jump in solution.jumps] == [(jumps.SHAPE, 1)] * other
+
+
+def test_a_camera_that_moved_in_the_pair_fails_also_where_the_nine_stay():
+    """By ten of its standard deviations, which move the nine by 1.4: PASS before, with the pair of before the move."""
+    case = RECORDINGS["40 stations"]
+    extraction, _, first, _ = changed_recording(case, "right camera", 10.0, 6, solve(case.extraction(6)))
+    solution = solve(extraction)
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("right camera", first)
+    assert judge(solution, extraction).level == "FAIL"
