@@ -112,6 +112,7 @@ def test_one_camera_needs_the_squares(rgbd):
 _OFF = se3.exp(np.array([0.01, -0.012, 0.008, 0.003, -0.004, 0.002]))
 
 
+@pytest.mark.long
 def test_three_cameras_from_a_recording(tmp_path):
     robot = three_on_pan_tilt()
     scenario = Scenario(stations=10, seed=6, pictures="png")

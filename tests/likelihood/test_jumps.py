@@ -141,7 +141,7 @@ def test_nothing_jumps_nor_one_station_that_does_not_fit(whole):
     assert solve(whole).jumps == ()
 
 
-@pytest.mark.parametrize(("late_s", "seed"), [(0.005, 1), (0.014, 0)])
+@pytest.mark.parametrize(("late_s", "seed"), [pytest.param(0.005, 1, marks=pytest.mark.long), (0.014, 0)])
 def test_a_late_camera_is_no_camera_that_moved(late_s, seed):
     """Images at sudden changes of speed are off by themselves, as the rates around their stamps are means."""
     case = Case(motion="moving", images=48, fixed={"time_right": late_s}, noise=USUAL)
@@ -248,6 +248,7 @@ def slipping(whole, legs):
     return whole
 
 
+@pytest.mark.long
 def test_legs_that_slip_one_after_another(whole, two_slips):
     extraction, inference, fit = two_slips
     assert jumps_of(extraction, fit, inference.jump) == ((), fit)

@@ -52,13 +52,13 @@ def exchanged(extraction, station):
     ("name", "stations", "spoil", "kinds"),
     [
         # Far images of one camera: no half of the legs is near.
-        ("camera on the base", 20, one_turn, {"slip"}),
+        pytest.param("camera on the base", 20, one_turn, {"slip"}, marks=pytest.mark.long),
         pytest.param("pan-tilt", 20, reset, {"slip"}, marks=pytest.mark.long),
         pytest.param("pan-tilt", 14, early_reset, {"slip"}, marks=pytest.mark.long),
         # The reading as it was is no error of the calibration.
         ("camera on pan-tilt", 20, misread, {"joint"}),
         # Also of the first one, which only its leg holds.
-        ("three cameras", 14, exchanged, {"station"}),
+        pytest.param("three cameras", 14, exchanged, {"station"}, marks=pytest.mark.long),
     ],
 )
 def test_it_is_left_out(name, stations, spoil, kinds):

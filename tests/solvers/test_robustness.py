@@ -79,7 +79,8 @@ def test_far_starts_lead_to_the_same_estimate(number):
     assert e @ np.linalg.solve(fit.covariance[:9, :9], e) / 9 < 3
 
 
-@pytest.mark.parametrize("seed", [pytest.param(1, marks=pytest.mark.long), 6])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 6])
 def test_a_small_board_in_a_pair_that_is_not_quite_as_stated(seed):
     """Refused before: the stated cameras triangulate the board 30 % of its distance off, the estimated ones do not."""
     robot = tick_robot()

@@ -160,6 +160,7 @@ def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn
     assert float(size[1]) == pytest.approx(np.degrees(turn_rad), rel=0.3)
 
 
+@pytest.mark.long
 def test_recordings_that_hide_a_parameter_by_their_difference_need_no_more_motion():
     extraction = joined(
         *(recorded("standard", seed, stations=8, grown_m=m) for seed, m in ((1, 0.0), (2, 0.02)))
@@ -237,6 +238,7 @@ def short_legs(turns_rad):
 FIX = constraints_of(["head_eye"], [], [])
 
 
+@pytest.mark.long
 def test_many_short_legs_show_the_wheels_together():
     """No leg turns a wheel by 0.1 rad; nominal wheels are not needed."""
     extraction = short_legs(np.random.default_rng(0).uniform(-0.025, 0.025, 40))
@@ -258,7 +260,7 @@ def test_many_short_legs_without_a_turn_do_not_show_the_separation():
         solve(extraction, constraints=FIX)
 
 
-@pytest.mark.parametrize("second", [0.02, -0.02])
+@pytest.mark.parametrize("second", [0.02, pytest.param(-0.02, marks=pytest.mark.long)])
 def test_recordings_of_different_cameras(second):
     """The right camera is turned by 1.1 degrees against camera_info: in both recordings alike, or not."""
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
@@ -298,6 +300,7 @@ def test_the_information_of_all_recordings_is_the_sum_of_that_of_each():
     assert np.allclose(sum(normal.s for normal in each) / scale, lin.normal.s / scale, atol=1e-6)
 
 
+@pytest.mark.long
 def test_each_recording_in_motion_has_clocks_of_its_own():
     """One offset for all of them would leave 50 ms of motion to the time stamps of the images: FAIL."""
     robot, noise = tick_robot(), Noise(0.1, 0.003, 0.0, 5e-4)
