@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -88,14 +87,18 @@ def scale_of(
 
 
 def jumps_of(
-    extraction: Extraction, fit: Fit, search: Callable[[Fit], tuple[jumps.Jump, Fit] | None]
+    extraction: Extraction, fit: Fit, significant: tuple[jumps.Jump, Fit] | None
 ) -> tuple[tuple[Jump, ...], Fit]:
     """Where something moved: the most significant jump, or else a stretch of outliers.
 
     And the fit without what a jump explains that moves the result: no evidence against the robot description.
+
+    Args:
+        extraction, fit: the recordings, and their fit.
+        significant: from `Inference.jump`.
     """
-    significant, stretch = search(fit), longest_stretch(fit)
     if significant is None:
+        stretch = longest_stretch(fit)
         return (() if stretch is None else (_unexplained(extraction, fit, stretch),)), fit
     jump, without = significant
     if jump.shift_sigmas < MATERIAL_SIGMAS:

@@ -127,7 +127,7 @@ def _by_likelihood(
     linear, refusal = _linear_start(extraction, inference, start_ratios, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
-    jumps, still = jumps_of(extraction, fit, inference.jump)
+    jumps, still = jumps_of(extraction, fit, inference.jump(fit))
     contradictions = contradictions_of(still)
     scale = scale_of(extraction, still, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)

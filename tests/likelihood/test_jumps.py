@@ -208,7 +208,7 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_sl
     extraction, _, fit = two_slips
     monkeypatch.setattr(jumps, "_scores", singular)
     assert jumps.cause(fit.lin, 3) == ""
-    assert jumps_of(extraction, fit, lambda fit: None) == ((), fit)
+    assert jumps_of(extraction, fit, None) == ((), fit)
 
 
 @pytest.mark.parametrize(
@@ -251,7 +251,7 @@ def slipping(whole, legs):
 @pytest.mark.long
 def test_legs_that_slip_one_after_another(whole, two_slips):
     extraction, inference, fit = two_slips
-    assert jumps_of(extraction, fit, inference.jump) == ((), fit)
+    assert jumps_of(extraction, fit, inference.jump(fit)) == ((), fit)
     # Nor the values that the other legs had: the wheels differ for too long.
     (jump,) = solve(slipping(whole, (7, 8, 9, 10))).jumps
     assert (jump.part, jump.station, sum(jump.rejected)) == ("", 8, 4)
