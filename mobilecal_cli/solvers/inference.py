@@ -72,7 +72,7 @@ class Tolerances:
 
 
 _COARSE, _QUICK = Tolerances(0.1, NEAR), Tolerances(0.1, 1e-3)
-FINE = Tolerances(0.005, NEAR)
+FINE = Tolerances(0.015, NEAR)
 _HELD = 2.0
 
 
