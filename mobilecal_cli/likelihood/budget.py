@@ -97,7 +97,7 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     root = 1 / np.sqrt(processes.variance)
     leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
     leverage[:, 0, 1] = leverage[:, 1, 0] = (
-        0.0  # the two encoder readings of a station are one by itself each
+        0.0  # each of a station's two encoder readings is a unit by itself
     )
     here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
     here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
