@@ -42,8 +42,8 @@ class Jump:
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
         sigmas: standard deviations of a normal distribution with the same chance, for the best of all that were tried.
-        shift_sigmas: how far the jump moves the nine parameters, or is itself in their units or those of the camera's
-            pose: the largest, in standard deviations.
+        shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
+            deviations; the rotation of a camera against the first one in those of its prior.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
             own frame (rad, m), rotation and position of a camera against the first one (rad, m), m of the radius, or
             constants of the board, in units of a few prior sigmas.
@@ -232,8 +232,8 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
         known = np.linalg.pinv(covariance[6:9, 6:9], hermitian=True)
         k = int(jump.part == "left wheel")
         return float(size[0] * math.sqrt(max(known[k, k], 0.0)))
-    if jump.part in poses:
-        return _in_sigmas(size, variance[lin.views.direct[poses[jump.part]]])
+    if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
+        return _in_sigmas(size[:3], lin.priors.scales[lin.views.direct[poses[jump.part][:3]]] ** 2)
     return 0.0
 
 
