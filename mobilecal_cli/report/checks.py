@@ -637,7 +637,7 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
 
     Errors of consistent legs are distributed like |x| of a normal x: the largest of 11 is about 3 times the median, the
     largest of 1000 about 5 times. Short legs have small errors, so an outlier must also be large in absolute terms: as
-    a share of the distance, in mm or in the image, beyond three standard deviations of the leg's own depth noise. With
+    a share of the distance, in mm or in the image, beside three standard deviations of the leg's own depth noise. With
     coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
@@ -654,10 +654,9 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         (metrics[0], "point", residuals.leg_point_rms_m * 1e3, distance_mm),
         (metrics[1], "reprojection", residuals.leg_reprojection_px, focal_px),
     ):
-        limits = (bad + depth_noise) * scale
-        worst, median = int(np.argmax(errors - limits)), float(np.median(errors))
+        worst, median = int(np.argmax(errors)), float(np.median(errors))
         first, second = (names[end] for end in residuals.legs[worst])
-        error, limit = float(errors[worst]), float(limits[worst])
+        error, limit = float(errors[worst]), math.hypot(bad, depth_noise[worst]) * scale
         yield metric.check(
             error, limit, f"largest {kind} error of a leg",
             "Check for wheel slip and for a moved board between these stations, and record again.",
