@@ -121,7 +121,7 @@ def lens_terms(
         shares: (L,) of the correction; L is 4, or `LENS_TERMS` with the waves.
 
     Returns:
-        (L, ..., 2) px, and (..., 2, 2) derivative of the displacement of the correction by the pixels.
+        (..., 2, L) px, and (..., 2, 2) derivative of the displacement of the correction by the pixels.
     """
     diagonal = float(np.hypot(camera.width, camera.height))
     p = (pixels - center_px) * (2 / diagonal)
@@ -133,21 +133,21 @@ def lens_terms(
     xx, yy, xy = x * x, y * y, 2 * x * y
     q = xx + yy
     scale, slope = camera.width / unit, 2 * camera.width / diagonal / unit
-    terms, J = np.empty((len(shares), *x.shape, 2)), np.empty((4, *x.shape, 2, 2))
+    terms, J = np.empty((*x.shape, 2, len(shares))), np.empty((4, *x.shape, 2, 2))
     for k, radial, by_q in ((0, q, 1.0), (1, q * q, 2 * q)):
-        terms[k, ..., 0], terms[k, ..., 1] = scale[k] * radial * x, scale[k] * radial * y
+        terms[..., k] = (scale[k] * radial)[..., None] * p
         J[k, ..., 0, 0], J[k, ..., 1, 1] = radial + 2 * by_q * xx, radial + 2 * by_q * yy
         J[k, ..., 0, 1] = J[k, ..., 1, 0] = by_q * xy
-    terms[2, ..., 0], terms[2, ..., 1] = scale[2] * (3 * xx + yy), scale[2] * xy
-    terms[3, ..., 0], terms[3, ..., 1] = scale[3] * xy, scale[3] * (xx + 3 * yy)
+    terms[..., 0, 2], terms[..., 1, 2] = scale[2] * (3 * xx + yy), scale[2] * xy
+    terms[..., 0, 3], terms[..., 1, 3] = scale[3] * xy, scale[3] * (xx + 3 * yy)
     J[2, ..., 0, 0], J[2, ..., 0, 1], J[2, ..., 1, 0], J[2, ..., 1, 1] = 6 * x, 2 * y, 2 * y, 2 * x
     J[3, ..., 0, 0], J[3, ..., 0, 1], J[3, ..., 1, 0], J[3, ..., 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
     by_pixels: FloatArray = np.tensordot(slope * shares[:4], J, 1)
     if len(shares) > 4:
         waves, by_pixel = _waves(camera, pixels)
-        terms[4:] = 0.0
-        terms[4::2, ..., 0] = terms[5::2, ..., 1] = camera.width * waves
-        by_pixels += camera.width * np.einsum("wa,wb...->...ab", shares[4:].reshape(-1, 2), by_pixel)
+        terms[..., 4:] = 0.0
+        terms[..., 0, 4::2] = terms[..., 1, 5::2] = camera.width * waves
+        by_pixels += camera.width * shares[4:].reshape(-1, 2).T @ by_pixel
     return terms, by_pixels
 
 
@@ -159,17 +159,14 @@ def _waves(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
         pixels: (..., 2).
 
     Returns:
-        (14, ...), and (14, 2, ...) by the pixels.
+        (..., 14), and (..., 14, 2) by the pixels.
     """
-    numbers = np.arange(_SHORTEST_WAVE + 1)
-    values, slopes = [], []
-    for axis, size in enumerate((camera.width, camera.height)):
-        angle = np.multiply.outer(np.pi * numbers, (pixels[..., axis] + 0.5) / size)
-        values.append(np.cos(angle)[_WAVES[:, axis]])
-        by_angle = np.pi * numbers.reshape(-1, *(1,) * (pixels.ndim - 1)) / size
-        slopes.append((-by_angle * np.sin(angle))[_WAVES[:, axis]])
-    x, y = values
-    return x * y, np.stack([slopes[0] * y, x * slopes[1]], axis=1)
+    per_px = np.pi * np.arange(_SHORTEST_WAVE + 1) / np.array([[camera.width], [camera.height]])
+    angle = (pixels[..., None] + 0.5) * per_px
+    values, slopes = np.cos(angle), -per_px * np.sin(angle)
+    along_u, along_v = _WAVES.T
+    x, y = values[..., 0, along_u], values[..., 1, along_v]
+    return x * y, np.stack([slopes[..., 0, along_u] * y, x * slopes[..., 1, along_v]], axis=-1)
 
 
 def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray | None]:
@@ -178,7 +175,7 @@ def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArra
         return pixels, None
     shares = camera.correction.shares
     terms, J = lens_terms(camera, camera.correction.center_px, pixels, shares)
-    return pixels + np.tensordot(shares, terms, 1), np.eye(2) + J
+    return pixels + terms @ shares, np.eye(2) + J
 
 
 def _uncorrected(camera: Camera, pixels: FloatArray) -> FloatArray:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import chain
 
 import numpy as np
 
@@ -51,7 +52,7 @@ class Influence:
         left = self.share * np.sum(part * (np.eye(self.residual.shape[1]) - self.leverage), axis=2)
         return squares.sum(axis=0), left.sum(axis=0)
 
-    @cached_property
+    @property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
         K = self.by_unit
@@ -65,11 +66,28 @@ class Influence:
         return np.asarray(shift.T @ shift)
 
 
-def influences(lin: Posterior) -> Iterator[Influence]:
-    """Images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
-    yield from _of_images(lin)
-    yield from of_errors(lin, lin.state.base[:, ERRORS])
-    yield of_legs(lin)
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """How all measurements move the shared parameters.
+
+    Attributes:
+        covariances: noise level → (P, P) covariance due to it, if it is correct.
+        spread: (P, P) the same of all, from the residuals' scatter, see `Influence.spread`.
+    """
+
+    covariances: Mapping[str, FloatArray]
+    spread: FloatArray
+
+
+def moved(lin: Posterior) -> Moved:
+    """Sums over images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
+    covariances: dict[str, FloatArray] = {}
+    spread = np.zeros_like(lin.covariance)
+    for influence in chain(_of_images(lin), of_errors(lin, lin.state.base[:, ERRORS]), [of_legs(lin)]):
+        for level, covariance in influence.covariances.items():
+            covariances[level] = covariances.get(level, 0.0) + covariance
+        spread += influence.spread
+    return Moved(covariances, spread)
 
 
 def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
@@ -178,7 +196,7 @@ def _of_ends(lin: Posterior, root: FloatArray) -> FloatArray:
     return lin.normal.onto_shared(i, start, shared=shared) + lin.normal.onto_shared(j, end)
 
 
-def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatArray]:
+def shares(lin: Posterior, by: Moved) -> Mapping[str, FloatArray]:
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
@@ -186,7 +204,7 @@ def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatA
 
     Args:
         lin: an optimum.
-        moved_by: see `influences`.
+        by: see `moved`.
 
     Returns:
         Noise levels by name, "nominal" for the priors of the nine parameters, kinds of constants for theirs,
@@ -199,9 +217,8 @@ def shares(lin: Posterior, moved_by: Iterable[Influence]) -> Mapping[str, FloatA
         source = {SUPPOSED: "wheel_rad_per_sqrt_rad"}.get(source, source)
         result[source] = result.get(source, 0.0) + share
 
-    for influence in moved_by:
-        for level, covariance in influence.covariances.items():
-            add(level, covariance)
+    for level, covariance in by.covariances.items():
+        add(level, covariance)
     for k, kind in enumerate(["nominal"] * len(NINE) + [row.kind for row in layout.constants]):
         if lin.priors.weight[k]:
             add(kind, lin.priors.weight[k] * np.outer(C[:, k], C[:, k]))

@@ -16,8 +16,8 @@ from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
 from mobilecal_cli.likelihood.noise import Inliers, joint_sigmas
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
-from mobilecal_cli.likelihood.state import State, Step, board_in_camera
-from mobilecal_cli.likelihood.views import Views, images_of, linearize_views, view_rates
+from mobilecal_cli.likelihood.state import State, Step, board_in_camera, view_rates
+from mobilecal_cli.likelihood.views import Views, images_of, linearize_views
 from mobilecal_cli.model import EXACT, FloatArray, Noise
 
 
@@ -131,9 +131,11 @@ class Linearization:
         if "views" in self.__dict__:
             differ = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
             differ |= inliers.views != self.inliers.views
-            at, T_c_k = np.flatnonzero(differ), board_in_camera(self.data, self.state)
-            images = images_of(self.data, self.state, T_c_k, inliers, self.noise, self.rates, at)
-            known["views"] = self.views.with_images(at, images)
+            known["views"] = self.views
+            if differ.any():
+                at, T_c_k = np.flatnonzero(differ), board_in_camera(self.data, self.state)
+                images = images_of(self.data, self.state, T_c_k, inliers, self.noise, self.rates, at)
+                known["views"] = self.views.with_images(at, images)
         return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
     def of_log(self, log: int) -> Self:

@@ -25,12 +25,12 @@ from scipy.linalg import block_diag, eigh
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import LENS_TERMS, lens_terms
+from mobilecal_cli.likelihood.corners import corner_residuals, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import BY_STATION
 from mobilecal_cli.likelihood.nuisance import PATTERNS, Constant, kind
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.likelihood.views import corner_residuals, whitened
 from mobilecal_cli.model import FloatArray, Parameters, WheelGeometry, camera_words
 
 _CORNERS, _LENS = "board_corners", "lens_waves"
@@ -103,7 +103,7 @@ class _Images:
     Attributes:
         data: these stations.
         each: stations that one of these stands for.
-        J: (n, 6 + c, C, M, 2) derivatives of the corners by (delta, constants), in units of their noise.
+        J: (n, C, M, 2, 6 + c) derivatives of the corners by (delta, constants), in units of their noise.
         known: (c,) information of the priors about the constants.
     """
 
@@ -128,7 +128,7 @@ class _Images:
     @cached_property
     def G(self) -> FloatArray:
         """(n, 6 + c, 6 + c) information about (delta, constants)."""
-        return np.asarray(np.einsum("nacmx,nbcmx->nab", self.J, self.J, optimize=True))
+        return np.asarray(np.einsum("ncmxa,ncmxb->nab", self.J, self.J, optimize=True))
 
     def by_places(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information (n, 6 + c, 3 M) shared with the places of the board's corners, and (3 M, 3 M) about these.
@@ -137,18 +137,20 @@ class _Images:
             sigmas: (3 M,) of the places, in sigmas of the kind.
         """
         scale = kind(_CORNERS).sigma * sigmas
-        by_corner = np.einsum("npcmx,npq->nqcmx", self.J[:, 3:6], self.data.T_c_k[:, :3, :3])
-        shared = np.einsum("nacmx,nqcmx->namq", self.J, by_corner).reshape(*self.J.shape[:2], -1) * scale
-        of_corners = np.einsum("nqcmx,nrcmx->mqr", by_corner, by_corner)
+        by_corner = self.J[..., 3:6] @ self.data.T_c_k[:, None, None, :3, :3]
+        shared = np.einsum("ncmxa,ncmxq->namq", self.J, by_corner, optimize=True)
+        of_corners = np.einsum("ncmxq,ncmxr->mqr", by_corner, by_corner, optimize=True)
+        shared = shared.reshape(*shared.shape[:2], -1) * scale
         return shared, block_diag(*of_corners) * np.outer(scale, scale)
 
     def by_lens(self, camera: int) -> tuple[FloatArray, FloatArray]:
         """The same of the E waves over the images of a camera: (n, 6 + c, E) and (E, E)."""
         stated, at = self.data.cameras.each[camera], slice(camera, camera + 1)
         terms, _ = lens_terms(stated, stated.K[:2, 2], self.data.pixels[:, camera], np.zeros(LENS_TERMS))
-        waves = kind(_LENS).sigma * _WAVE * np.moveaxis(terms[4:], 0, 1)
-        F = _in_units_of_noise(self.data, self.each, waves[:, :, None], at)[:, :, 0]
-        return np.einsum("namx,nkmx->nak", self.J[:, :, camera], F), np.einsum("nkmx,nlmx->kl", F, F)
+        waves = kind(_LENS).sigma * _WAVE * terms[:, None, ..., 4:]
+        F = _in_units_of_noise(self.data, self.each, waves, at)
+        shared = np.einsum("ncmxa,ncmxk->nak", self.J[:, at], F, optimize=True)
+        return shared, np.einsum("ncmxk,ncmxl->kl", F, F, optimize=True)
 
     def informations(
         self, shared: FloatArray, among: FloatArray
@@ -188,6 +190,6 @@ class _Images:
 
 
 def _in_units_of_noise(data: Dataset, each: float, J: FloatArray, cameras: slice = slice(None)) -> FloatArray:
-    """Derivatives of detected corners in some cameras, (n, k, C, M, 2) px, in units of a usual noise."""
+    """Derivatives of detected corners in some cameras, (n, C, M, 2, k) px, in units of a usual noise."""
     seen, W = data.seen[:, cameras], data.whitening[:, cameras]
-    return np.asarray(np.where(seen[:, None, ..., None], whitened(W, J), 0.0) * np.sqrt(each) / _PIXEL_PX)
+    return np.asarray(np.where(seen[..., None, None], whitened(W, J), 0.0) * np.sqrt(each) / _PIXEL_PX)

@@ -9,7 +9,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.kinematics import JointFrames, head_pose
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BoardEffect,
@@ -191,3 +191,18 @@ def board_in_camera(data: Dataset, state: State) -> FloatArray:
     """(N, 4, 4) T_c_k = X^-1 T_v_h^-1 T_w_v^-1 T_w_k."""
     T_w_c = base_at(data, state) @ head_at(data, state) @ state.parameters.T_h_c
     return se3.inverse(T_w_c) @ state.T_w_k[data.log]
+
+
+def view_rates(data: Dataset, state: State) -> FloatArray:
+    """(N, 6) rates of delta: how the board moves in the first camera, rad/s and m/s; 0 at rest."""
+    T_h_c, wheels = state.parameters.T_h_c, state.parameters.wheels
+    rates = np.zeros((data.stations, 6))
+    if not data.moving.any() or not data.joint_tracks:
+        return rates
+    frames = JointFrames.at(chain_change(data, state).apply(data.chain), joints_at(data, state))
+    rolled = data.wheel_rates(clock_s(data, state, "wheels")) * wheels.vector[:2]
+    rates[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
+    rates[:, 3] = rolled.mean(axis=1)
+    rates += (frames.by_joints() @ data.joint_rates(clock_s(data, state, "joints"))[..., None])[..., 0]
+    moved: FloatArray = -(se3.adjoint(se3.inverse(frames.T_v_h @ T_h_c)) @ rates[..., None])[..., 0]
+    return moved * data.moving[:, None]

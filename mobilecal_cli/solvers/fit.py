@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.likelihood.budget import Influence, influences, shares
+from mobilecal_cli.likelihood.budget import Moved, moved, shares
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import CameraEffect
 from mobilecal_cli.likelihood.noise import Inliers
@@ -93,9 +93,9 @@ class Fit:
         return ResidualTests(self.lin)
 
     @cached_property
-    def influences(self) -> tuple[Influence, ...]:
-        """How each kind of measurement moves the shared parameters."""
-        return tuple(influences(self.lin))
+    def moved(self) -> Moved:
+        """How the measurements move the shared parameters."""
+        return moved(self.lin)
 
     @property
     def budget(self) -> Mapping[str, FloatArray]:
@@ -103,7 +103,7 @@ class Fit:
 
         "recordings" is by how much the spread between recordings makes it larger.
         """
-        budget = dict(shares(self.lin, self.influences))
+        budget = dict(shares(self.lin, self.moved))
         if self.between is not None and self.pooled_covariance is not None and self.between.between_std.any():
             considered = self.lin.considered
             budget["recordings"] = self.pooled_covariance + considered @ considered.T - self.lin.covariance
@@ -119,14 +119,13 @@ class Fit:
         """
         considered, pooled = self.lin.considered, self.pooled_covariance
         covariance = self.lin.covariance.copy() if pooled is None else pooled + considered @ considered.T
-        for influence in self.influences:
-            for level, share in influence.covariances.items():
-                component = self.components.get(level)
-                if component is not None and level not in self.given:
-                    alike = self.components.get(_ALIKE.get(level, ""))
-                    redundancy = component.redundancy + (alike.redundancy if alike else 0.0)
-                    rests_on = redundancy + guess_worth(redundancy)
-                    covariance += share * 2 / max(rests_on - 2, _GUESS_FREEDOM)
+        for level, share in self.moved.covariances.items():
+            component = self.components.get(level)
+            if component is not None and level not in self.given:
+                alike = self.components.get(_ALIKE.get(level, ""))
+                redundancy = component.redundancy + (alike.redundancy if alike else 0.0)
+                rests_on = redundancy + guess_worth(redundancy)
+                covariance += share * 2 / max(rests_on - 2, _GUESS_FREEDOM)
         return covariance
 
 
@@ -205,9 +204,8 @@ def _jackknife_covariance(fit: Fit) -> FloatArray:
     that with true noise levels the expected value is the covariance itself. The priors' shares are added: residuals do
     not show them.
     """
-    spread = sum(influence.spread for influence in fit.influences)
     C, weight, considered = fit.lin.conditional_covariance, fit.lin.priors.weight, fit.lin.considered
-    return np.asarray(spread + (C * weight) @ C.T + considered @ considered.T)
+    return np.asarray(fit.moved.spread + (C * weight) @ C.T + considered @ considered.T)
 
 
 def _reference_jacobian(fit: Fit) -> FloatArray:

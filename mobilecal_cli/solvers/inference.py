@@ -304,7 +304,7 @@ class Inference:
         tolerances = tolerances or self.coarse
         fitted = self.coarse.near <= tolerances.near
         for _ in range(_NOISE_FITS):
-            _, noise = self._levels_near(fit.lin, tolerances.levels)
+            noise = self._levels_near(fit.lin, tolerances.levels)[1]
             if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
                 break
             lin = fit.lin.with_noise(noise).renewed()

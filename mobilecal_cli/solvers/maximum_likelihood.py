@@ -84,12 +84,18 @@ def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | Non
         fit = _corners_decided(inference, inference.estimate_noise(first))
         if not fit.inliers.views.all() or any(_suspects(inference, fit)):
             return None
-        stated = replace(fit, lin=fit.lin.with_noise(replace(fit.noise, wider={})))
-        if any(_suspects(as_stated, as_stated.refit_near(stated, fit.inliers))):
+        if any(_suspects(as_stated, _as_stated(as_stated, fit))):
             return None
         return inference.estimate_noise(fit, FINE)
     except (SolveError, np.linalg.LinAlgError):
         return None
+
+
+def _as_stated(as_stated: Inference, fit: Fit) -> Fit:
+    """A fit under the stated priors, to first order."""
+    return as_stated.refit_near(
+        replace(fit, lin=fit.lin.with_noise(replace(fit.noise, wider={}))), fit.inliers
+    )
 
 
 def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
+from mobilecal_cli.likelihood.corners import blocks_of, corner_residuals, fitted_poses, median_size, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.noise import DEGREES, FEWEST_CORNERS, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
-from mobilecal_cli.likelihood.views import blocks_of, corner_residuals, fitted_poses, median_size, whitened
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.noise import guess_worth

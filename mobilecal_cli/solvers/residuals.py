@@ -16,14 +16,22 @@ from numpy.typing import NDArray
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, integrate
+from mobilecal_cli.likelihood.corners import board_poses, corner_residuals
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import MotionPairs, in_each_camera
 from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import State, cameras_at, clock_s, constant_stance, head_at, points_at
-from mobilecal_cli.likelihood.views import board_poses, corner_residuals, view_rates
+from mobilecal_cli.likelihood.state import (
+    State,
+    cameras_at,
+    clock_s,
+    constant_stance,
+    head_at,
+    points_at,
+    view_rates,
+)
 from mobilecal_cli.model import (
     BoolArray,
     CameraRig,

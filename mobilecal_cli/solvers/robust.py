@@ -202,12 +202,13 @@ def _own_sigmas(lin: Posterior, of_readings: FloatArray) -> FloatArray:
 
 def _weighted(lin: Posterior, weights: Mapping[str, FloatArray]) -> Posterior:
     """The same point with weights; that of a station is also that of its joint errors and its sway."""
-    factor = 1 / np.sqrt(np.maximum(weights["views"], _TINY))
+    of_views, of_legs = (np.maximum(weights[kind], _TINY) for kind in ("views", "legs"))
+    factor = 1 / np.sqrt(of_views)
     return lin.changed(
         ("legs",),
         {
             "views": lin.views.scaled(factor),
-            "leg_weight": lin.leg_weight * weights["legs"][:, None, None],
+            "leg_weight": lin.leg_weight * of_legs[:, None, None],
             "own_sigmas": _own_sigmas(lin, weights["readings"]) * factor[:, None],
         },
     )
@@ -233,4 +234,4 @@ def _stepped(
         except SolveError:
             pass
         damping = max(10 * damping, _LEAST_DAMPING)
-    return lin, damping, 0.0
+    return lin, 0.0, 0.0

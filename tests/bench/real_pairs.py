@@ -145,7 +145,7 @@ def _radial(true: Camera, stated: Camera) -> FloatArray:
     at = lens.project(stated, rays)
     terms, _ = lens.lens_terms(stated, stated.K[:2, 2], at, np.zeros(4))
     off = lens.project(true, rays) - at
-    A = terms[:2].reshape(2, -1).T
+    A = terms[..., :2].reshape(-1, 2)
     return np.asarray(np.linalg.lstsq(A, off.ravel(), rcond=None)[0])
 
 

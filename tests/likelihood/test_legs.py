@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.likelihood.processes import processes_of
-from mobilecal_cli.likelihood.state import Step, board_in_camera
-from mobilecal_cli.likelihood.views import corner_residuals, view_rates
+from mobilecal_cli.likelihood.state import Step, board_in_camera, view_rates
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import tick_robot

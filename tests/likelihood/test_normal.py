@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
@@ -14,7 +15,6 @@ from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step, board_in_camera
-from mobilecal_cli.likelihood.views import corner_residuals
 from mobilecal_cli.model import Noise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route

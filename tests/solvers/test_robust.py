@@ -7,22 +7,28 @@ import pytest
 
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.measured import from_motions
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.robust import _holding, _weight, agreeing
+from mobilecal_cli.solvers.robust import _holding, _stepped, _weight, agreeing
 from tests.bench.simulated import spoiled
 from tests.extractions import simulated
+from tests.solvers.test_measured import T_V_C, legs
 from tests.solvers.test_several_logs import NOISE, ROBOT, recorded
 
 
-def agreeing_of(extraction):
-    inference = Inference.of(extraction, Constraints())
+def started(extraction, constraints):
+    """A point near the truth, with all measurements."""
+    inference = Inference.of(extraction, constraints)
     everything = Inliers.all_of(inference.data)
     state = initial_state(inference.data, inference.initial(), everything)
     noise = inference.first_noise(np.array([NOISE.pixel_px]))
-    start = Posterior.at(inference.data, state, everything, noise, inference.priors(state))
-    _, inliers = agreeing([start], [])
+    return Posterior.at(inference.data, state, everything, noise, inference.priors(state))
+
+
+def agreeing_of(extraction):
+    _, inliers = agreeing([started(extraction, Constraints())], [])
     return inliers
 
 
@@ -79,3 +85,13 @@ def test_a_station_keeps_one_leg():
     used = _holding(legs, views, np.array([False, False, False, True]))
     assert used.tolist() == [True, True, False, True]
     assert _holding(legs, np.ones(6, dtype=bool), np.zeros(4, dtype=bool)).tolist() == [False] * 4
+
+
+def test_legs_without_weight_that_are_recordings_of_their_own():
+    """Nothing else holds the base at their ends: it stays where they say."""
+    start = started(from_motions(legs(50, 1), (0.02, 0.02, 0.09), T_V_C), Constraints().of_planar_sensor())
+    used = np.arange(50) % 3 != 0
+    weights = {"views": np.ones(100), "legs": used.astype(float), "readings": np.ones((100, 0))}
+    _, damping, gain = _stepped(start, weights, 0.0)
+    assert damping == 0
+    assert gain > 1
