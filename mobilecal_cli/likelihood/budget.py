@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from mobilecal_cli.likelihood.corners import blocks_of
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
 from mobilecal_cli.likelihood.normal import summed
@@ -151,21 +152,19 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
-    """Of corners, and of measured poses."""
+    """Of corners, and of measured poses; some stations at once."""
     views = lin.views
-    leverage = lin.marginals.images()
     for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
-        stations = np.flatnonzero(of_kind)
-        if not len(stations):
-            continue
-        root, inverse = roots(views.information[stations])
-        yield Influence(
-            lin,
-            (inverse @ views.gradient[stations, :, None])[..., 0],
-            root.mT @ leverage[stations] @ root,
-            _by_level([level] * root.shape[1]),
-            partial(_of_views, lin, stations, root),
-        )
+        every = np.flatnonzero(of_kind)
+        for stations in map(every.__getitem__, blocks_of(len(every))):
+            root, inverse = roots(views.information[stations])
+            yield Influence(
+                lin,
+                (inverse @ views.gradient[stations, :, None])[..., 0],
+                root.mT @ lin.marginals.images(stations) @ root,
+                _by_level([level] * root.shape[1]),
+                partial(_of_views, lin, stations, root),
+            )
 
 
 def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:

@@ -152,20 +152,20 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     gradient, own, board, shared = (np.tensordot(after, each, 1) for each in of_images)
     for total, each in zip((gradient, own, shared), of_legs, strict=True):
         total += np.tensordot(driven, each, 1)
-    base = after[:, :, None, None] * (views.by_base.mT @ GV[:, :6])
+    # (N, B, k, m): of the chain of base blocks, all steps side by side.
+    base = after.T[:, None, :, None] * (views.by_base.mT @ GV[:, :6])[:, :, None]
     for ends, by in zip(data.legs.T, (legs.by_start, legs.by_end), strict=True):
-        base[:, ends] += driven[:, :, None, None] * (by.mT @ WD)
+        base[ends] += driven.T[:, None, :, None] * (by.mT @ WD)[:, :, None]
 
-    count, m = len(base), base.shape[-1]
-    base = base.reshape(count, data.stations * data.base_width, m)
-    flat = np.moveaxis(base, 0, 1).reshape(base.shape[1], count * m)
+    rows, (k, m) = data.stations * data.base_width, base.shape[2:]
+    flat = base.reshape(rows, k * m)
     solved = cho_solve_banded((normal.factor, True), flat, check_finite=False) if flat.size else flat
-    solved = np.moveaxis(solved.reshape(base.shape[1], count, m), 1, 0)
     log = data.log[first[:, 0]]
     shared += normal.board_by_shared[log].mT @ board
-    shared += normal.base_by_shared.reshape(base.shape[1], -1).T @ base
-    board += normal.base_by_board.reshape(base.shape[1], -1).T @ base
-    information = own - base.mT @ solved
+    for total, by in ((shared, normal.base_by_shared), (board, normal.base_by_board)):
+        total += np.moveaxis((by.reshape(rows, -1).T @ flat).reshape(-1, k, m), 1, 0)
+    each, solved = (np.moveaxis(part.reshape(rows, k, m), 1, 0) for part in (flat, solved))
+    information = own - each.mT @ solved
     for A, C in ((board, normal.board_covariance[log]), (shared, lin.conditional_covariance)):
         information -= A.mT @ C @ A
 

@@ -15,7 +15,7 @@ from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_information
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.model import FloatArray
+from mobilecal_cli.model import FloatArray, IntArray
 
 
 class Posterior(Linearization):
@@ -129,12 +129,16 @@ class Marginals:
         out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
         return out + _sandwich(across, self.direct)
 
-    def images(self) -> FloatArray:
-        """(N, Q, Q) of (delta, direct constants)."""
-        count, _, direct = self.mixed.shape
-        out = np.empty((count, 6 + direct, 6 + direct))
-        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = self.views, self.mixed, self.direct
-        out[:, 6:, :6] = self.mixed.mT
+    def images(self, stations: IntArray) -> FloatArray:
+        """(n, Q, Q) of (delta, direct constants) of some stations."""
+        size = 6 + len(self.direct)
+        out = np.empty((len(stations), size, size))
+        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = (
+            self.views[stations],
+            self.mixed[stations],
+            self.direct,
+        )
+        out[:, 6:, :6] = out[:, :6, 6:].mT
         return out
 
 
