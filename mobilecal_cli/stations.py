@@ -40,6 +40,7 @@ _WHEEL_INTERVAL_S = 0.125  # usual one; over longer ones, what the base does is 
 SHOTS_PER_REST = 10
 RESTS_ENOUGH = 6
 KEYFRAMES = 80
+MOST_IN_MOTION = 2000  # of a recording: the estimate takes 1.5 MB of memory each
 # One camera records nothing for so long, while the other has so many images; or all cameras for so many times the
 # longest other break between images, while the robot moves.
 _SILENT_S, _MISSED_IMAGES, _OTHER_BREAKS = 3.0, 5, 2
@@ -470,7 +471,7 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
     Args:
         logs: the recording, or its pieces between clock steps.
         chain: base to head.
-        everything: use all image pairs instead: all of each rest, and all taken in motion.
+        everything: use all image pairs instead: all of each rest, and all taken in motion, at most `MOST_IN_MOTION`.
 
     Returns:
         A plan for each log; logs without usable stereo pairs are left out, which is noted in the first plan.
@@ -484,7 +485,9 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
     for log in paired:
         moments = [(run, True) for run in log.rests]
         if everything or rests < RESTS_ENOUGH:
-            chosen = log.moving if everything else _keyframes(log.moving, log.channels)
+            chosen = (
+                spread(log.moving, MOST_IN_MOTION) if everything else _keyframes(log.moving, log.channels)
+            )
             moments += [([pair], False) for pair in chosen]
             moving, picked = moving + len(log.moving), picked + len(chosen)
         if not everything:
@@ -503,6 +506,8 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
     notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(chain.joints) :]))
     if everything or rests < RESTS_ENOUGH:
         because = "all images are used" if everything else "too few"
+        if everything and picked < moving:
+            because = f"all images are asked for; of those in motion, {MOST_IN_MOTION}, evenly spread, fit into memory"
         notes.append(
             f"The robot rests {rests} time{'s' * (rests != 1)} with images ({because}). {picked} of {moving} images "
             "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "

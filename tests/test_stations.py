@@ -168,6 +168,17 @@ def test_everything_is_every_pair_at_rest_and_in_motion():
     assert [s.times_ns[0] for s in pairs] == sorted(s.times_ns[0] for s in pairs)
 
 
+def test_of_very_many_pairs_in_motion_some_are_used(monkeypatch):
+    monkeypatch.setattr("mobilecal_cli.stations.MOST_IN_MOTION", 30)
+    log = signals(lambda t: staircase(t, rests=8), lambda t: 3 * staircase(t), image_hz=20.0)
+    plan = planned(log, ("pan",), everything=True)
+    times = np.array([station.shots[0].times_ns[0] for station in plan.stations if not station.at_rest])
+    assert len(times) == 30
+    assert times[-1] - times[0] > 0.8 * (log.images["left"].time_ns[-1] - START)
+    assert sum(len(station.shots) for station in plan.stations if station.at_rest) > 8 * SHOTS_PER_REST
+    assert any("of those in motion, 30, evenly spread, fit into memory" in note for note in plan.notes)
+
+
 def repeating(times, first):
     """Images at some times, each identical to the one at the time of the same row of `first`."""
     return PictureIndex(ns(times), ns(times), ns(times), since_ns=ns(first))
