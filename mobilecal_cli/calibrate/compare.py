@@ -33,7 +33,7 @@ def broken_limits(
         max_heading_deg: limit of the change of heading per full turn, deg.
     """
     broken = [
-        f"{NINE[k]}, which is unobservable, by {change.nominal_sigmas[k]:.1f} sigma of its nominal value "
+        f"{NINE[k]}, unobservable or fixed in one calibration, by {change.nominal_sigmas[k]:.1f} sigma "
         f"(limit {MOST_NOMINAL_SIGMAS:g})"
         for k in np.flatnonzero(change.nominal_sigmas > MOST_NOMINAL_SIGMAS)
     ]
@@ -41,7 +41,7 @@ def broken_limits(
         if not change.known.any():
             broken.append("no standard deviations for the limit in sigma")
         blind = np.flatnonzero(change.unobservable)
-        broken += [f"no conclusion about {NINE[k]}: unobservable" for k in blind]
+        broken += [f"no conclusion about {NINE[k]}: unobservable or fixed" for k in blind]
         sigmas = np.nan_to_num(np.abs(change.sigmas))
         worst = int(np.argmax(sigmas))
         if sigmas[worst] > max_sigma:

@@ -194,8 +194,8 @@ class Uncertainty(ReadOnly):
         camera: (6 + K, 6 + K) covariance of the first camera's pose in the base, right twist (rotation, then
             translation; mean over the head's poses), and of the `camera_constants`, K names.
         budget: what limits the accuracy.
-        asked: parameter with a prior of the user → distance of the data from its mean, and change of the parameter
-            without it, both in standard deviations.
+        asked: parameter that the user fixed, or with a prior of the user → distance of the data from that value, and
+            change of the parameter without it, both in standard deviations.
     """
 
     covariance: Annotated[FloatArray, 9, 9]

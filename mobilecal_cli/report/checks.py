@@ -346,16 +346,18 @@ def camera_info(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 @criterion(Metric("prior", "sigma", section="description"), gated=False)
 def prior(made: Calibration, metric: Metric) -> Iterator[Check]:
-    """Priors of the user that the data contradict; those that move the result fail."""
+    """Values and priors of the user that the data contradict; those that move the result fail."""
     uncertainty = made.solution.uncertainty
-    for name, (sigmas, shift) in {} if uncertainty is None else uncertainty.asked.items():
+    for name, (sigmas, shift) in uncertainty.asked.items() if uncertainty is not None else ():
         if sigmas > CONTRADICTION_SIGMAS:
+            fixed = uncertainty is not None and uncertainty.fixed[NINE.index(name)]
+            given = f"--fix {name}" if fixed else f"--prior {name}"
             yield metric.check(
-                sigmas, CONTRADICTION_SIGMAS, f"--prior {name} against the data",
-                f"Correct --prior {name} (m, rad), or leave it out.",
+                sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
+                f"Correct {given} (m, rad), or leave it out.",
                 part=name,
-                why=f"The value of --prior {name} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
-                f"{shift:.1f} standard deviations.",
+                why=f"The value of {given} is {sigmas:.1f} sigma from what the data show. It changes {name} by "
+                f"{shift:.1f} standard deviations. Other findings may follow from it.",
                 beyond="fail" if shift > MATERIAL_SIGMAS else "warning",
             )  # fmt: skip
 

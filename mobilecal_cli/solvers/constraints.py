@@ -51,6 +51,12 @@ class Constraints:
     def _by_flag(self) -> tuple[tuple[str, Iterable[str]], ...]:
         return (("--fix", self.fixed), ("--prior", self.priors), ("--estimate", self.constants))
 
+    def without(self, names: Collection[str]) -> Constraints:
+        """The same, with some parameters neither fixed nor with a prior."""
+        fixed = {name: value for name, value in self.fixed.items() if name not in names}
+        priors = {name: prior for name, prior in self.priors.items() if name not in names}
+        return replace(self, fixed=fixed, priors=priors)
+
     def of_planar_sensor(self) -> Constraints:
         """The same, with all that a planar sensor does not show of itself as stated: roll, pitch and height."""
         hidden = {name: None for name in ("r_x", "r_y", "t_z") if name not in self.priors}

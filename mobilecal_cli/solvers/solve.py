@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -92,6 +92,7 @@ def solve(
             or an unobservable parameter has no nominal value.
     """
     constraints = constraints or Constraints()
+    asked = constraints.given
     if extraction.motions:
         constraints = constraints.of_planar_sensor()
     data = dataset_of(extraction)
@@ -113,12 +114,19 @@ def solve(
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
         if refusal is None and isinstance(error, SolveError):
-            raise
+            raise _with_request(error, asked) from error
         raise refusal or SolveError(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
         ) from error
     return replace(solution, diagnosis=_diagnosis(solution, extraction, constraints, search))
+
+
+def _with_request(error: SolveError, asked: Sequence[str]) -> SolveError:
+    """The error with a hint that what the user asks may be the cause."""
+    if not asked:
+        return error
+    return SolveError(error.message, f"leave out {', '.join(asked)}, or correct the value; or {error.hint}")
 
 
 def _by_likelihood(
@@ -153,7 +161,9 @@ def _by_likelihood(
         raise refusal
     return replace(
         solution,
-        uncertainty=replace(uncertainty_of(fit), asked=_asked_of(fit, inference, linear.parameters)),
+        uncertainty=replace(
+            uncertainty_of(fit), asked=_asked_of(extraction, fit, inference, linear.parameters)
+        ),
         noisy=fit.noisy,
         constants=constants_of(fit),
         evidence=evidence(fit.lin),
@@ -428,19 +438,22 @@ def _different_cameras(
     )
 
 
-def _asked_of(fit: Fit, inference: Inference, start: Parameters) -> dict[str, tuple[float, float]]:
-    """How far the data alone are from the user's priors of the nine parameters, see `Uncertainty.asked`.
+def _asked_of(
+    extraction: Extraction, fit: Fit, inference: Inference, start: Parameters
+) -> dict[str, tuple[float, float]]:
+    """How far the data alone are from what the user asks of the nine parameters, see `Uncertainty.asked`.
 
-    Empty where the data alone do not determine the parameters.
+    Empty where the data alone do not determine the parameters, and for a planar sensor, much of which is fixed always.
     """
-    asked = inference.constraints.priors
-    others = {name: prior for name, prior in asked.items() if name not in NINE}
-    if len(others) == len(asked):
+    constraints = inference.constraints
+    sigmas = dict.fromkeys(constraints.fixed, 0.0) | {
+        k: sigma for k, (_, sigma) in constraints.priors.items()
+    }
+    asked = {name: sigma for name, sigma in sigmas.items() if name in NINE}
+    if not asked or extraction.motions:
         return {}
     try:
-        alone = robust_fit(
-            replace(inference, constraints=replace(inference.constraints, priors=others)), start
-        )
+        alone = robust_fit(Inference.of(extraction, constraints.without(asked), inference.on_step), start)
     except SolveError:
         return {}
     priors, distances = fit.lin.priors, {}
@@ -448,6 +461,6 @@ def _asked_of(fit: Fit, inference: Inference, start: Parameters) -> dict[str, tu
     value, used = (priors.displacement(each.lin.state) for each in (alone, fit))
     for k, name in enumerate(NINE):
         if name in asked:
-            away = abs(value[k] - priors.mean[k]) / math.hypot(std[k], asked[name][1])
+            away = abs(value[k] - priors.mean[k]) / math.hypot(std[k], asked[name])
             distances[name] = float(away), float(abs(value[k] - used[k]) / std[k])
     return distances

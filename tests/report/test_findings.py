@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
@@ -152,6 +153,25 @@ def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
     sigmas, shift = solution.uncertainty.asked["t_x"]
     assert sigmas > 4
     assert (shift > 2) == (level == "FAIL")
+
+
+@pytest.mark.parametrize(("sigmas", "level"), [(1.0, "PASS"), (10.0, "FAIL")])
+def test_a_fixed_value_that_the_data_contradict_is_named(sigmas, level):
+    right, extraction = drawn()
+    value = right.parameters.T_h_c[0, 3] + sigmas * right.uncertainty.std[NINE.index("t_x")]
+    solution = solve(extraction, constraints=constraints_of([f"t_x={value:.6f}"], [], []))
+    away, shift = solution.uncertainty.asked["t_x"]
+    assert away == shift == pytest.approx(sigmas, rel=0.1)
+    verdict = judge(solution, extraction)
+    assert verdict.level == level
+    assert ("Correct --fix t_x (m, rad), or leave it out." in verdict.next_step) == (level == "FAIL")
+
+
+def test_a_fixed_value_with_which_nothing_fits_is_named():
+    _, extraction = drawn()
+    with pytest.raises(SolveError) as raised:
+        solve(extraction, constraints=constraints_of(["t_x=3.0"], [], []))
+    assert raised.value.hint.startswith("leave out --fix t_x, or correct the value; or ")
 
 
 def test_a_prior_of_the_user_that_the_data_confirm_is_not_named():
