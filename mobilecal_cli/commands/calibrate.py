@@ -76,7 +76,7 @@ def calibrate(
     outputs = {"--summary": summary, "--output": output}
     with options.junit_file(junit, logs, force, [config, last], outputs) as write_junit:
         if summary is not None:
-            check_appendable(summary)
+            check_appendable(summary, [*logs, config, last])
         flags = options.flags_of(setting)
         if board is not None:
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
