@@ -98,9 +98,10 @@ def calibrate(
                 progress=progress,
                 jobs=jobs or os.cpu_count() or 1,
             )
-        write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
-        if summary is not None:
-            append_text(summary, report.markdown)
+        with options.results_written(output):
+            if summary is not None:
+                append_text(summary, report.markdown)
+            write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:

@@ -136,11 +136,17 @@ def append_text(path: Path, text: str) -> None:
     """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
 
     Raises:
-        OutputError: it cannot be written, or is not a regular file.
+        OutputError: it cannot be written, or is not a regular file; none is left that was not there.
     """
     check_appendable(path)
-    with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
-        stream.write(text)
+    new = not os.path.lexists(path)
+    try:
+        with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OutputError:
+        if new:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def write_synced(path: Path, content: bytes) -> None:
