@@ -74,8 +74,9 @@ def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> 
         with path.open("rb") as stream:
             data = stream.read(largest_bytes + 1)
     except (OSError, ValueError) as error:  # a path with a zero byte is a wrong value
+        cure = "check its permissions" if isinstance(error, PermissionError) else hint
         raise ConfigError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", hint
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", cure
         ) from error
     if len(data) > largest_bytes:
         raise ConfigError(f"{path}: larger than {largest_bytes} bytes", hint)

@@ -143,4 +143,6 @@ def test_a_file_that_may_not_be_read(solved, arguments):
     result = subprocess.run(command, cwd=solved, capture_output=True, text=True)
     assert result.returncode == UNREADABLE[arguments], result.stderr
     assert "log.mcap: cannot be read: Permission denied" in result.stdout + result.stderr
+    assert "hint: check " in result.stdout + result.stderr  # not: give another file
+    assert "permissions" in result.stdout + result.stderr
     assert "Usage" not in result.stderr
