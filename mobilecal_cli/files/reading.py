@@ -112,8 +112,11 @@ def problem_of(item: ErrorDetails) -> str:
 
 
 def problems_of(error: ValidationError) -> str:
-    """All errors of a schema."""
-    return "; ".join(problem_of(item) for item in error.errors())
+    """All errors of a schema; not the number of items where one of them has an error, as pydantic leaves it out."""
+    items = error.errors()
+    wrong = {item["loc"][:length] for item in items for length in range(len(item["loc"]))}
+    told = (item for item in items if item["type"] != "too_short" or item["loc"] not in wrong)
+    return "; ".join(map(problem_of, told))
 
 
 def _count(value: object, depth: int, known: dict[int, int]) -> int:
