@@ -107,6 +107,11 @@ def fleet_jobs(
             try:
                 load_rig(robot.config, flags)
             except ConfigError:  # a manifest may name any file: do not quote it
+                if not robot.config.exists():
+                    raise ConfigError(
+                        f"{source}: the configuration of {robot.name}: no such file: {robot.config}",
+                        "correct the path: it is relative to the manifest",
+                    ) from None
                 raise ConfigError(
                     f"{source}: the configuration of {robot.name} is not a valid rig.yaml: {robot.config}",
                     f"calibrate this robot alone with --config {robot.config}, which shows what is wrong",

@@ -71,6 +71,8 @@ from mobilecal_cli.vision import (
 
 #: Types that are read by their meaning, not by field paths.
 _KNOWN = {*IMAGES, CAMERA_INFO, JOINT_STATE, ODOMETRY, STRING, TRANSFORMS}
+#: What to do for a board that is no checkerboard, where none is configured.
+OF_MARKERS = "for a board with markers, set board.kind in rig.yaml to charuco or aprilgrid"
 
 
 def describe(
@@ -144,7 +146,7 @@ def _extracted(
             raise ObservationError(
                 f"no checkerboard found in the images of {sum(len(plan.stations) for plan in plans)} stations",
                 f"keep the whole board in {rig.cameras.images_words}, in good light, with {readable_words(None)}, "
-                "or set the number of its inner corners with --board, such as --board 9x6",
+                f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
             )
         board = Board(*size, config.board.square_m)
     detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))

@@ -49,16 +49,16 @@ _LEAST_COVERED = 0.9
 _LARGEST_RANGE = {"deg": 360.0, "mm": 2e4}
 
 
-def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], unread: bool = False) -> Iterator[Finding]:
+def _gaps(about: str, rig: Rig, gaps: Iterable[Gap], solvable: bool = False) -> Iterator[Finding]:
     """Unobservable parameters: `calibrate` can fix some of them at nominal values, the others prevent it.
 
-    What is `unread` of the recording may show the others.
+    Unless it is `solvable` with them: what is unread of the recording may show them, for example.
     """
     for gap in gaps:
         of_wheels = any("radi" in name or "separation" in name for name in gap.parameters)
         nominal = rig.nominal.wheels if of_wheels else rig.nominal.T_h_reference
         what = f"{', '.join(gap.parameters)}: unobservable: {gap.because}"
-        yield Finding.of(about, SolveError(what, gap.cure), prevents=nominal is None and not unread)
+        yield Finding.of(about, SolveError(what, gap.cure), prevents=nominal is None and not solvable)
 
 
 def inspect(
@@ -99,7 +99,7 @@ def inspect(
             notes += survey.notes
             progress("motion", 0, None)
             findings += _wrong_chain(config, rig, survey.description)
-            findings += _gaps("priors", rig, _without_priors(rig, config))
+            findings += _without_priors(rig, config)
             findings += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings, notes)
@@ -181,7 +181,7 @@ def _without_height(rig: Rig) -> list[Finding]:
     return [Finding.of("head chain", SolveError(what, cure))]
 
 
-def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
+def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Finding]:
     """Parameters that are unobservable in any recording, because too many constants are free."""
     rows = table(rig.cameras, rig.chain)
     known = {row.kind for row in rows if not math.isinf(rig.prior_sigmas.get(row.name, 0.0))}
@@ -192,10 +192,12 @@ def _without_priors(rig: Rig, config: RigConfig) -> Iterator[Gap]:
         because = (
             "the stereo baseline, the squares of the board and the positions of the head joints are all free"
         )
-        yield Gap(NINE[6:], because, "state how well one of these lengths is known", ())
+        gap = Gap(NINE[6:], because, "state how well one of these lengths is known", ())
+        yield from _gaps("priors", rig, [gap])
     if {"joint_axis", "joint_zero"} <= free:
         because = "the axes and zero positions of the head joints are all free"
-        yield Gap(NINE[:3], because, "state how well one of the two is known", ())
+        gap = Gap(NINE[:3], because, "state how well one of the two is known", ())
+        yield from _gaps("priors", rig, [gap], solvable=True)  # free ones keep a wide prior, which suffices
 
 
 def _covered(rig: Rig, times: Mapping[str, IntArray], findings: list[Finding]) -> tuple[int, int] | None:
@@ -306,7 +308,7 @@ def _rests(
             for signals, at in zip(logs, moments, strict=True)
         ]
         gaps = gaps_between(rig.chain, np.concatenate(readings), wheels, moments)
-        findings += _gaps("motion", rig, gaps, unread=share < 1)
+        findings += _gaps("motion", rig, gaps, solvable=share < 1)
         return None
     unique = {side: np.unique(logged) for side, logged in images.items() if logged is not None}
     index = {side: PictureIndex(ns, ns, ns) for side, ns in unique.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
+
+_ARCHIVE = b"PK\x03\x04"  # the first bytes of a zip file
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +50,7 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    if not any(path.is_file() and zipfile.is_zipfile(path) for path in logs):
+    if not any(path.is_file() and _is_archive(path) for path in logs):
         return Data(*extract(logs, config, progress, jobs), config.gates)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(
@@ -57,6 +60,13 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
     refuse_others(config.flags, str(logs[0]))
     extraction = with_settings(read_extraction(logs[0]), config)
     return Data(extraction, snapshots_from_npz(logs[0]), config.gates)
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether a file is a zip file such as an .npz, also a truncated one."""
+    with suppress(OSError), path.open("rb") as stream:
+        return stream.read(len(_ARCHIVE)) == _ARCHIVE or zipfile.is_zipfile(stream)
+    return False
 
 
 def read_extraction(path: Path) -> Extraction:

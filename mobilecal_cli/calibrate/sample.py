@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.calibrate.detect import check_picture
-from mobilecal_cli.calibrate.extract import board_of, other_size
+from mobilecal_cli.calibrate.extract import OF_MARKERS, board_of, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
 from mobilecal_cli.readers import Recording, pictures_near
@@ -78,6 +78,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         where = "an image" if cameras is None else cameras.images_words
         where = "both images" if len(images) == 2 else where
         cure = f"keep the whole board in {where}, in good light, with {readable_words(stated)}"
+        cure += f"; {OF_MARKERS}" if stated is None else ""
         findings.append(Finding.of("board", ObservationError(what, cure)))
         return BoardView(len(readable), 0, None, other_sizes=others), findings
     detections = {

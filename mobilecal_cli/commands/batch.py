@@ -47,7 +47,7 @@ def batch(
     from mobilecal_cli.calibrate.batch import SUMMARIES, in_processes, on_cluster
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
-    from mobilecal_cli.report.fleet import fleet_json, fleet_text, robots_of
+    from mobilecal_cli.report.fleet import failed_text, fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
 
     local = partial(in_processes, count=jobs or os.cpu_count() or 1)
@@ -73,8 +73,8 @@ def batch(
         typer.echo(fleet_json(rows), nl=False)
     elif not quiet:
         typer.echo(fleet_text(rows), nl=False)
-    if failed and (as_json or quiet):
-        typer.echo(fleet_text(failed), nl=False, err=True)
+    if as_json or quiet:
+        typer.echo(failed_text(rows), nl=False, err=True)
     worst = max(robots, key=lambda row: row.exit_code)
     kinds = {kind.exit_code: kind for kind in (OutputError, ResourceError)}
     if worst.exit_code in kinds:

@@ -76,7 +76,7 @@ def calibrate(
     outputs = {"--summary": summary, "--output": output}
     with options.junit_file(junit, logs, force, [config, last], outputs) as write_junit:
         if summary is not None:
-            check_appendable(summary)
+            check_appendable(summary, [*logs, config, last])
         flags = options.flags_of(setting)
         if board is not None:
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
@@ -98,9 +98,10 @@ def calibrate(
                 progress=progress,
                 jobs=jobs or os.cpu_count() or 1,
             )
-        write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
-        if summary is not None:
-            append_text(summary, report.markdown)
+        with options.results_written(output):
+            if summary is not None:
+                append_text(summary, report.markdown)
+            write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:

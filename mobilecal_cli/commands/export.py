@@ -48,12 +48,13 @@ def export(
         distance: For --to odometry_covariance: length of straight drives. [default: legs of the recording]
         log: For --to foxglove: recording of the calibration, for its images. Repeatable.
         allow_failed: Also export a calibration whose verdict is not PASS; the export states the verdict.
-        output: File to write. [default: standard output]
+        output: File to write; - for standard output. [default: -]
     """
     from mobilecal_cli.calibrate.export import export as exported
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
+    output = None if str(output) == "-" else output
     inputs, paths = [params, urdf, *(log or [])], []
     if output is not None:
         check_file(output, force, inputs)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from copy import copy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 import typer
 from typer import Argument, Option
 
-from mobilecal_cli.errors import ConfigError, MobilecalError, QualityError
+from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError
 
 if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
@@ -139,8 +139,18 @@ def junit_file(
     try:
         yield write
     except MobilecalError as error:
-        write(junit_error_xml(str(logs[0]), error))
+        with suppress(OutputError):  # the first error counts
+            write(junit_error_xml(str(logs[0]), error))
         raise
+
+
+@contextmanager
+def results_written(output: Path) -> Iterator[None]:
+    """Write further outputs inside the block; an error says that the results are written, and where."""
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(f"{error.message}; the results are written to {output}", error.hint) from error
 
 
 def conclude(

@@ -230,6 +230,8 @@ def _page(board: Board, paper: Paper) -> tuple[str, tuple[float, float]]:
             width, height = fitting[name]
             shown = name.upper() if name in _AUTOMATIC else name
             return f"{shown} ({width:g} x {height:g} mm)", (width, height)
+    if not fitting:
+        _page(board, "exact")  # refuses what fits on no page
     largest, larger = names[-1], next(iter(fitting), "exact")
     (width, height), board_mm = _PAGES_MM[largest], _size_mm(board)
     raise ConfigError(

@@ -26,6 +26,10 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
             created.
     """
     check_replaceable(path, recognized_file, force)
+    _check_no_input(path, inputs)
+
+
+def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
     if os.path.lexists(path):
         real = path.resolve()
         if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
@@ -113,26 +117,36 @@ def _writing(path: Path, option: str) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {error.strerror or error}", hint) from error
 
 
-def check_appendable(path: Path) -> None:
+def check_appendable(path: Path, inputs: Iterable[Path | None] = ()) -> None:
     """Check before the work whether text can be appended to a file.
 
+    Args:
+        inputs: files and directories that the command reads.
+
     Raises:
-        OutputError: it cannot be created, or is not a regular file.
+        OutputError: it cannot be created, is not a regular file, or is an input or in one.
     """
     check_parent(path)
     if os.path.lexists(path):
         recognized_file(path)
+    _check_no_input(path, inputs)
 
 
 def append_text(path: Path, text: str) -> None:
     """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
 
     Raises:
-        OutputError: it cannot be written, or is not a regular file.
+        OutputError: it cannot be written, or is not a regular file; none is left that was not there.
     """
     check_appendable(path)
-    with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
-        stream.write(text)
+    new = not os.path.lexists(path)
+    try:
+        with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
+            stream.write(text)
+    except OutputError:
+        if new:
+            path.unlink(missing_ok=True)
+        raise
 
 
 def write_synced(path: Path, content: bytes) -> None:

@@ -74,8 +74,9 @@ def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> 
         with path.open("rb") as stream:
             data = stream.read(largest_bytes + 1)
     except (OSError, ValueError) as error:  # a path with a zero byte is a wrong value
+        cure = "check its permissions" if isinstance(error, PermissionError) else hint
         raise ConfigError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", hint
+            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", cure
         ) from error
     if len(data) > largest_bytes:
         raise ConfigError(f"{path}: larger than {largest_bytes} bytes", hint)
@@ -111,8 +112,11 @@ def problem_of(item: ErrorDetails) -> str:
 
 
 def problems_of(error: ValidationError) -> str:
-    """All errors of a schema."""
-    return "; ".join(problem_of(item) for item in error.errors())
+    """All errors of a schema; not the number of items where one of them has an error, as pydantic leaves it out."""
+    items = error.errors()
+    wrong = {item["loc"][:length] for item in items for length in range(len(item["loc"]))}
+    told = (item for item in items if item["type"] != "too_short" or item["loc"] not in wrong)
+    return "; ".join(map(problem_of, told))
 
 
 def _count(value: object, depth: int, known: dict[int, int]) -> int:

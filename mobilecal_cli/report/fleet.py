@@ -170,17 +170,28 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
 
 
 def fleet_text(rows: Sequence[FleetRow]) -> str:
-    """One line per robot, for the terminal; errors have a hint below."""
+    """One line per robot, for the terminal, and what was skipped; errors have a hint below."""
+    skipped = skipped_text(rows)
+    return "\n".join([*_lines(rows, robots_of(rows)), *([skipped] if skipped else [])]) + "\n"
+
+
+def failed_text(rows: Sequence[FleetRow]) -> str:
+    """The lines of `fleet_text` of the robots that do not pass; "" if all pass."""
+    failed = [row for row in robots_of(rows) if row.verdict != "PASS"]
+    return "".join(f"{line}\n" for line in _lines(rows, failed))
+
+
+def _lines(rows: Sequence[FleetRow], shown: Sequence[FleetRow]) -> list[str]:
+    """The lines of those robots of a fleet that are shown."""
     out = standing_out(rows)
-    width = max(len(visible(row.name)) for row in rows)
+    width = max((len(visible(row.name)) for row in shown), default=0)
     lines = []
-    for row in robots_of(rows):
+    for row in shown:
         marks = f" [outlier: {', '.join(out[row.name])}]" if row.name in out else ""
         lines.append(f"  {visible(row.name):<{width}}  {row.verdict:<11}  {visible(row.reason)}{marks}")
         if row.hint and row.verdict != "PASS":
             lines.append(f"  {'':<{width}}  {'':<11}  hint: {visible(row.hint)}")
-    skipped = skipped_text(rows)
-    return "\n".join([*lines, *([skipped] if skipped else [])]) + "\n"
+    return lines
 
 
 def skipped_text(rows: Sequence[FleetRow]) -> str:

@@ -317,11 +317,11 @@ def _measured(inspection: Inspection) -> dict[str, str]:
         motion = inspection.motion
         still = inspection.rig is not None and unseen_height(inspection.rig.chain) is not None
         shown = "all parameters but the camera's height" if still else "all nine parameters"
-        stops = (
-            "stops not counted, as only a part of the recording was read"
-            if motion.rests is None
-            else f"{motion.rests} stops with images; the motion determines {shown}"
-        )
+        stops = f"{motion.rests} stops with images; the motion determines {shown}"
+        if motion.rests is None:
+            partly = motion.share_read < 1
+            why = "only a part of the recording was read" if partly else "log times step or are unknown"
+            stops = f"stops not counted, as {why}"
         said["motion"] = f"{stops}; {', '.join(_ranges(motion))}"
     board = inspection.board
     if board is not None and board.size is not None:

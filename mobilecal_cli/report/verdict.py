@@ -67,7 +67,7 @@ def verdict_of(made: Calibration) -> Verdict:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
         error = f"The point error is {solution.point_rms_m * 1e3:.1f} mm."
         reason = f"{error} The method {solution.method} {unknown}."
-        next_step = "Calibrate with --method ml (the default) for a result that the robot can use."
+        next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
         reason = use_sentence(solution.uncertainty.at_work, made.gates)
         next_step = "Use params.yaml on the robot."

@@ -612,9 +612,10 @@ def _validated(
         elif item["type"] in _NOT_A_SECTION:
             problems.append(f"{key}: a section of keys, not a value (got {reprlib.repr(item['input'])})")
             names = [] if item["type"] == "dict_type" else _known_keys(location)
-            example = (
-                f"{key}.all={item['input']}" if key == "priors" else f"{key}.{[*names, 'NAME'][0]}=VALUE"
-            )
+            all_priors = key == "priors" and item["input"] is not None
+            first, value = ("all", item["input"]) if all_priors else ([*names, "NAME"][0], "VALUE")
+            of_option = any(f"{key}.".startswith(f"{option}.") for option in given)
+            example = f"{key}.{first}={value}" if of_option else f"{location[-1]}: {{{first}: {value}}}"
             hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))

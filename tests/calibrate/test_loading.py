@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.load import load
-from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.errors import ConfigError, RecordingError, SolveError
 from mobilecal_cli.export import extraction_to_npz
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
@@ -25,6 +25,15 @@ def npz(tmp_path_factory):
     path = tmp_path_factory.mktemp("npz") / "extraction.npz"
     path.write_bytes(extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))))
     return path
+
+
+@pytest.mark.parametrize("size", [100, 10_000])
+def test_a_truncated_extraction_is_no_foreign_file(npz, tmp_path, size):
+    """It was taken for a recording of an unknown format."""
+    (tmp_path / "cut.npz").write_bytes(npz.read_bytes()[:size])
+    with pytest.raises(RecordingError, match=r"cut\.npz: damaged: ") as caught:
+        load([tmp_path / "cut.npz"], load_rig(None, {}))
+    assert "calibrate from the recording" in caught.value.hint
 
 
 def loaded(npz, **flags):

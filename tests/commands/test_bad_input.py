@@ -75,7 +75,7 @@ def test_no_board_anywhere(make, tmp_path):
     grey = np.random.default_rng(0).integers(90, 110, (480, 640)).astype(np.uint8)
     jpeg = cv2.imencode(".jpg", grey)[1].reshape(-1)
     log = make(lambda topic, m: replace(m, data=jpeg) if topic in IMAGES else m)
-    refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "whole board")
+    refused(run("calibrate", log, cwd=tmp_path), 4, "no checkerboard found", "set board.kind in")
     sized = run("calibrate", log, "--board", "9x6", cwd=tmp_path)
     refused(
         sized,

@@ -137,7 +137,23 @@ def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code, few):
     data = json.loads(done.out)
     assert data["exit_code"] == code
     assert {lack["exit_code"] for lack in data["missing"]} == {code}
+    assert name != "board.mcap" or "a board with markers, set board.kind" in data["missing"][0]["cure"]
     assert run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path).code == code
+
+
+@pytest.mark.parametrize(
+    ("percent", "code", "rests"), [(10, 4, 1), pytest.param(50, 0, 6, marks=pytest.mark.long)]
+)
+def test_a_truncated_database_is_judged_by_the_rest(sample_logs, tmp_path, percent, code, rests):
+    """Its times were unknown, so nothing but the topics was checked, and it seemed good for a calibration."""
+    (whole,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
+    log = tmp_path / "cut.db3"
+    log.write_bytes(whole.read_bytes()[: whole.stat().st_size * percent // 100])
+    found = inspect.inspect([log])
+    assert (found.exit_code, found.motion.rests, found.motion.share_read) == (code, rests, 1.0)
+    assert f"{rests} possible stations" in (*found.missing, *found.weak)[0].what
+    assert found.board is not None
+    assert found.covered is not None
 
 
 def black_images(topic, message):

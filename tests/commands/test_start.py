@@ -1,8 +1,10 @@
 """What the command line loads before it knows what is asked for."""
 
+import shlex
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -78,6 +80,17 @@ def test_a_system_that_is_not_supported_is_named(arguments):
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: mobilecal runs on Linux and macOS")
     assert "Windows Subsystem for Linux" in done.stderr
+
+
+@pytest.mark.parametrize("redirection", ["2>&-", "2</dev/null", "2>/dev/full"])
+@pytest.mark.parametrize("command", ["bogus", "calibrate"])
+def test_a_wrong_command_line_that_standard_error_cannot_show(command, redirection):
+    """It ended as a bug does, or as standard output that is full."""
+    if redirection.endswith("full") and not Path("/dev/full").exists():
+        pytest.skip("this system has no /dev/full")
+    words = f"{shlex.quote(sys.executable)} -m mobilecal_cli {command} {redirection}"
+    done = subprocess.run(["sh", "-c", words], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
 
 
 def test_the_package_states_the_same_systems():

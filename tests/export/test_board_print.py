@@ -175,6 +175,7 @@ def test_the_default_dictionary_is_large_enough(tmp_path, capsys):
         (("9x6", 0.03, False, None, None, "a4"), r"300 x 210 mm does not fit on a4", "--paper a3"),
         (("9x6", 0.2), r"2000 x 1400 mm does not fit on a0", "--paper exact"),
         (("50x50", 0.2, False, None, None, "exact"), r"limit of a PDF: 5080 mm", "smaller or fewer"),
+        (("100x100", 0.08), r"limit of a PDF: 5080 mm", "smaller or fewer"),
         (("9x8", 0.02, True, "DICT_4X4_50"), None, None),
         (("11x8", 0.02, True, "DICT_4X4_50"), r"needs 54 markers, and DICT_4X4_50 has 50", "larger dictionary"),
         (("8x5", 0.02, False, "DICT_4X4_50"), r"apply only to ChArUco", "--charuco"),

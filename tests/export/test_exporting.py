@@ -116,6 +116,16 @@ def test_what_did_not_pass_is_refused_or_states_its_verdict(straight, target):
         fromstring(text)
 
 
+def test_a_hyphen_is_standard_output(passed, tmp_path):
+    """It was the name of a file, but not of `init`."""
+    named, plain = (
+        run("export", passed, "--to", "ros2_control", *more, cwd=tmp_path) for more in (["-o", "-"], [])
+    )
+    assert (named.code, named.out, named.left) == (0, plain.out, [])
+    two = run("export", passed, "--to", "foxglove", "-o", "-", cwd=tmp_path)
+    assert (two.code, two.left) == (2, [])
+
+
 def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
     refused = run("export", straight, "--to", "ros2_control", "-o", tmp_path / "out.yaml", cwd=tmp_path)
     assert (refused.code, refused.out, refused.left) == (6, "", [])

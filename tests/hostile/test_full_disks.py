@@ -57,6 +57,23 @@ def test_a_disk_that_fills_while_the_output_is_written(solved, size):
     assert result.stdout.split() == ["disk:", "out", "disk/out:", "params.yaml"]
 
 
+@pytest.mark.parametrize("option", ["--summary", "--junit"])
+def test_a_full_disk_for_a_further_output(solved, option):
+    """An empty summary was left, and nothing said that there are results."""
+    fill = "dd if=/dev/zero of=disk/full bs=1k 2>/dev/null; true"
+    result = on_a_small_disk(
+        solved, "64k", fill, "calibrate", "e.npz", "-o", "out", "--jobs", 1, option, "disk/f"
+    )
+    assert result.returncode == 7, result.stderr
+    error, hint = result.stderr.splitlines()
+    assert error == (
+        "error: disk/f: cannot be written: No space left on device; the results are written to out"
+    )
+    assert hint.startswith("hint: check free space")
+    assert result.stdout.split() == ["disk:", "full"]
+    assert (solved / "out/params.yaml").exists()
+
+
 @pytest.mark.long
 def test_a_disk_that_fills_while_a_recording_is_simulated(tmp_path):
     result = on_a_small_disk(tmp_path, "512k", "true", "simulate", "disk/log.mcap", "--stations", 4)
@@ -126,4 +143,6 @@ def test_a_file_that_may_not_be_read(solved, arguments):
     result = subprocess.run(command, cwd=solved, capture_output=True, text=True)
     assert result.returncode == UNREADABLE[arguments], result.stderr
     assert "log.mcap: cannot be read: Permission denied" in result.stdout + result.stderr
+    assert "hint: check " in result.stdout + result.stderr  # not: give another file
+    assert "permissions" in result.stdout + result.stderr
     assert "Usage" not in result.stderr

@@ -78,6 +78,10 @@ PARAMS, LOG, URDF = "params.yaml", "log.mcap", "robot.urdf"
         (("init", "bag", "--output", "bag/metadata.yaml"), "bag/metadata.yaml"),
         (("calibrate", LOG, "--junit", LOG), LOG),
         (("calibrate", LOG, "--last", PARAMS, "--junit", PARAMS), PARAMS),
+        (("calibrate", LOG, "--summary", LOG), LOG),
+        (("calibrate", LOG, "--last", PARAMS, "--summary", PARAMS), PARAMS),
+        (("calibrate", LOG, "--config", "rig.yaml", "--summary", "rig.yaml"), "rig.yaml"),
+        (("calibrate", "bag", "--summary", "bag/metadata.yaml"), "bag/metadata.yaml"),
         (("evaluate", LOG, PARAMS, "--junit", PARAMS), PARAMS),
         (("compare", PARAMS, PARAMS, "--plot", PARAMS), PARAMS),
         (("export", PARAMS, "--to", "ros2_control", "--output", PARAMS), PARAMS),
@@ -90,6 +94,7 @@ def test_no_input_is_replaced(sample_logs, tmp_path, arguments, name):
     shutil.copy(sample_logs / "straight.mcap", tmp_path / LOG)
     shutil.copytree(sample_logs / "paper_robot_rosbag2", tmp_path / "bag")
     (tmp_path / URDF).write_text("<robot name='r'/>")
+    (tmp_path / "rig.yaml").touch()
     before = (tmp_path / name).read_bytes()
     result = run(*arguments, "--force", cwd=tmp_path)
     assert result.code == 7, result.err

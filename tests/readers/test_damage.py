@@ -96,8 +96,13 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
     with open_recording([path]) as recording:
         count = len(r.every(recording))
         note = " ".join(recording.damage)
+        times, counts = recording.log_times(), {info.name: info.count for info in recording.topics}
+        span = recording.start_ns, recording.end_ns
     assert 0 < count < len(ITEMS)
-    assert f"damaged; {count} messages of the topics in use could be read" in note
+    assert f"damaged; {count} messages could be read" in note
+    assert sum(counts.values()) == count
+    assert {name: len(known) for name, known in times.items()} == {n: k for n, k in counts.items() if k}
+    assert span == (min(map(np.min, times.values())), max(map(np.max, times.values())))
     assert f"truncated: {path.stat().st_size} of {len(data)} bytes or more (70 %) are left" in note
 
 

@@ -6,7 +6,7 @@ import csv
 import io
 import re
 
-from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_html, fleet_text
+from mobilecal_cli.report.fleet import FleetRow, failed_text, fleet_csv, fleet_html, fleet_text
 
 
 def test_no_sigma_is_shown_as_zero(extraction):
@@ -29,3 +29,19 @@ def test_a_fleet_table_runs_no_formula_and_controls_no_terminal():
     page = fleet_html([FleetRow("r", "ERROR", 3, "<script>alert(1)</script>\x1b[2J")])
     assert "<script" not in page
     assert "\x1b" not in page
+
+
+def test_the_failed_robots_are_listed_by_themselves_but_judged_in_their_fleet():
+    """Alone, five failed ones had other outliers than the table of all; and only they were counted as skipped."""
+    lengths = [(0.1,) * 6] * 6 + [(0.2, *(0.1,) * 5)]
+    levels = ["PASS", "FAIL"] * 3 + ["FAIL"]
+    rows = [
+        FleetRow(f"r{n}", level, 0, "", 12, (0.0,) * 3, metres, (1e-3,) * 9, skipped="already done")
+        for n, (level, metres) in enumerate(zip(levels, lengths, strict=True))
+    ]
+    *lines, skipped = fleet_text(rows).splitlines()
+    assert failed_text(rows).splitlines() == [line for line in lines if "FAIL" in line]
+    assert "r6  FAIL" in failed_text(rows).splitlines()[-1]
+    assert "[outlier: t_x]" in failed_text(rows).splitlines()[-1]
+    assert skipped.startswith("Skipped, already done: 7 ")
+    assert failed_text(rows[:1]) == ""

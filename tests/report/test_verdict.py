@@ -34,7 +34,7 @@ from tests.report.example import (
 )
 from tests.robots import in_cameras
 
-NO_SIGMAS = "Calibrate with --method ml (the default) for a result that the robot can use."
+NO_SIGMAS = "Calibrate with --method ml (the default) for standard deviations and expected errors."
 
 
 def with_legs(solution, errors_m):

@@ -152,9 +152,20 @@ def test_flags_lie_over_the_file(write):
             "head: {chain: [{xyz_m: [0, 0, 0], rpy_rad: [0, 0, 90]}]}",
             "rpy_rad.2: must be from -6.28319 to 6.28319 rad; 90 looks like degrees: 1.571 rad",
         ),
-        ("priors: fixed", "priors: a section of keys, not a value (got 'fixed')", "write priors.all=fixed"),
-        ("board: 9x6", "board: a section of keys", "write board.kind=VALUE; keys: kind, columns, rows"),
-        ("gates: 1", "gates: a section of keys, not a value (got 1)", "write gates.NAME=VALUE"),
+        (
+            "priors: fixed",
+            "priors: a section of keys, not a value (got 'fixed')",
+            "write priors: {all: fixed}",
+        ),
+        ("board: 9x6", "board: a section of keys", "write board: {kind: VALUE}; keys: kind, columns, rows"),
+        (
+            "board:",
+            "board: a section of keys, not a value (got None)",
+            "write board: {kind: VALUE}; keys: kind",
+        ),
+        ("cameras: {left: 5}", "cameras.left: a section of keys", "write left: {image: VALUE}; keys: image"),
+        ("priors:", "priors: a section of keys, not a value (got None)", "write priors: {NAME: VALUE}"),
+        ("gates: 1", "gates: a section of keys, not a value (got 1)", "write gates: {NAME: VALUE}"),
         ("head: {chain: [{xyz_m: [1e300, 0, 0]}]}", "xyz_m.0: must be from -20 to 20 m (got 1e+300)"),
         ("noise: {pixel_px: 1e-300}", "noise.pixel_px: must be from 1e-09 to 1000 (got 1e-300)"),
         ("wheels: {left: {ticks_per_revolution: 1e300}}", "must be from 1 to 1e+09 (got 1e+300)"),
@@ -181,6 +192,15 @@ def test_a_bad_option_is_no_mistake_of_the_file(write):
             load_rig(path, {"board.square_m": flag})
         assert re.match(re.escape(f"{where}board."), caught.value.message)
         assert "80 looks like millimeters: 0.08 m" in caught.value.message
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "hint"), [("board", "9x6", "board.kind=VALUE;"), ("priors", "free", "priors.all=free")]
+)
+def test_a_section_as_an_option_is_written_as_one(key, value, hint):
+    with pytest.raises(ConfigError, match=f"{key}: a section of keys, not a value") as caught:
+        load_rig(None, {key: value})
+    assert caught.value.hint.startswith(f"write {hint}")
 
 
 def test_urdf_is_found_beside_the_file(write, tmp_path):

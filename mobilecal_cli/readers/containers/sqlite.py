@@ -52,6 +52,21 @@ class _Log(NamedTuple):
     size: IntArray
 
 
+def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
+    """The log of rows with their sizes, and topic id → number of messages."""
+    columns = [array("q") for _ in range(4)]
+    counts: Counter[int] = Counter()
+    for row in rows:
+        _, topic, time_ns, _ = row
+        if not isinstance(topic, int):  # SQLite stores values of any type
+            continue
+        counts[topic] += 1
+        if isinstance(time_ns, int):
+            for column, value in zip(columns, row, strict=True):
+                column.append(value or 0)
+    return _Log(*(np.array(column, dtype=np.int64) for column in columns)), dict(counts)
+
+
 class SqliteStorage(Storage):
     """One .db3 file.
 
@@ -64,8 +79,6 @@ class SqliteStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._copies = ExitStack()
-        #: None if the table is damaged.
-        self._log: _Log | None = None
         try:
             self._connection = self._connect(path)
             self._copies.callback(self._connection.close)
@@ -139,23 +152,14 @@ class SqliteStorage(Storage):
             )
 
     def _scan(self) -> None:
-        """Message counts, sizes and log times; unknown if the table is damaged."""
-        columns = [array("q") for _ in range(4)]
-        counts: Counter[int] = Counter()
+        """Message counts, sizes and log times; of the rows that can be read one by one if the table is damaged."""
+        select = _SELECT.format("LENGTH(data)")  # SQLite reads only the length of large messages
         try:
-            # SQLite reads only the length of large messages.
-            for row in self._connection.execute(f"{_SELECT.format('LENGTH(data)')} ORDER BY id"):
-                _, topic, time_ns, _ = row
-                if not isinstance(topic, int):  # SQLite stores values of any type
-                    continue
-                counts[topic] += 1
-                if isinstance(time_ns, int):
-                    for column, value in zip(columns, row, strict=True):
-                        column.append(value or 0)
+            log, counts = _listed(self._connection.execute(f"{select} ORDER BY id"))
         except (sqlite3.Error, OverflowError):
-            return  # noted when the messages are read
-        log = _Log(*(np.array(column, dtype=np.int64) for column in columns))
-        self.counts = dict(counts)
+            log, counts = _listed(row for row in self._rows(self._every_row(), select) if row is not None)
+            self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
+        self.counts = counts
         steps = steps_back(log.channel, log.log_ns)
         for first, size_ns in steps:
             log.log_ns[first:] += size_ns
@@ -165,20 +169,20 @@ class SqliteStorage(Storage):
         self.delay(0)
 
     def delay(self, shift_ns: int) -> None:
-        if self._log is not None and len(self._log.row):
+        if len(self._log.row):
             self._log.log_ns[:] += shift_ns
             self.shift_ns += shift_ns
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """Messages of the topics in order of log time, or as written if the table is damaged.
+        """Messages of the topics in order of log time.
 
         Rows of other topics are not read, so a limit in bytes does not apply.
         """
         read: Counter[int] = Counter()
-        damaged = self._log is None
+        damaged = False
         wanted = self._wanted(topics)
-        for fetched in self._rows(self._batches(wanted, extent)):
+        for fetched in self._rows(self._batches(wanted, extent), _SELECT.format("data")):
             if fetched is None:
                 damaged = True
                 continue
@@ -191,9 +195,8 @@ class SqliteStorage(Storage):
                     # A damaged frame: the message is reported as undecodable on use.
                     with suppress(Exception):
                         data = message_payload(data)
-                if self._log is not None:  # with the steps of the recorder's clock undone
-                    time_ns = int(self._log.log_ns[np.searchsorted(self._log.row, row)])
-                yield Message(channel, time_ns, data)
+                # With the steps of the recorder's clock undone.
+                yield Message(channel, int(self._log.log_ns[np.searchsorted(self._log.row, row)]), data)
         if damaged:
             self.note(
                 f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
@@ -202,48 +205,46 @@ class SqliteStorage(Storage):
             self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `messages` reads: the messages, or the whole file if the table is damaged."""
-        if self._log is None:
-            return self.path.stat().st_size
-        return int(self._log.size[self._places(self._log, self._wanted(topics), extent)].sum())
+        """Number of bytes that `messages` reads."""
+        return int(self._log.size[self._places(self._wanted(topics), extent)].sum())
 
     def log_times(self) -> dict[int, IntArray]:
-        """Topic id → (n,) log times in table order; empty if the table is damaged."""
-        if self._log is None:
-            return {}
+        """Topic id → (n,) log times in table order."""
         return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]
 
-    def _places(self, log: _Log, wanted: list[int], extent: Extent) -> IntArray:
+    def _places(self, wanted: list[int], extent: Extent) -> IntArray:
         """Places in the log of the messages that are read, in order of time."""
+        log = self._log
         own = np.isin(log.channel, wanted)
         if extent.at_ns is not None:
             own &= np.isin(log.log_ns, extent.at_ns)
         places = np.flatnonzero(own)
         return np.asarray(places[np.argsort(log.log_ns[places], kind="stable")])
 
+    def _every_row(self) -> Iterator[list[int]]:
+        """Increasing row numbers of all rows that a damaged table may have."""
+        try:
+            (end,) = self._connection.execute("SELECT MAX(id) FROM messages").fetchone()
+        except sqlite3.Error:
+            end = 2**62
+        every = range(1, (end or 0) + 1)
+        yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
+
     def _batches(self, wanted: list[int], extent: Extent) -> Iterator[list[int]]:
-        """Increasing row numbers in the order of reading; all that the table may have if it is damaged."""
-        if self._log is None:
-            try:
-                (end,) = self._connection.execute("SELECT MAX(id) FROM messages").fetchone()
-            except sqlite3.Error:
-                end = 2**62
-            every = range(1, (end or 0) + 1)
-            yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
-            return
-        rows = self._log.row[self._places(self._log, wanted, extent)]
+        """Increasing row numbers in the order of reading."""
+        rows = self._log.row[self._places(wanted, extent)]
         for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):
             yield from (run[at : at + _BATCH].tolist() for at in range(0, len(run), _BATCH))
 
-    def _rows(self, batches: Iterable[list[int]]) -> Iterator[tuple[Any, ...] | None]:
-        """Row number, topic, time and payload of the rows that can be read; None for a damaged one.
+    def _rows(self, batches: Iterable[list[int]], select: str) -> Iterator[tuple[Any, ...] | None]:
+        """What is selected of the rows that can be read; None for a damaged one.
 
         A damaged page costs only the rows on it. The pass ends after many consecutive damaged or missing rows.
         """
-        select, failures = _SELECT.format("data"), 0
+        failures = 0
         for batch in batches:
             left = batch
             try:
