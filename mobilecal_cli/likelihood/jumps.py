@@ -163,7 +163,8 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     log = data.log[first[:, 0]]
     shared += normal.board_by_shared[log].mT @ board
     for total, by in ((shared, normal.base_by_shared), (board, normal.base_by_board)):
-        total += np.moveaxis((by.reshape(rows, -1).T @ flat).reshape(-1, k, m), 1, 0)
+        onto = by.reshape(rows, by.shape[2]).T @ flat
+        total += np.moveaxis(onto.reshape(len(onto), k, m), 1, 0)
     each, solved = (np.moveaxis(part.reshape(rows, k, m), 1, 0) for part in (flat, solved))
     information = own - each.mT @ solved
     for A, C in ((board, normal.board_covariance[log]), (shared, lin.conditional_covariance)):
