@@ -1,11 +1,11 @@
-"""Errors of many numbers, as few constants as a recording is sensitive to: places of the board's corners, and lenses.
+"""Errors of many numbers: what lenses do beside their distortion, and places of the board's corners.
 
-Every corner of the board may be off its place, by print and plate, in the plane and across it; every lens does more
-than the terms of its distortion say, in waves over the image. What such errors e do to the images counts as corner
-noise, but for the patterns that would spoil the result: the constants of cameras and board, and the camera's pose,
-together c. With the board's pose eliminated, and with it that at each station, which is tied to what joints, wheels and
-floor say of it, c and e have the informations ``H_cc`` and ``H_ee`` (with priors) and share ``H_ce``. An estimate with
-some patterns, the orthonormal columns of M in units of the prior, states the information ::
+Every lens does more than the terms of its distortion say, in waves over the image; all of them are estimated. Every
+corner of the board may be off its place, by print and plate, in the plane and across it. What such errors e do to the
+images counts as corner noise, but for the patterns that would spoil the result: the constants of cameras and board, and
+the camera's pose, together c. With the board's pose eliminated, and with it that at each station, which is tied to what
+joints, wheels and floor say of it, c and e have the informations ``H_cc`` and ``H_ee`` (with priors) and share
+``H_ce``. An estimate with some patterns, the orthonormal columns of M in units of the prior, states the information ::
 
     I = H_cc - B M^T H_ec,    B = H_ce M (M^T H_ee M)^-1,
 
@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import LENS_TERMS, lens_terms
+from mobilecal_cli.camera import LENS_TERMS
 from mobilecal_cli.likelihood.corners import corner_residuals, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
@@ -46,7 +46,7 @@ _WIDER = 10.0  # priors of contradicted constants become so much wider
 
 
 def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
-    """Rows of the patterns that matter for the poses of camera and board, or for the constants of both.
+    """Rows of all waves of the lenses, and of the patterns of corners that matter for all else in the images.
 
     Args:
         data: cameras and board as stated, and each station's board pose.
@@ -54,7 +54,7 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
     """
     if data.posed.all():
         return
-    lenses = list(_of_lenses(_Images.of(data, rows)))
+    lenses = list(_of_lenses(data))
     yield from lenses
     images = _Images.of(data, [*rows, *lenses])  # waves and displaced corners may look alike
     sigmas = np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
@@ -64,14 +64,13 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
         yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind(_CORNERS).sigma)
 
 
-def _of_lenses(images: _Images) -> Iterator[Constant]:
-    data = images.data
+def _of_lenses(data: Dataset) -> Iterator[Constant]:
     for camera, name in enumerate(data.cameras.names):
         if not data.seen[:, camera].any():
             continue
-        for number, mode in enumerate(_modes(*images.informations(*images.by_lens(camera))), 1):
-            along = CameraEffect("lens", (0.0,) * 4 + tuple((_WAVE * mode).tolist()), camera)
-            part, meaning = camera_words(name), f"waves over the image, pattern {number}"
+        for number, wave in enumerate(_WAVE * np.eye(LENS_TERMS - 4), 1):
+            along = CameraEffect("lens", (0.0,) * 4 + tuple(wave.tolist()), camera)
+            part, meaning = camera_words(name), f"waves over the image, {number}"
             yield Constant(f"{_LENS}_{name}_{number}", _LENS, part, meaning, along, kind(_LENS).sigma)
 
 
@@ -121,7 +120,12 @@ class _Images:
         plain, each = some.with_constants(in_images), data.stations / some.stations
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
         state = State.without_errors(plain, *anywhere, np.zeros((some.stations, 3)))
-        J = _in_units_of_noise(some, each, corner_residuals(plain, state, some.T_c_k)[1])
+        J = (
+            whitened(some.whitening, corner_residuals(plain, state, some.T_c_k)[1])
+            * np.sqrt(each)
+            / _PIXEL_PX
+        )
+        J[~some.seen] = 0.0
         wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
         return cls(some, each, J, (np.array(wider) * [row.sigma for row in in_images]) ** -2)
 
@@ -143,22 +147,13 @@ class _Images:
         shared = shared.reshape(*shared.shape[:2], -1) * scale
         return shared, block_diag(*of_corners) * np.outer(scale, scale)
 
-    def by_lens(self, camera: int) -> tuple[FloatArray, FloatArray]:
-        """The same of the E waves over the images of a camera: (n, 6 + c, E) and (E, E)."""
-        stated, at = self.data.cameras.each[camera], slice(camera, camera + 1)
-        terms, _ = lens_terms(stated, stated.K[:2, 2], self.data.pixels[:, camera], np.zeros(LENS_TERMS))
-        waves = kind(_LENS).sigma * _WAVE * terms[:, None, ..., 4:]
-        F = _in_units_of_noise(self.data, self.each, waves, at)
-        shared = np.einsum("ncmxa,ncmxk->nak", self.J[:, at], F, optimize=True)
-        return shared, np.einsum("ncmxk,ncmxl->kl", F, F, optimize=True)
-
     def informations(
         self, shared: FloatArray, among: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """``H_cc``, ``H_ce`` and ``H_ee``; c are the constants and the camera's pose.
 
         Args:
-            shared, among: from `by_places` or `by_lens`.
+            shared, among: from `by_places`.
         """
         T, G = self.data.T_c_k, self.G
         # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
@@ -187,9 +182,3 @@ class _Images:
         H -= H[:, board] @ np.linalg.solve(H[board, board], H[board])
         c = np.r_[constants, camera]
         return H[np.ix_(c, c)], H[c, errors], H[errors, errors]
-
-
-def _in_units_of_noise(data: Dataset, each: float, J: FloatArray, cameras: slice = slice(None)) -> FloatArray:
-    """Derivatives of detected corners in some cameras, (n, C, M, 2, k) px, in units of a usual noise."""
-    seen, W = data.seen[:, cameras], data.whitening[:, cameras]
-    return np.asarray(np.where(seen[..., None, None], whitened(W, J), 0.0) * np.sqrt(each) / _PIXEL_PX)
