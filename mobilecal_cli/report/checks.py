@@ -640,7 +640,8 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     Errors of consistent legs are distributed like |x| of a normal x: the largest of 11 is about 3 times the median, the
     largest of 1000 about 5 times. Short legs have small errors, so an outlier must also be large in absolute terms: as
     a share of the distance, in mm or in the image, beside three standard deviations of the leg's own depth noise. With
-    coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints.
+    coarse encoders, that is more than an error of one step on both wheels, with a margin for the joints. The error of
+    wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
     residuals, names = made.solution.residuals, station_names(made.extraction)
@@ -652,6 +653,9 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     bad = max(bad, encoder_steps * step_rad)
     distance_mm, focal_px = made.extraction.board_distance_m * 1e3, float(made.solution.cameras.first.K[0, 0])
     depth_noise = sigmas * residuals.leg_corner_noise_m * 1e3 / distance_mm
+    stamps = np.array([o.time_ns for o in made.extraction.observations], dtype=np.int64)
+    took = np.diff(stamps[residuals.legs], axis=1)[:, 0]
+    longer = np.sqrt(np.maximum(took / max(float(np.median(took)), 1.0), 1.0))
     for metric, kind, errors, scale in (
         (metrics[0], "point", residuals.leg_point_rms_m * 1e3, distance_mm),
         (metrics[1], "reprojection", residuals.leg_reprojection_px, focal_px),
@@ -663,10 +667,10 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
             error, limit, f"largest {kind} error of a leg",
             "Check for wheel slip and for a moved board between these stations, and record again.",
             measured=f"{error:.1f} {metric.unit} (median {median:.1f} {metric.unit})",
-            at_limit=f"at most {times:g} times the median, or at most {limit:.1f} {metric.unit}",
+            at_limit=f"at most {times * longer[worst]:.2g} times the median, or at most {limit:.1f} {metric.unit}",
             why=f"The {kind} error between stations {first} and {second} is {error:.1f} {metric.unit} "
             f"(median {median:.1f} {metric.unit}).",
-            passes=error <= times * median or error <= limit,
+            passes=error <= times * longer[worst] * median or error <= limit,
             beyond=_warning_of(made),
         )  # fmt: skip
 
