@@ -224,7 +224,7 @@ def extract(
                 "give recordings of one robot only",
             )
         other = _other_cameras(first, new)
-        extracted += [replace(piece, notes=(*piece.notes, *other)) for piece in pieces]
+        extracted += [replace(piece, notes=(*piece.notes, *other, *_unused(piece))) for piece in pieces]
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
@@ -269,6 +269,16 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
         return ()
     return (
         f"{other.name}: {CAMERA_INFO_CHANGES} from that of {first.name}, which the estimate takes for all recordings",
+    )
+
+
+def _unused(log: ExtractedLog) -> tuple[str, ...]:
+    """A note if no station of a recording can be used, as other recordings may hide that."""
+    if any(isinstance(measured, Measured) for measured in log.measured):
+        return ()
+    return (
+        f"{log.name}: nothing of this recording is used, as no station shows the board: check that it is of this robot "
+        "and this board",
     )
 
 

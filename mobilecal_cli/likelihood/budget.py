@@ -156,7 +156,8 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
     views = lin.views
     for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
         every = np.flatnonzero(of_kind)
-        for stations in map(every.__getitem__, blocks_of(len(every))):
+        for block in blocks_of(len(every)):
+            stations = every[block]
             root, inverse = roots(views.information[stations])
             yield Influence(
                 lin,

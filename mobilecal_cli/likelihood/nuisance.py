@@ -115,7 +115,7 @@ _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
 UNSTATED = frozenset({"board_corners", "floor_shape", "lens_waves"})
-#: Kinds of which there are patterns, see `patterns`: they mean nothing but in the recording that they are made for.
+#: Kinds of errors of many numbers, see `patterns`: estimated, but never part of an exported camera or board.
 PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.
 OF_RECORDINGS = UNSTATED | {"clock"}

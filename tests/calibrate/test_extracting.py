@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -68,3 +69,23 @@ def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):
     extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
     said = "joint head_tilt_joint on /joint_states: one reading only; the joint counts as standing still"
     assert f"{log}: {said}" in extraction.notes
+
+
+def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):
+    """The first one alone decides, and would say nothing of the second."""
+
+    _, wall = cv2.imencode(".jpg", np.full((480, 640), 90, dtype=np.uint8))
+
+    def covered(topic, message):
+        return replace(message, data=wall.ravel()) if "image" in topic else message
+
+    log = edited(sample_logs / "head_fixed.mcap", tmp_path / "covered.mcap", covered)
+    extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
+    assert {o.log for o in extraction.observations} == {0}
+    assert [note for note in extraction.notes if note.startswith(f"{log}: nothing of this recording is used")]
+
+
+def test_recordings_that_are_used_are_not_named(sample_logs):
+    logs = [sample_logs / name for name in ("paper_robot.mcap", "head_fixed.mcap")]
+    extraction, _ = extract(logs, load_rig(None))
+    assert not [note for note in extraction.notes if "nothing of this recording" in note]
