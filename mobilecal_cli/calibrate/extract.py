@@ -273,7 +273,7 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
 
 
 def _unused(log: ExtractedLog) -> tuple[str, ...]:
-    """A note if no station of a recording can be used, as other recordings may hide that."""
+    """A note if no station of a recording can be used: beside others, nothing else says so."""
     if any(isinstance(measured, Measured) for measured in log.measured):
         return ()
     return (
