@@ -31,9 +31,6 @@ from mobilecal_cli.model import (
 
 PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
 PAIR_MOVING_S = 0.005
-_FREE_RUNNING_S = (
-    2e-4  # standard deviation of the time between images of one moment, of cameras that have no trigger
-)
 REST_WINDOW_S = 0.3
 STILL_REVOLUTE_RAD = 0.006  # range over the window: six times a joint noise of 0.05 degrees
 STILL_PRISMATIC_M = 0.002
@@ -450,18 +447,6 @@ def _slow_wheels(channels: Sequence[_Channel]) -> Iterator[str]:
             )
 
 
-def _free_running(logs: Sequence[_Pairs]) -> Iterator[str]:
-    """A note if the images of one moment are now more, now less apart: each camera then has errors of its own."""
-    moments = [shot.taken_ns for log in logs for shot in log.moving if None not in shot.times_ns]
-    stamps = np.array(moments, dtype=np.int64) if moments else np.zeros((1, 1), dtype=np.int64)
-    spread_s = float((stamps - stamps[:, :1]).std(axis=0).max()) / _NS
-    if spread_s > _FREE_RUNNING_S:
-        yield (
-            f"In motion, the time between the images of one moment varies by {1e3 * spread_s:.1f} ms (standard "
-            "deviation), which no estimate corrects. Trigger the cameras together, or stop for the images."
-        )
-
-
 def _not_used(log: _Pairs) -> Iterator[str]:
     """A note on shots that are not used, for each reason and joint, wheel or camera."""
     what = shots_words(len(log.signals.images))
@@ -535,7 +520,6 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
                 f"{1e3 * PAIR_MOVING_S:.0f} ms apart: they count one by one, which needs board.square_m. Trigger the "
                 "cameras together."
             )
-        notes += _free_running(paired)
     return (replace(plans[0], notes=tuple(notes)), *plans[1:])
 
 

@@ -221,23 +221,32 @@ class Views:
     pixels: tuple[FloatArray, ...]
 
 
-def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatArray) -> Views:
+def views(
+    actual: OutsideRobot,
+    route: Route,
+    times_s: FloatArray,
+    floor: FloatArray,
+    apart_s: FloatArray | float = 0.0,
+) -> Views:
     """The board's corners in the actual cameras.
 
     Args:
         actual, route: the ground truth.
         times_s: (N,) times of the images.
         floor: (N, 4, 4) see `floor_in_base`.
+        apart_s: (N,) how much later the cameras but for the first take each image.
     """
     rig, corners_k = actual.rig_cameras, actual.corners_k(route.board)
     half_s = actual.constants.get("readout", 0.0) / 2
-    poses: dict[float, FloatArray] = {}
+    poses: dict[tuple[float, bool], FloatArray] = {}
 
     def exposed(camera: Camera, T_x_c: FloatArray | None, late_s: float) -> FloatArray:
-        if late_s not in poses:
-            T_w_c = camera_in_world(actual, route, times_s + late_s, floor)
-            poses[late_s] = np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
-        T_x_k = poses[late_s] if T_x_c is None else np.array([T_x_c @ T for T in poses[late_s]])
+        key = late_s, T_x_c is None or not np.any(apart_s)
+        if key not in poses:
+            taken_s = times_s + late_s + (0.0 if key[1] else apart_s)
+            T_w_c = camera_in_world(actual, route, np.clip(taken_s, 0, route.duration_s), floor)
+            poses[key] = np.asarray(np.linalg.inv(T_w_c) @ route.T_w_k)
+        T_x_k = poses[key] if T_x_c is None else np.array([T_x_c @ T for T in poses[key]])
         points = np.array([corners_k @ T[:3, :3].T + T[:3, 3] for T in T_x_k])
         ahead = points[..., 2:] > 0.05
         return np.where(ahead, pixels(camera, np.where(ahead, points, [0.0, 0.0, 1.0])), np.nan)
@@ -251,7 +260,7 @@ def views(actual: OutsideRobot, route: Route, times_s: FloatArray, floor: FloatA
             first, last = (exposed(camera, T_x_c, late_s + half) for half in (-half_s, half_s))
             at = _row_by_row(first, at, last, camera.height)
         every.append(at + _waves(at, actual.outside, k))
-    return Views(poses[0.0], tuple(every))
+    return Views(poses[0.0, True], tuple(every))
 
 
 def _waves(at: FloatArray, outside: Outside, camera: int) -> FloatArray:
@@ -381,7 +390,8 @@ def extraction_of(
     if not at_rest:
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)
-    seen = views(actual, route, times_s, floor)
+    apart_s = 0.0 if at_rest else noise.pair_s * np.random.default_rng([seed, 13]).normal(size=len(times_s))
+    seen = views(actual, route, times_s, floor, apart_s)
     sigma = noise.pixel_px or _UNIT_SIGMA_PX
     exact = actual.as_stated and not noise.pixel_px
     observations = []

@@ -270,17 +270,6 @@ def test_cameras_that_stop_while_the_robot_moves_are_named(changes, words):
     assert words is None or words in notes[0]
 
 
-@pytest.mark.parametrize(("late_ms", "named"), [(0.0, False), (1.0, True)])
-def test_cameras_whose_time_from_one_another_varies_in_motion_are_named(late_ms, named):
-    taken = np.arange(0.1, 23.9, 0.2)
-    late_s = 0.002 + 1e-3 * late_ms * (np.arange(len(taken)) % 2)
-    images = {"left": indexed(ns(taken)), "right": indexed(ns(taken + late_s))}
-    log = signals(lambda t: 0.3 * np.sin(t), lambda t: 2 * t, images=images)
-    notes = [note for note in planned(log, ("pan",)).notes if "varies by" in note]
-    assert bool(notes) == named
-    assert all("varies by 0.5 ms (standard deviation), which no estimate corrects" in note for note in notes)
-
-
 def test_cameras_that_are_not_triggered_together_count_alone_in_motion():
     taken = np.arange(0.1, 23.9, 0.2)
     images = {"left": indexed(ns(taken)), "right": indexed(ns(taken + 0.03))}

@@ -12,8 +12,8 @@ import numpy as np
 from mobilecal_cli.likelihood.corners import blocks_of
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
-from mobilecal_cli.likelihood.normal import summed
-from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
+from mobilecal_cli.likelihood.normal import roots, summed
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import NINE, FloatArray, IntArray
 
@@ -159,11 +159,16 @@ def _of_images(lin: Posterior) -> Iterator[Influence]:
         for block in blocks_of(len(every)):
             stations = every[block]
             root, inverse = roots(views.information[stations])
+            parts = _by_level([level] * root.shape[1])
+            if views.delays:
+                across = lin.noise.pair_s * inverse @ views.information[stations][:, :, [*views.delays]]
+                own = across @ across.mT
+                parts = {level: parts[level] - own, "pair_s": own}
             yield Influence(
                 lin,
                 (inverse @ views.gradient[stations, :, None])[..., 0],
                 root.mT @ lin.marginals.images(stations) @ root,
-                _by_level([level] * root.shape[1]),
+                parts,
                 partial(_of_views, lin, stations, root),
             )
 

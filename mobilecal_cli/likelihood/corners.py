@@ -74,14 +74,14 @@ class Showing:
             k: its index.
             T_c_k: (n, 4, 4) board poses.
             stations: which.
-            rates: (n, 6) see `view_rates`; at rest if None.
+            rates: (C, n, 6) see `view_rates`; at rest if None.
             effects: K, of direct constants. The derivatives are by delta and by these.
         """
         change, stated, camera = self.change, self.data.cameras.each[k], self.rig.each[k]
         detected, T_c_camera = self.data.pixels[stations, k], self.rig.T_c_each[k]
         points, T_camera_c = se3.act(T_c_k, self.points_k), se3.inverse(T_c_camera)
-        rates = (np.zeros((len(points), 6)) if rates is None else rates)[:, None]
-        velocity = np.cross(rates[..., :3], points) + rates[..., 3:]
+        twist = (np.zeros((len(points), 6)) if rates is None else rates[k])[:, None]
+        velocity = np.cross(twist[..., :3], points) + twist[..., 3:]
         rows = ((detected[..., 1] + 0.5) / stated.height - 0.5)[..., None]
         late_s = change.late_s(k, rows)
         exposed = points + late_s * velocity
@@ -98,7 +98,7 @@ class Showing:
         by_exposed = through @ J_p if k == 0 else through @ J_p @ T_camera_c[:3, :3]
         by_point = by_exposed
         if np.any(late_s):  # points at the stamp turn until they are exposed
-            by_point = by_exposed + np.cross(by_exposed, (late_s * rates[..., :3])[..., None, :])
+            by_point = by_exposed + np.cross(by_exposed, (late_s * twist[..., :3])[..., None, :])
         J = np.empty((*pixels.shape, 6 + len(effects)))
         J[..., :3] = np.cross(points[:, :, None], by_point)
         J[..., 3:6] = by_point
@@ -146,7 +146,7 @@ def corner_residuals(
         data, state: all stations.
         T_c_k: (N, 4, 4) of these stations.
         stations: which.
-        rates: (N, 6) see `view_rates`, of these stations; at rest if None.
+        rates: (C, N, 6) see `view_rates`, of these stations; at rest if None.
         by_constants: whether the derivatives by the direct constants are needed.
 
     Returns:
@@ -182,7 +182,7 @@ def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
     for block in blocks_of(0 if data.posed.any() else data.stations):
-        poses[block] = fitted_poses(data, state, poses[block], block, counted[block], rates[block])
+        poses[block] = fitted_poses(data, state, poses[block], block, counted[block], rates[:, block])
     return poses
 
 

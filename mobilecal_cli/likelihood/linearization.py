@@ -49,7 +49,7 @@ class Linearization:
         leg_covariances: noise level → its share of the covariance of the legs' residuals, (L, K, K), m and rad,
             for known scale errors of the wheels at the stations.
         processes: prior of the base blocks' errors along the way.
-        rates: (N, 6) see `view_rates`.
+        rates: (C, N, 6) see `view_rates`.
         leg_offset: (L, K) to be added to the legs' residuals, or 0.
     """
 
@@ -107,8 +107,11 @@ class Linearization:
         wheels, known = self.state.parameters.wheels, {}
         if "views" in self.__dict__:
             levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
-            factor = sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
-            known["views"] = self.views.scaled(np.asarray(factor))
+            factor = np.asarray(
+                sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
+            )
+            before, after = self.noise.pair_s**2, noise.pair_s**2
+            known["views"] = self.views.scaled(factor).with_own_delays(before * factor**2, after)
         same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
             ("legs",) if same_legs else (),

@@ -236,9 +236,9 @@ def _without_own(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate each station's own errors without cancellation.
 
-    They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G about
-    delta becomes (G^-1 + A)^-1 = (I + G A)^-1 G. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the difference of two
-    matrices that agree to all digits where the corners are much better than the joints.
+    They move the board in the camera by A = J P J^T, with their prior covariance P. The corners' information G = R R^T
+    about delta becomes (G^-1 + A)^-1 = R (I + R^T A R)^-1 R^T. The usual G - G J (P^-1 + J^T G J)^-1 J^T G is the
+    difference of two matrices that agree to all digits where the corners are much better than the joints.
 
     Args:
         lin: where.
@@ -256,7 +256,8 @@ def _without_own(
     back = J @ (lin.state.own / (1 + damping))[..., None]
     wanted = views.gradient - (G[:, :, :6] @ back)[..., 0]
     both = np.concatenate([G[:, :6], wanted[:, :6, None]], axis=2)
-    return np.linalg.inv(np.eye(6) + G[:, :6, :6] @ A) @ both, A, wanted[:, 6:]
+    root, inverse = roots(G[:, :6, :6])
+    return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ both)), A, wanted[:, 6:]
 
 
 def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
@@ -271,6 +272,15 @@ def station_information(lin: Linearization, beside: FloatArray | float = 0.0) ->
     G[:, :6] = both[:, :, :-1]
     G[:, 6:, :6] = G[:, :6, 6:].mT
     return G
+
+
+def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    values, vectors = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(values, 0.0))
+    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
+    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
+    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
 def summed(A: FloatArray, B: FloatArray) -> FloatArray:

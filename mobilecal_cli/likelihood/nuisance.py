@@ -119,7 +119,7 @@ UNSTATED = frozenset({"board_corners", "floor_shape", "lens_waves"})
 PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.
 OF_RECORDINGS = UNSTATED | {"clock"}
-#: Kinds that others are judged with, see `family`.
+#: Kinds that others are judged with, see `family`: what all constants of one share does not show.
 FAMILIES = frozenset(_TOGETHER.values())
 
 

@@ -122,6 +122,13 @@ class Marginals:
         mixed = np.einsum("nqr,nqr->n", information[:, :6, 6:], self.mixed)
         return np.asarray(of_poses + 2 * mixed + of_direct)
 
+    def variance_along(self, across: FloatArray) -> FloatArray:
+        """(N,) variance of a sum of each station's (delta, direct constants) with factors (N, Q)."""
+        pose, direct = across[:, :6], across[:, 6:]
+        of_pose = np.einsum("na,nab,nb->n", pose, self.views, pose)
+        mixed = np.einsum("na,nab,nb->n", pose, self.mixed, direct)
+        return np.asarray(of_pose + 2 * mixed + np.sum((direct @ self.direct) * direct, axis=1))
+
     def of_gradient(self, information: FloatArray) -> FloatArray:
         """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
         G, across = information[:, :6, :6], information[:, :6, 6:]
@@ -140,15 +147,6 @@ class Marginals:
         )
         out[:, 6:, :6] = out[:, :6, 6:].mT
         return out
-
-
-def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
-    values, vectors = np.linalg.eigh(information)
-    size = np.sqrt(np.maximum(values, 0.0))
-    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
-    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
 def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:

@@ -11,7 +11,8 @@ from scipy.special import fdtri
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
-from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy, roots
+from mobilecal_cli.likelihood.normal import roots
+from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray

@@ -194,15 +194,23 @@ def board_in_camera(data: Dataset, state: State) -> FloatArray:
 
 
 def view_rates(data: Dataset, state: State) -> FloatArray:
-    """(N, 6) rates of delta: how the board moves in the first camera, rad/s and m/s; 0 at rest."""
+    """(C, N, 6) rates of delta: how the board moves in the first camera, rad/s and m/s; 0 at rest.
+
+    For each camera at the middle of its delay: the way in between is then right to second order.
+    """
     T_h_c, wheels = state.parameters.T_h_c, state.parameters.wheels
-    rates = np.zeros((data.stations, 6))
+    rates = np.zeros((len(data.cameras.each), data.stations, 6))
     if not data.moving.any() or not data.joint_tracks:
         return rates
     frames = JointFrames.at(chain_change(data, state).apply(data.chain), joints_at(data, state))
-    rolled = data.wheel_rates(clock_s(data, state, "wheels")) * wheels.vector[:2]
-    rates[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
-    rates[:, 3] = rolled.mean(axis=1)
-    rates += (frames.by_joints() @ data.joint_rates(clock_s(data, state, "joints"))[..., None])[..., 0]
-    moved: FloatArray = -(se3.adjoint(se3.inverse(frames.T_v_h @ T_h_c)) @ rates[..., None])[..., 0]
-    return moved * data.moving[:, None]
+    into_camera = -se3.adjoint(se3.inverse(frames.T_v_h @ T_h_c)) * data.moving[:, None, None]
+    delays_s = camera_change(data.cameras, data.layout.constants, state.constants).delay_s[:, 0]
+    clocks_s = clock_s(data, state, "wheels"), clock_s(data, state, "joints")
+    for twist, delay_s in zip(rates, delays_s, strict=True):
+        of_wheels, of_joints = (clock + delay_s / 2 for clock in clocks_s)
+        rolled = data.wheel_rates(of_wheels) * wheels.vector[:2]
+        twist[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
+        twist[:, 3] = rolled.mean(axis=1)
+        twist += (frames.by_joints() @ data.joint_rates(of_joints)[..., None])[..., 0]
+        twist[:] = (into_camera @ twist[..., None])[..., 0]
+    return rates

@@ -7,6 +7,7 @@ station stand between the pixels and all poses.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.kinematics import JointFrames
 from mobilecal_cli.likelihood.corners import Showing, blocks_of, columns_of, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import ChainEffect, Clock, FloorEffect, JointReading
+from mobilecal_cli.likelihood.effects import CameraEffect, ChainEffect, Clock, FloorEffect, JointReading
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.state import (
@@ -31,13 +32,77 @@ from mobilecal_cli.model import FloatArray, IntArray, Noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Views:
-    """Residuals of all stations' images at a state, whitened.
+class Images:
+    """Residuals of the images at N stations, whitened. Unknowns are (delta, direct constants).
 
     Attributes:
-        information: (N, Q, Q) of (delta, direct constants): J^T J of the whitened inliers.
+        information: (N, Q, Q) J^T J of the whitened inliers.
         gradient: (N, Q) J^T r.
         cost: (N,) sum of squares.
+        delays: which of the unknowns are the mean delays of D further cameras.
+        across: (N, D, Q) rows of the information at these, if no image had a delay of its own.
+        pull: (N, D) gradient there, the same way.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    cost: FloatArray
+    delays: tuple[int, ...]
+    across: FloatArray
+    pull: FloatArray
+
+    def with_images(self, stations: IntArray, other: Images) -> Self:
+        """The same with other images at some stations."""
+        changed = {}
+        for name in ("information", "gradient", "cost", "across", "pull"):
+            changed[name] = getattr(self, name).copy()
+            changed[name][stations] = getattr(other, name)
+        return replace(self, **changed)
+
+    def shifted(self, shift: FloatArray) -> Self:
+        """The same after a step (N, Q) of each station's unknowns, to first order."""
+        change = (self.information @ shift[..., None])[..., 0]
+        cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
+        pull = self.pull + (self.across @ shift[..., None])[..., 0]
+        return replace(self, gradient=self.gradient + change, cost=cost, pull=pull)
+
+    def scaled(self, factor: FloatArray) -> Self:
+        """The same with a noise of corners or measured poses, and of own delays, that is (N,) so many times larger."""
+        weight = factor**-2
+        return replace(
+            self,
+            information=weight[:, None, None] * self.information,
+            gradient=weight[:, None] * self.gradient,
+            cost=weight * self.cost,
+            across=weight[:, None, None] * self.across,
+            pull=weight[:, None] * self.pull,
+        )
+
+    def with_own_delays(self, before: FloatArray | float, after: float) -> Self:
+        """The same if delays of further cameras vary from image to image by another variance, s^2; before: also (N,).
+
+        Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
+        delay d, and v the variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
+        """
+        information, gradient, cost = self.information, self.gradient, self.cost
+        for k, delay in enumerate(self.delays):
+            u, pull = self.across[:, k], self.pull[:, k]
+            weight = before / (1 + before * u[:, delay]) - after / (1 + after * u[:, delay])
+            information = information + weight[:, None, None] * u[:, :, None] * u[:, None, :]
+            gradient = gradient + (weight * pull)[:, None] * u
+            cost = cost + weight * pull**2
+        return replace(self, information=information, gradient=gradient, cost=cost)
+
+    def own_delays(self, variance: float) -> FloatArray:
+        """(N, D) likeliest delay of each image beside its camera's mean, s; variance: as eliminated."""
+        return -variance * self.gradient[:, [*self.delays]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views(Images):
+    """Images at a state, and how all unknowns move the board in them.
+
+    Attributes:
         by_base: (N, 6, B) delta by the station's base block: by base pose, floor and stamp error.
         by_own: (N, 6, J + 3) delta by joint errors and by the sway.
         by_board: (N, 6, 6) delta by the pose of the recording's board.
@@ -46,9 +111,6 @@ class Views:
         direct: (Q - 6,) columns of the direct constants among these parameters.
     """
 
-    information: FloatArray
-    gradient: FloatArray
-    cost: FloatArray
     by_base: FloatArray
     by_own: FloatArray
     by_board: FloatArray
@@ -70,31 +132,6 @@ class Views:
         shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
         shift[:, 6:] = step.shared[self.direct]
         return self.shifted(shift)
-
-    def shifted(self, shift: FloatArray) -> Views:
-        """The same after a step (N, Q) of each station's (delta, direct constants)."""
-        change = (self.information @ shift[..., None])[..., 0]
-        cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
-        return replace(self, gradient=self.gradient + change, cost=cost)
-
-    def with_images(self, stations: IntArray, images: tuple[FloatArray, FloatArray, FloatArray]) -> Views:
-        """The same with other images at some stations, see `images_of`."""
-        changed = []
-        for before, after in zip((self.information, self.gradient, self.cost), images, strict=True):
-            changed.append(before.copy())
-            changed[-1][stations] = after
-        information, gradient, cost = changed
-        return replace(self, information=information, gradient=gradient, cost=cost)
-
-    def scaled(self, factor: FloatArray) -> Views:
-        """The same with a noise of corners or measured poses that is (N,) so many times larger."""
-        weight = factor**-2
-        return replace(
-            self,
-            information=weight[:, None, None] * self.information,
-            gradient=weight[:, None] * self.gradient,
-            cost=weight * self.cost,
-        )
 
 
 def _pose_columns(
@@ -148,10 +185,11 @@ def _stance_twists(stance: FloatArray) -> FloatArray:
 
 
 def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
-    """Residuals and information of all stations' images; rates: (N, 6) see `view_rates`."""
+    """Residuals and information of all stations' images; rates: (C, N, 6) see `view_rates`."""
     T_c_k = board_in_camera(data, state)
-    images = images_of(data, state, T_c_k, inliers, noise, rates, np.arange(data.stations))
+    i = images_of(data, state, T_c_k, inliers, noise, rates, np.arange(data.stations))
     direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
+    images = i.information, i.gradient, i.cost, i.delays, i.across, i.pull
     return Views(*images, *_pose_columns(data, state, T_c_k), data.log, direct)
 
 
@@ -163,8 +201,8 @@ def images_of(
     noise: Noise,
     rates: FloatArray,
     stations: IntArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Information, gradient and cost of some stations' images or poses, see `Views`; T_c_k: of all, (N, 4, 4)."""
+) -> Images:
+    """Residuals of some stations' images, or of measured poses; T_c_k: of all stations, (N, 4, 4)."""
     if data.posed.any():
         return _measured_poses(data, T_c_k, inliers, noise, stations)
     showing, direct = Showing.at(data, state), data.layout.direct
@@ -176,18 +214,26 @@ def images_of(
         W = data.whitening[mine] * weight[..., None, None]
         for k in range(len(data.cameras.each)):
             columns, effects = columns_of(direct, k)
-            residual, J = showing.of_camera(k, T_c_k[mine], mine, rates[mine], effects)
+            residual, J = showing.of_camera(k, T_c_k[mine], mine, rates[:, mine], effects)
             A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
             r = whitened(W[:, k], residual).reshape(len(mine), -1)
             information[block, columns[:, None], columns] += A.mT @ A
             gradient[block, columns] += (A.mT @ r[..., None])[..., 0]
             cost[block] += np.sum(r**2, axis=1)
-    return information, gradient, cost
+    delays = [
+        column
+        for column, (_, _, effect) in enumerate(direct, 6)
+        if isinstance(effect, CameraEffect) and effect.of == "delay_s"
+    ]
+    together = Images(
+        information, gradient, cost, tuple(delays), information[:, delays].copy(), gradient[:, delays].copy()
+    )
+    return together.with_own_delays(0.0, noise.pair_s**2)
 
 
 def _measured_poses(
     data: Dataset, T_c_k: FloatArray, inliers: Inliers, noise: Noise, stations: IntArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> Images:
     """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
     off = se3.log(T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
     by_delta = _by_left_twist(off)
@@ -196,7 +242,7 @@ def _measured_poses(
     pull = (weight @ off[..., None])[..., 0]
     information = by_delta.mT @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
-    return information, gradient, np.sum(off * pull, axis=1)
+    return Images(information, gradient, np.sum(off * pull, axis=1), (), information[:, :0], gradient[:, :0])
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:

@@ -14,6 +14,9 @@ CONTRADICTION_SIGMAS = 4.0
 MATERIAL_SIGMAS = 2.0
 #: Largest noise of wheels that is no fault, rad per sqrt(rad): twice that of usual floors.
 WHEEL_NOISE = 0.03
+_LONGEST_DELAY_S = (
+    0.025  # of a camera against the first one, as rates correct it: those of 20 ms are within 3 sigma
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +72,12 @@ class Evidence:
     sigmas: float
     shift_sigmas: float
     asked: tuple[str, ...] = ()
+
+    @property
+    def late_camera(self) -> bool:
+        """Whether a camera is so late, or early, that no rates around its stamps correct it at each change of speed."""
+        late_s = max(abs(each.value) for each in self.values.values())
+        return self.kind == "stereo_clock" and late_s > _LONGEST_DELAY_S
 
 
 @dataclass(frozen=True, slots=True)

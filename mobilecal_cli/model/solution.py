@@ -103,6 +103,7 @@ class Noise:
         joint_rad: of one reading of a revolute joint; of a prismatic one in units of 0.1 m.
         floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
         stamp_s: of an image's time stamp, where the robot moves.
+        pair_s: of the time between the images of two cameras there, beside their mean delay.
         wheel_share: of each wheel's scale.
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
@@ -117,6 +118,7 @@ class Noise:
     floor_rad: float = field(metadata=_level(math.radians(0.1), 1e-6, 0.1))
     floor_m: float = field(metadata=_level(0.0005, 1e-6, 0.1))
     stamp_s: float = field(metadata=_level(0.0005, 1e-6, 0.1))
+    pair_s: float = field(metadata=_level(0.0001, 1e-6, 0.1))
     wheel_share: float = field(metadata=_level(0.001, 1e-6, 0.1))
     floor_length_m: float = field(metadata=_level(0.3, 1e-3, 1e3))
     wheel_length_m: float = field(metadata=_level(1.0, 1e-3, 1e3))

@@ -371,7 +371,7 @@ def contradiction(made: Calibration, metric: Metric) -> Iterator[Check]:
     for evidence in solution.contradictions:
         what, cure = contradiction_sentences(evidence, solution, made.extraction)
         wider = widths.get(nuisance.family(evidence.kind), 1.0)
-        is_cause = some_fail and nuisance.kind(evidence.kind).unit == "s"
+        is_cause = evidence.late_camera or (some_fail and nuisance.kind(evidence.kind).unit == "s")
         yield metric.check(
             evidence.sigmas, CONTRADICTION_SIGMAS,
             f"robot description: {visible(evidence.part)}, {nuisance.kind(evidence.kind).meaning}", cure,
@@ -591,11 +591,15 @@ _NOISE = {
     Metric("noise.stamp", "ms", section="limits"): (
         2.0, 20.0, "image time stamps", "that images have hardware time stamps, or stop for each image",
     ),
+    Metric("noise.pair", "ms", section="limits"): (
+        2.0, 10.0, "time between the images of two cameras",
+        "that the cameras are triggered together, or stop for each image",
+    ),
 }  # fmt: skip
 
 
 def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
-    """Noise of joints (in mm for a head that only slides), wheels, floor, and time stamps where the robot moves.
+    """Noise of joints (in mm for a head that only slides), wheels, floor, and times of images where the robot moves.
 
     The estimate allows for it, so the limits are wide. A level of zero is a figure alone.
     """
@@ -612,6 +616,7 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.wheel_share": 100 * found.wheel_share,
         "noise.floor": math.degrees(found.floor_rad),
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
+        "noise.pair": 1e3 * found.pair_s if moving and len(made.extraction.rig.cameras.names) > 1 else 0.0,
     }
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]

@@ -79,6 +79,7 @@ _LEVELS = {
     "sway_rad": ("sway: roll and pitch of the base beside the floor's", "deg", DEG),
     "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
+    "pair_s": ("time between the images of two cameras in motion", "ms", 1e3),
     "wheel_share": ("scale of a wheel", "%", 100.0),
     "pose_scale": ("measured poses, over their stated standard deviation", "", 1.0),
 }
@@ -91,11 +92,14 @@ def noise(case: Case) -> Table | None:
         return None
     levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
     moving = not all(o.at_rest for o in case.extraction.observations)
+    alone = len(case.extraction.rig.cameras.names) == 1
     rows = []
     for level, (meaning, unit, factor) in _LEVELS.items():
         std = float(getattr(levels, level))
         source = "given" if level in given else "assumed"
-        if (level == "stamp_s" and not moving) or (level == "encoder_rad" and not std):
+        if level in ("stamp_s", "pair_s") and (not moving or (alone and level == "pair_s")):
+            continue
+        if level == "encoder_rad" and not std:
             continue
         if level == "joint_rad" and not case.extraction.rig.chain.joints:
             continue

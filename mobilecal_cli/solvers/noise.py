@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli.likelihood.budget import of_errors, of_legs
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS
-from mobilecal_cli.likelihood.nuisance import family
+from mobilecal_cli.likelihood.nuisance import FAMILIES, family
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
@@ -72,9 +72,16 @@ def components(lin: Posterior) -> dict[str, Component]:
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
-    for level, of, count in zip(("pixel_px", "pose_scale"), (~posed, posed), counts, strict=True):
+    squares, left = views.cost.copy(), np.array(counts) - taken
+    for delay in views.delays:
+        across, variance = views.information[:, :, delay], lin.noise.pair_s**2
+        own = variance * views.gradient[:, delay] ** 2
+        free = variance * (across[:, delay] - lin.marginals.variance_along(across))
+        add("pair_s", own, free)
+        squares, left = squares - own, left - free
+    for level, of, redundant in zip(("pixel_px", "pose_scale"), (~posed, posed), left, strict=True):
         if of.any():
-            add(level, views.cost[of], (count - taken)[of])
+            add(level, squares[of], redundant[of])
 
     means = int(lin.data.log.max())
     for each in of_errors(lin, _within(lin)):
@@ -169,19 +176,23 @@ def widths(lin: Posterior) -> dict[str, float]:
     least 1, with the density of Pareto: stated priors are right, or too narrow.
     """
     priors = lin.priors
-    off = priors.displacement(lin.state) - priors.mean
-    squares = priors.stated_weight * off**2
-    left = np.clip(
-        1 - priors.weight * np.diag(lin.covariance), 0.0, 1.0
-    )  # rounding may leave less than nothing
+    root, off = np.sqrt(priors.stated_weight), priors.displacement(lin.state) - priors.mean
     used = priors.alike & (priors.weight > 0)
     columns: dict[str, list[int]] = {}
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):
         if used[k]:
             columns.setdefault(family(row.kind), []).append(k)
-    shown = np.array([left[mine].sum() for mine in columns.values()])
-    n = shown**2 / np.maximum([np.sum(left[mine] ** 2) for mine in columns.values()], _SHOWN**2)
-    q = n * [squares[mine].sum() for mine in columns.values()] / (shown + _SHOWN)
+    q, n = np.zeros((2, len(columns)))
+    for i, (name, mine) in enumerate(columns.items()):
+        along = np.eye(len(mine))
+        if name in FAMILIES and len(mine) > 1:  # what all of them share is no contradiction
+            along = np.linalg.svd(root[None, mine], full_matrices=True)[2][1:]
+        squares = (along @ (root[mine] * off[mine])) ** 2
+        covariance = lin.covariance[np.ix_(mine, mine)] * np.outer(root[mine], root[mine])
+        taken = np.diag(along @ covariance @ along.T) / priors.factors[mine[0]] ** 2
+        left = np.clip(1 - taken, 0.0, 1.0)  # rounding may leave less than nothing
+        n[i] = left.sum() ** 2 / max(np.sum(left**2), _SHOWN**2)
+        q[i] = n[i] * squares.sum() / (left.sum() + _SHOWN)
     variance = np.clip(np.maximum(q / (n + _TOO_NARROW), common_variance(q, n)), 1.0, _WIDEST**2)
     return dict(zip(columns, np.sqrt(variance).tolist(), strict=True))
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, integrate
-from mobilecal_cli.likelihood.corners import board_poses, corner_residuals
+from mobilecal_cli.likelihood.corners import Showing, blocks_of, board_poses, corner_residuals
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
@@ -25,6 +25,7 @@ from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import (
     State,
+    board_in_camera,
     cameras_at,
     clock_s,
     constant_stance,
@@ -106,17 +107,33 @@ def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: b
             [row for row in rows if row not in of_lenses and row not in of_times],
         )
     )
-    moved = np.where(data.seen[..., None], shown - modeled, 0.0)
-    observations = tuple(
-        replace(
-            o,
-            views=tuple(
-                replace(view, pixels=view.pixels - by) for view, by in zip(o.views, of_views, strict=True)
-            ),
-        )
-        for o, of_views in zip(extraction.observations, moved, strict=True)
-    )
-    return replace(extraction, observations=observations)
+    return _moved_back(extraction, np.where(data.seen[..., None], shown - modeled, 0.0))
+
+
+def _moved_back(extraction: Extraction, moved: FloatArray) -> Extraction:
+    """The same with each corner where it was before it moved by so much, (N, C, M, 2) px."""
+    observations = []
+    for o, of_views in zip(extraction.observations, moved, strict=True):
+        views = [replace(view, pixels=view.pixels - by) for view, by in zip(o.views, of_views, strict=True)]
+        observations.append(replace(o, views=tuple(views)))
+    return replace(extraction, observations=tuple(observations))
+
+
+def at_one_time(extraction: Extraction, lin: Posterior) -> tuple[Extraction, Dataset]:
+    """The same with each camera's corners where they were at the mean delay of its images, see `Images.own_delays`."""
+    data, direct = lin.data, [effect for _, _, effect in lin.data.layout.direct]
+    if not lin.views.delays:
+        return extraction, data
+    moved, T_c_k = np.zeros(data.pixels.shape), board_in_camera(data, lin.state)
+    showing = Showing.at(data, lin.state)
+    for delay, own_s in zip(lin.views.delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True):
+        effect = direct[delay - 6]
+        camera = next(k for k in range(1, len(data.cameras.each)) if effect.concerns(k))
+        for block in blocks_of(data.stations):
+            _, J = showing.of_camera(camera, T_c_k[block], block, lin.rates[:, block], [effect])
+            moved[block, camera] = J[..., 6] * own_s[block, None, None]
+    moved = np.where(data.seen[..., None], moved, 0.0)
+    return _moved_back(extraction, moved), replace(data, pixels=data.pixels - moved)
 
 
 def at_constants(

@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
@@ -51,7 +51,7 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import at_state, error_parts, residuals_of
+from mobilecal_cli.solvers.residuals import at_one_time, at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 
@@ -114,7 +114,7 @@ def solve(
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
         if refusal is None and isinstance(error, SolveError):
-            raise _with_request(error, asked) from error
+            raise _with_request(error, asked) from error.__cause__
         raise refusal or SolveError(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
@@ -137,6 +137,8 @@ def _by_likelihood(
     # These are of the fit as it is: pooling several recordings moves the estimate.
     jumps, still = jumps_of(extraction, fit, inference.jump(fit))
     contradictions = contradictions_of(still)
+    late = {each.part for each in contradictions if each.late_camera}
+    jumps = tuple(each for each in jumps if each.part not in late)
     scale = scale_of(extraction, still, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = pool_recordings(fit)
@@ -146,8 +148,9 @@ def _by_likelihood(
     inliers = fit.sure_legs
     if not inliers.any():
         inliers[:] = True
+    together, at_once = at_one_time(extraction, fit.lin)
     corrected_extraction, corrected = at_state(
-        extraction, data, state, fit.noise.pixel_px, corners=fit.inliers.corners
+        together, at_once, state, fit.noise.pixel_px, corners=fit.inliers.corners
     )
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
@@ -155,7 +158,7 @@ def _by_likelihood(
     used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
     solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
     parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
-    parts |= _of_lenses(extraction, fit, solution, corrected.T_c_k)
+    parts |= _of_lenses(together, at_once, fit, solution, corrected.T_c_k)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -176,7 +179,7 @@ def _by_likelihood(
 
 
 def _of_lenses(
-    extraction: Extraction, fit: Fit, solution: Solution, T_c_k: FloatArray
+    extraction: Extraction, data: Dataset, fit: Fit, solution: Solution, T_c_k: FloatArray
 ) -> dict[str, ErrorPart]:
     """What the lenses do beside their models contributes to the errors: so much less are these without it.
 
@@ -188,7 +191,7 @@ def _of_lenses(
         return {}
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
-    data, state, rejected = fit.data, fit.lin.state, fit.data.seen & ~fit.inliers.corners
+    state, rejected = fit.lin.state, data.seen & ~fit.inliers.corners
     undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, T_c_k=T_c_k)
     used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
     without = residuals_of(*undone, solution.parameters, used, rejected)

@@ -21,6 +21,7 @@ _MARGIN_PX = 3.0  # least distance of the predicted corners from the border
 _FLOW_WINDOW = (15, 15)  # px, as usual for Lucas-Kanade
 _FLOW_REACH_PX = 64  # half a flow window at the coarsest of three pyramid levels
 _WEAKEST = 0.35  # least contrast of a corner, as a share of the board's in the last image
+_WHOLE = 0.75  # least contrast of the outermost corners over those next to them: at the pattern's border it is a half
 _FEWEST = 0.8  # least share of valid corners, over the board and along each of its sides
 
 
@@ -30,7 +31,8 @@ def follow(
     """Detect the board near its predicted position, with the same numbering.
 
     Corners are refined and fitted. They are accepted if nearly all of them have the expected square colors,
-    including the outermost (a grid shifted by one square would fail there), and if they lie on a smooth grid.
+    including the outermost, and if they lie on a smooth grid. In a grid that is shifted by one square, the outermost
+    have other colors, or, along a diagonal, half of the contrast of those next to them.
 
     Args:
         image: (height, width) gray.
@@ -61,7 +63,10 @@ def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int)
     strength = fit.contrast_grey.reshape(rows, columns) * (colors(rows, columns) / contrast_grey)
     good = fit.fitted.reshape(rows, columns) & (strength > _WEAKEST)
     sides = good[0], good[-1], good[:, 0], good[:, -1], good
-    return all(np.count_nonzero(side) >= _FEWEST * side.size for side in sides)
+    if any(np.count_nonzero(side) < _FEWEST * side.size for side in sides):
+        return False
+    lines = strength, strength[::-1], strength.T, strength.T[::-1]
+    return all(np.median(outermost) > _WHOLE * np.median(next_to_it) for outermost, next_to_it, *_ in lines)
 
 
 class BoardFollower:

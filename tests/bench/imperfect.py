@@ -139,6 +139,7 @@ class Case:
             return self.noise
         guess, random = Noise.limits("guess"), np.random.default_rng([seed, 8])
         factors = dict.fromkeys(_LEVELS, _LEVEL_FACTOR) | dict.fromkeys(_LENGTHS, _LENGTH_FACTOR)
+        factors["pair_s"] = _LEVEL_FACTOR
         drawn = {name: guess[name] * factor ** random.normal() for name, factor in factors.items()}
         drawn["wheel_length_m"] *= _STRETCHES_PER_LENGTH
         return replace(self.noise, **drawn)
@@ -242,7 +243,7 @@ def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
 
 def given(noise: extractions.Noise) -> dict[str, float]:
     """All levels of a simulation as known, and the correlation lengths of processes."""
-    known = {name: getattr(noise, name) for name in (*_LEVELS, *_LENGTHS)}
+    known = {name: getattr(noise, name) for name in (*_LEVELS, "pair_s", *_LENGTHS)}
     known["wheel_length_m"] /= _STRETCHES_PER_LENGTH
     return {name: level for name, level in known.items() if level}
 

@@ -92,6 +92,7 @@ _STAYS |= {
     "mild everything, twist and bend 1 mm, two sheets 0.3 mm apart": _MILD,
     "every image twice": Case(twice=True),
     "right camera 3 ms late, moving": replace(_MOVING, fixed={"time_right": 0.003}, right=("stereo_clock",)),
+    "right camera's time varies by 1 ms, moving": replace(_MOVING, noise=replace(PERFECT, pair_s=0.001)),
     "rolling shutter of 10 ms, moving": replace(_MOVING, fixed={"readout": 0.01}, right=("readout",)),
 }
 CASES |= {f"stays: {name}": case for name, case in _STAYS.items()}

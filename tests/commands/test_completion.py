@@ -12,7 +12,7 @@ import pytest
 CASES = {
     "mobilecal che": {"check"},
     "mobilecal calibrate a.mcap --gate std.wheels.s": {"std.wheels.separation_m="},
-    "mobilecal calibrate a.mcap --set noise.p": {"noise.pixel_px="},
+    "mobilecal calibrate a.mcap --set noise.p": {"noise.pair_s=", "noise.pixel_px="},
     "mobilecal evaluate a.mcap --gate drift_mm": {"drift_mm_per_m="},
     "mobilecal evaluate a.mcap --gate std.wheels": set(),
     "mobilecal check a.yaml a.mcap --set priors.focal_l": {"priors.focal_length="},

@@ -24,7 +24,21 @@ from tests.robots import chain_of
 from tests.truth import no_priors, parameters_of
 
 NOISE = Noise(
-    0.2, 0.003, 0.01, np.radians(0.05), 0.002, 0.0005, 0.001, 0.002, 0.4, 0.7, 0.0003, 0.0002, 1.0, {}
+    pixel_px=0.2,
+    wheel_rad_per_sqrt_rad=0.003,
+    encoder_rad=0.01,
+    joint_rad=np.radians(0.05),
+    floor_rad=0.002,
+    floor_m=0.0005,
+    stamp_s=0.001,
+    pair_s=0.003,
+    wheel_share=0.002,
+    floor_length_m=0.4,
+    wheel_length_m=0.7,
+    sway_rad=0.0003,
+    sway_m=0.0002,
+    pose_scale=1.0,
+    wider={},
 )
 STATIONS = 6
 
@@ -68,11 +82,28 @@ class Case:
         stations = base.reshape(STATIONS, -1), own.reshape(STATIONS, -1)
         return self.lin.state.plus(self.data, Step(shared, boards.reshape(self.data.logs, -1), *stations))
 
-    def residuals(self, x):
-        state = self.displaced(x)
+    def whitened_pixels(self, state):
         off, _ = corner_residuals(self.data, state, board_in_camera(self.data, state), rates=self.lin.rates)
         whitened = np.einsum("ncmab,ncmb->ncma", self.data.whitening, off) / NOISE.pixel_px
-        pixels = np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
+        return np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
+
+    @cached_property
+    def root_of_delays(self):
+        """(N, 2 M, 2 M) inverse root of the covariance of the right images' residuals, own delays included."""
+        constants, step_s = self.lin.state.constants, 1e-5
+        late, early = (
+            self.whitened_pixels(replace(self.lin.state, constants={**constants, "time_right": at_s}))
+            for at_s in constants["time_right"] + np.array([step_s, -step_s])
+        )
+        across = ((late - early)[:, 1] / (2 * step_s)).reshape(STATIONS, -1, 1)
+        values, vectors = np.linalg.eigh(np.eye(across.shape[1]) + NOISE.pair_s**2 * across @ across.mT)
+        return (vectors / np.sqrt(values)[:, None]) @ vectors.mT
+
+    def residuals(self, x):
+        state = self.displaced(x)
+        pixels = self.whitened_pixels(state)
+        right = pixels[:, 1].reshape(STATIONS, -1, 1)
+        pixels[:, 1] = (self.root_of_delays @ right).reshape(pixels[:, 1].shape)
         root = np.zeros_like(self.lin.leg_weight)
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])

@@ -36,12 +36,16 @@ def test_a_measurement_has_the_same_distance_used_and_left_out(fit, kind, places
 
 
 def test_images_have_the_same_distance_used_and_left_out(monkeypatch, fit):
-    """Constants of cameras and board move the predicted images, too. What the images say of them alone is lost."""
+    """Constants of cameras and board move the predicted images, too. What the images say of them alone is lost.
+
+    One station alone shows a constant: there the first order is 30 % off.
+    """
     monkeypatch.setattr(residual_tests, "_NO_REDUNDANCY", 1e-6)
     stations = range(fit.data.stations)
     ratio = [left_out(fit, "views", (at,)) for at in stations] / ResidualTests(fit.lin).views
     assert 0.98 < np.median(ratio) < 1.02
-    assert 0.7 < ratio.min() < ratio.max() < 1.3
+    assert 0.9 < ratio.min() < np.sort(ratio)[-2] < 1.1
+    assert ratio.max() < 1.4
 
 
 def test_images_of_good_stations_are_as_far_off_as_six_numbers(fit):

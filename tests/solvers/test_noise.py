@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.noise import _ALL_TOO_NARROW, _TOO_NARROW, common_variance
+from tests.bench import imperfect
 from tests.bench.drawn import drawn
 
 
@@ -48,3 +49,52 @@ def test_the_search_does_not_amplify_rounding():
     found, other = solve(extraction), solve(again)
     step = other.parameters.minus(found.parameters)
     assert np.abs(step / found.uncertainty.std).max() < 1e-3
+
+
+def moving(apart_s: float, robot: str = "pan-tilt") -> imperfect.Case:
+    """A pair of sharp images, or three, whose exposures vary by so much in motion."""
+    noise = replace(imperfect.USUAL, pixel_px=0.03, pair_s=apart_s)
+    return imperfect.Case(robot, motion="moving", noise=noise).drawn()
+
+
+@pytest.mark.parametrize("robot", ["pan-tilt", "three cameras"])
+def test_cameras_without_a_common_trigger_leave_the_result_right(robot):
+    """Without a level of their own: PASS at nine stated sigmas, or "the right camera moved"."""
+    case = moving(0.001, robot)
+    extraction = case.extraction(3)
+    solution, exact = solve(extraction), solve(moving(0.0, robot).extraction(3))
+    found = solution.uncertainty.noise
+    assert 0.7e-3 < found.pair_s < 1.4e-3
+    assert "pair_s" in found.estimated
+    assert found.pixel_px == pytest.approx(0.03, rel=0.1)
+    true = imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, case.route(3))
+    run = imperfect.judged(solution, extraction, true)
+    assert run.level == "PASS"
+    assert np.abs(run.error / run.std).max() < 3.5
+    assert solution.point_rms_m < 1.2 * exact.point_rms_m  # each image counts where it is at one time
+
+
+def test_cameras_with_a_common_trigger_lose_little_by_it():
+    extraction = replace(moving(0.0), kinds={}).extraction(0)
+    free = solve(extraction).uncertainty
+    known = solve(imperfect.with_noise(extraction, {"pair_s": 1e-8})).uncertainty
+    assert free.noise.pair_s < 1e-4
+    assert np.all(free.std < 1.05 * known.std)
+
+
+@pytest.mark.parametrize("case", [imperfect.Case("camera on pan-tilt", motion="moving"), imperfect.Case()])
+def test_one_camera_and_stops_have_no_such_time(case):
+    assert "pair_s" not in solve(case.extraction(0)).uncertainty.noise.estimated
+
+
+@pytest.mark.parametrize(("late_s", "seed"), [(0.01, 2), (0.02, 1)])
+def test_a_late_camera_moves_no_scale(late_s, seed):
+    """Squares and baseline that differ made both priors wide, and the world then shrank to a third: 54 and 12 sigmas.
+
+    The rates half-way to the exposure make 20 ms no other than 5 ms.
+    """
+    case = imperfect.Case(motion="moving", fixed={"time_right": late_s}, noise=imperfect.USUAL)
+    run = imperfect.run_of_case(case, seed)
+    assert run.level == "PASS"
+    assert np.abs(run.error / run.std).max() < 3.5
+    assert run.named[0] == "stereo_clock"
