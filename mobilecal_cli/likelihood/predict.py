@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mobilecal_cli.camera import project, project_with_jacobian
-from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect
+from mobilecal_cli.likelihood.effects import INTRINSICS, CameraEffect, Clock, FloorEffect
 from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import AtWork, CameraRig, FloatArray, HeadChain, Parameters, Solution
@@ -30,7 +30,7 @@ def camera_covariance(lin: Posterior, covariance: FloatArray) -> tuple[FloatArra
         for column, name, effect in lin.data.layout.of(CameraEffect)
         if effect.camera == 0 and effect.of in INTRINSICS and name not in patterns
     }
-    poses = -lin.views.by_shared
+    poses = _in_base(lin)
     constants = np.broadcast_to(
         np.eye(len(covariance))[list(own.values())], (len(poses), len(own), len(covariance))
     )
@@ -43,7 +43,15 @@ def weights_at(lin: Posterior) -> Mapping[str, FloatArray]:
 
     With the constants of the head's chain and joints applied.
     """
-    return weights_of(lin.state.parameters, -lin.views.by_shared)  # the board moves the other way
+    return weights_of(lin.state.parameters, _in_base(lin))
+
+
+def _in_base(lin: Posterior) -> FloatArray:
+    """(N, 6, P) the first camera's pose in the base by the shared parameters, right twist: not how the base stands."""
+    poses = -lin.views.by_shared  # the board moves the other way
+    for effect in (FloorEffect, Clock):
+        poses[:, :, [column for column, _, _ in lin.data.layout.of(effect)]] = 0.0
+    return poses
 
 
 def weights_of(parameters: Parameters, camera: FloatArray) -> Mapping[str, FloatArray]:
