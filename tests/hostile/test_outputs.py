@@ -123,8 +123,6 @@ def test_a_pipe_as_the_urdf_to_patch(tmp_path):
 @pytest.mark.parametrize(
     ("command", "name"),
     [
-        (("calibrate", "--output"), "link"),
-        (("calibrate", "--output"), "dangling"),
         (("init", "--output"), "file"),
         (("init", "--output"), "dangling"),
         (("simulate",), "file"),
@@ -133,20 +131,16 @@ def test_a_pipe_as_the_urdf_to_patch(tmp_path):
 )
 def test_links_as_outputs(sample_logs, tmp_path, command, name):
     """What a link points to stays as it is, with --force as well."""
-    (tmp_path / "precious").mkdir()
-    (tmp_path / "precious/params.yaml").write_text("precious")
     (tmp_path / "precious.txt").write_text("precious")
-    (tmp_path / "link").symlink_to("precious")
     (tmp_path / "file").symlink_to("precious.txt")
     (tmp_path / "dangling").symlink_to("nowhere")
     arguments = [] if command[0] == "simulate" else [sample_logs / "straight.mcap"]
     result = run(command[0], *arguments, *command[1:], name, "--force", cwd=tmp_path)
     assert result.code == 7, result.err
     assert (tmp_path / name).is_symlink()
-    assert (tmp_path / "precious/params.yaml").read_text() == "precious"
     assert (tmp_path / "precious.txt").read_text() == "precious"
     assert not (tmp_path / "nowhere").exists()
-    names = ["dangling", "file", "link", "precious", "precious.txt"]
+    names = ["dangling", "file", "precious.txt"]
     assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 

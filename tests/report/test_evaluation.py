@@ -9,21 +9,17 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.evaluate import evaluate
-from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export import extraction_to_npz, params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 
-ROBOT = ROBOTS["paper"]()
 NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)
 
 
 def extraction(seed):
-    ideal = ideal_extraction(ROBOT, plan_route(ROBOT, stations=16, seed=seed), NOISE, seed=seed)
-    return replace(ideal, logs=(LogSource(f"{seed}.mcap", f"{seed:064}"),))
+    made = simulated("standard", NOISE, stations=16, seed=seed)
+    return replace(made, logs=(LogSource(f"{seed}.mcap", f"{seed:064}"),))
 
 
 @pytest.fixture(scope="module")
@@ -78,14 +74,6 @@ def test_a_wrong_calibration_fails(calibrated, tmp_path, monkeypatch, change, sa
     assert any(name in found.reason for name in says.split("|")), found.reason
 
 
-def test_millimeters_are_refused(calibrated, tmp_path):
-    solution, made = calibrated[0]
-    with pytest.raises(
-        ConfigError, match=r"radius_left_m: must be from 0.001 to 10 m; \d+.\d+ looks like millimeters"
-    ):
-        verdict(tmp_path, with_wheels(solution, right=1000, left=1000), made, calibrated[1][1])
-
-
 def test_a_short_recording_is_not_enough(calibrated, tmp_path):
     made = calibrated[1][1]
     short = replace(made, observations=made.observations[:3])
@@ -98,6 +86,6 @@ def test_a_short_recording_is_not_enough(calibrated, tmp_path):
 def test_a_noisy_recording_is_not_enough(calibrated, tmp_path):
     """The recording contradicts itself: the calibration is not to blame."""
     noise = replace(NOISE, wheel_rad_per_sqrt_rad=0.03)
-    noisy = ideal_extraction(ROBOT, plan_route(ROBOT, stations=8, seed=1), noise, 1)
+    noisy = simulated("standard", noise, stations=8, seed=1)
     noisy = replace(noisy, logs=(LogSource("1.mcap", "1"),))
     assert verdict(tmp_path, *calibrated[0], noisy).level == "NOT ENOUGH"
