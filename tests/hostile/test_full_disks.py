@@ -57,7 +57,7 @@ def test_a_disk_that_fills_while_the_output_is_written(solved, size):
     assert result.stdout.split() == ["disk:", "out", "disk/out:", "params.yaml"]
 
 
-@pytest.mark.parametrize("option", ["--summary", "--junit"])
+@pytest.mark.parametrize("option", ["--summary", pytest.param("--junit", marks=pytest.mark.long)])
 def test_a_full_disk_for_a_further_output(solved, option):
     """An empty summary was left, and nothing said that there are results."""
     fill = "dd if=/dev/zero of=disk/full bs=1k 2>/dev/null; true"

@@ -173,7 +173,9 @@ def test_a_fixed_value_with_which_nothing_fits_is_named(monkeypatch):
         raise SolveError("no measurements agree", "")
 
     _, extraction = drawn()
-    monkeypatch.setattr(maximum_likelihood, "agreeing", none_agree)  # a search that takes long, and is in vain
+    monkeypatch.setattr(
+        maximum_likelihood, "agreeing", none_agree
+    )  # a search that takes long, and is in vain
     with pytest.raises(SolveError) as raised:
         solve(extraction, constraints=constraints_of(["t_x=3.0"], [], []))
     assert raised.value.hint.startswith("leave out --fix t_x, or correct the value; or ")
