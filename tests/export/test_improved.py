@@ -151,8 +151,6 @@ def test_the_urdf_without_the_chain_says_so(calibrated):
         if joint.name:
             before, after = (urdf.joints[joint.name].T_parent_child for urdf in (drawn, kept))
             assert before == pytest.approx(after)
-    with pytest.raises(ConfigError, match="--with-chain applies only to --to urdf"):
-        export(params, Target.xacro, with_chain=True)
 
 
 def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
