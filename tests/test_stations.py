@@ -138,6 +138,7 @@ def test_readings_that_end_before_the_pictures_begin():
     with pytest.raises(RecordingError, match=r"none of .* stereo pairs has readings") as caught:
         planned(bad, ("pan",))
     assert caught.value.message.endswith("missing: pan")
+    assert "use the same clock" in caught.value.hint
     bad = replace(good, joints={"pan": early, "tilt": early})
     with pytest.raises(RecordingError, match=r"missing: pan, tilt$"):
         planned(bad, ("pan", "tilt"))

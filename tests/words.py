@@ -65,6 +65,7 @@ TERMS: tuple[tuple[str, str], ...] = (
     (rf"({_IZE})s(e|ed|es|er|ers|ing|ation|ations)", "US spelling"),
 )
 _TERMS = tuple((re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE), instead) for pattern, instead in TERMS)
+_ANY = re.compile(rf"\b(?:{'|'.join(pattern for pattern, _ in TERMS)})\b", re.IGNORECASE)
 _CODE = re.compile(r"⟨[^⟩]*⟩|``[^`]*``|`[^`]*`|https?://\S+|\]\([^)]*\)|<[^>]*>|\{[{%][^}]*[%}]\}")
 _FENCE = re.compile(r"^( *)(```|~~~).*?^\1\2 *$", re.MULTILINE | re.DOTALL)
 
@@ -112,7 +113,7 @@ def found_in(path: Path) -> Iterator[str]:
     reader = {".md": _markdown, ".jinja": _template, ".py": _python}[path.suffix]
     for number, line in reader(path.read_text(encoding="utf-8")):
         prose = _CODE.sub(_blank, line)
-        for pattern, instead in _TERMS:
+        for pattern, instead in _TERMS if _ANY.search(prose) else ():
             for match in pattern.finditer(prose):
                 inside = path.relative_to(REPOSITORY)
                 yield f"{inside}:{number}: {match.group()!r} ({instead}): {line.strip()[:100]}"

@@ -101,22 +101,20 @@ def test_processes_see_what_one_sees(log, alone, segmented):
     assert 30 < sum(bool(s.thumbnail) for s in shown) <= THUMBNAILS
 
 
-def test_the_threads_of_the_caller_are_left_as_they_are(log):
-    before = cv2.getNumThreads()
-    try:
-        cv2.setNumThreads(3)
-        everything(log, 1)
-        assert cv2.getNumThreads() == 3
-    finally:
-        cv2.setNumThreads(before)
-
-
-def test_where_processes_cannot_be_started_this_one_looks(log, alone, segmented, monkeypatch):
+def test_where_processes_cannot_be_started_this_one_looks_and_keeps_its_threads(
+    log, alone, segmented, monkeypatch
+):
     def refused(*_args, **_kwargs):
         raise OSError("no processes here")
 
     monkeypatch.setattr(processes, "ProcessPoolExecutor", refused)
-    assert same(alone[0], everything(log, 2)[0])
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(3)
+    try:
+        assert same(alone[0], everything(log, 2)[0])
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):

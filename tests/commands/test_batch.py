@@ -4,8 +4,6 @@ import csv
 import json
 import signal
 import socket
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import partial
@@ -25,11 +23,10 @@ from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
-from tests.command import run
+from tests.command import python, run
 from tests.commands.dask_cluster import local_cluster
 from tests.commands.dying import die_or_answer
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.report.schema import validated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
@@ -40,12 +37,11 @@ ROBOTS_HERE = 3
 def fleet(tmp_path_factory):
     """A manifest of some robots, one of whose recordings is broken."""
     folder = tmp_path_factory.mktemp("fleet")
-    robot = ROBOTS["paper"]()
     lines = ["robots:"]
     for number in range(ROBOTS_HERE):
         name = f"robot_{number}"
-        ideal = ideal_extraction(robot, plan_route(robot, seed=number), NOISE, seed=number)
-        extraction = replace(ideal, logs=(LogSource(f"{name}.mcap", f"{number:064}"),))
+        extraction = simulated("standard", NOISE, seed=number)
+        extraction = replace(extraction, logs=(LogSource(f"{name}.mcap", f"{number:064}"),))
         (folder / f"{name}.npz").write_bytes(extraction_to_npz(extraction))
         lines.append(f"- {{name: {name}, logs: [{name}.npz]}}")
     lines.append("- {name: broken, logs: [broken.mcap]}")
@@ -58,8 +54,7 @@ def fleet(tmp_path_factory):
 def local(fleet, tmp_path_factory):
     """The fleet, calibrated by the real command in two processes."""
     out = tmp_path_factory.mktemp("local") / "out"
-    command = [sys.executable, "-m", "mobilecal_cli", "batch", fleet, "--output", out, "--jobs", "2"]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    done = python("-m", "mobilecal_cli", "batch", fleet, "--output", out, "--jobs", 2)
     assert done.returncode == 3, done.stderr
     return out, done
 

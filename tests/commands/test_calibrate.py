@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -40,6 +38,11 @@ def apart(params, truth):
     move = np.subtract(params["head_eye"]["translation_m"], truth["head_eye"]["translation_m"])
     wheels = [abs(100 * (params["wheels"][key] / truth["wheels"][key] - 1)) for key in truth["wheels"]]
     return turn, 1e3 * np.linalg.norm(move), max(wheels)
+
+
+def assert_near(params: Path, truth: Path, *limits: float) -> None:
+    """No further apart than some degrees, mm and per cent."""
+    assert np.all(np.array(apart(load(params), load(truth))) < limits)
 
 
 def numbers(path: Path) -> str:
@@ -107,17 +110,6 @@ def test_the_numbers_are_near_the_truth_and_their_uncertainty_is_a_contract(firs
     assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
 
 
-@pytest.mark.parametrize("name", ["paper_robot.bag", "paper_robot_rosbag2", "bare.db3"])
-@pytest.mark.long
-def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, name):
-    """Also the part of a rosbag2 alone, without its metadata."""
-    (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
-    log = shutil.copy(storage, workplace / name) if name == "bare.db3" else sample_logs / name
-    succeeded("calibrate", log, "--output", f"out_{name}", cwd=workplace)
-    assert same_numbers(workplace / f"out_{name}")
-    assert "separation_m" in numbers(workplace / f"out_{name}/params.yaml")
-
-
 def test_an_extraction_is_solved_again(npz, workplace):
     succeeded("calibrate", npz, "--output", "again", cwd=workplace)
     assert same_numbers(workplace / "again")
@@ -155,31 +147,11 @@ def test_fixed_prior_and_more_numbers(npz, workplace):
     assert "Estimated constants" in (workplace / "asked/report.html").read_text()
 
 
-def test_the_report_says_what_to_record_next(npz, workplace):
-    result = succeeded("suggest", npz, "-q", cwd=workplace)
-    assert "1. " in result.out
-    assert "head_pan_joint" in result.out
-
-
-def test_a_wrong_square_is_said(workplace, sample_logs):
-    log = sample_logs / "paper_robot.mcap"
-    result = run("calibrate", log, "--square-m", "0.0812", "-o", "square", cwd=workplace)
-    assert result.code == 6, result.err
-    said = " ".join(result.out.split())
-    (measured,) = set(re.findall(r"the squares measure ([\d.]+) mm \(stated: 81.20 mm\)", said))
-    assert float(measured) == pytest.approx(80.0, abs=0.1)
-
-
 def test_ticks_that_wrap_round(workplace, sample_logs):
     log, rig = sample_logs / "tick_robot.mcap", sample_logs / "tick_robot.rig.yaml"
     succeeded("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
-    turn, move, wheels = apart(
-        load(workplace / "tick/params.yaml"), load(sample_logs / "tick_robot.truth.yaml")
-    )
     # Wheel noise of 0.003 rad per sqrt(rad) moves this method's answer: measured 0.12 degrees, 10 mm, 0.5 %.
-    assert turn < 0.5
-    assert move < 20
-    assert wheels < 1.0
+    assert_near(workplace / "tick/params.yaml", sample_logs / "tick_robot.truth.yaml", 0.5, 20, 1.0)
 
 
 def part_of(source, target, first_s, last_s, unstamped=True):
@@ -218,13 +190,9 @@ def test_two_logs_of_one_robot(npz, workplace, sample_logs):
 
 
 def test_the_same_recording_twice_is_refused(npz, workplace, sample_logs):
-    """By content: the same file, a copy, another container, a part, and an extraction that contains it twice."""
+    """By content: in another container, a part, and an extraction that contains it twice."""
     log = sample_logs / "paper_robot.mcap"
-    copy = workplace / "copy.mcap"
-    shutil.copy(log, copy)
-    part = part_of(log, workplace / "part.mcap", 5, 40)
-    others = (log, copy, sample_logs / "paper_robot.bag", sample_logs / "paper_robot_rosbag2", part)
-    for other in others:
+    for other in (sample_logs / "paper_robot.bag", part_of(log, workplace / "part.mcap", 5, 40)):
         result = run("calibrate", log, other, "--output", "refused", cwd=workplace)
         assert result.code == 2, other
         said = " ".join(result.err.split())
@@ -255,15 +223,6 @@ def test_a_recording_in_two_files_is_one(npz, workplace, sample_logs):
     assert run("calibrate", "split/extraction.npz", "--output", "resolved", cwd=workplace).code == 0
 
 
-def test_the_right_camera_as_reference(npz, workplace):
-    succeeded("calibrate", npz, "--set", "cameras.reference=right", "-o", "right", cwd=workplace)
-    right, left = (load(workplace / name / "params.yaml") for name in ("right", "paper_robot_calibration"))
-    assert right["head_eye"]["child_frame"] == "stereo_right_optical"
-    apart = np.subtract(right["head_eye"]["translation_m"], left["head_eye"]["translation_m"])
-    assert np.linalg.norm(apart) == pytest.approx(0.12, abs=1e-4)
-    assert right["wheels"] == left["wheels"]
-
-
 @pytest.mark.long
 def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch, fresh_search):
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
@@ -292,16 +251,6 @@ def test_help_and_version(tmp_path):
     assert [line.split()[0] for line in summaries][:3] == ["calibrate", "init", "check"]
     assert all(line.endswith(".") and "..." not in line and len(line) <= 80 for line in summaries)
     assert run("--version", cwd=tmp_path).out.startswith("mobilecal 0.")
-
-
-def test_force_replaces_an_earlier_output(npz, workplace, sample_logs):
-    assert run("calibrate", npz, "--output", "twice", cwd=workplace).code == 0
-    before = (workplace / "twice/params.yaml").read_text()
-    assert run("calibrate", npz, "--output", "twice", cwd=workplace).code == 7
-    assert (workplace / "twice/params.yaml").read_text() == before
-    other = ("--output", "twice", "--force", "--method", "linear")
-    assert run("calibrate", npz, *other, cwd=workplace).code == 0
-    assert (workplace / "twice/params.yaml").read_text() != before
 
 
 @pytest.mark.parametrize(("library", "after_s"), [("numpy", 0.0), ("cv2", 0.7)])

@@ -1,67 +1,22 @@
-"""The sample log in other clothes through the whole product: the same numbers."""
+"""The sample log in protobuf and transforms through the whole product: the same numbers."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from mcap_protobuf.writer import Writer as ProtobufWriter
 from scipy.spatial.transform import Rotation
 
 from mobilecal_cli.calibrate import steps
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.rig.config import load_rig
-from tests.readers.test_encodings import in_json, in_protobuf, written_in_json
+from tests.readers.test_encodings import in_protobuf_and_json, written_in_json
+from tests.readers.test_transforms import fields_of
 
 
-@pytest.fixture(scope="module")
-def log(sample_logs):
-    return sample_logs / "paper_robot.mcap"
-
-
-@pytest.fixture(scope="module")
-def usual(log, tmp_path_factory):
-    return steps.calibrate([log], tmp_path_factory.mktemp("usual") / "out").fit.solution
-
-
-def in_other_clothes(log, folder):
-    """Pictures and calibrations in Foxglove's protobuf, joints in JSON, only the URDF as ROS has it."""
-    with open_recording([log]) as recording:
-        topics = [info.name for info in recording.topics if info.name != "/robot_description"]
-        (urdf,) = (m.decode().data for m in recording.messages(["/robot_description"]))
-        with (folder / "pictures.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
-            for m in recording.messages([name for name in topics if "joint" not in name]):
-                writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
-        joints = [
-            (m.topic, m.log_time_ns, *in_json(m.decode())) for m in recording.messages(["/joint_states"])
-        ]
-    (folder / "robot.urdf").write_text(urdf)
-    return [folder / "pictures.mcap", written_in_json(folder / "joints.mcap", joints)]
-
-
-@pytest.mark.long
-def test_protobuf_and_json(log, usual, tmp_path):
-    (tmp_path / "rig.yaml").write_text("head: {urdf: robot.urdf}\n")
-    logs = in_other_clothes(log, tmp_path)
-    found = steps.calibrate(logs, tmp_path / "out", config=load_rig(tmp_path / "rig.yaml"))
-    assert found.verdict.level == "PASS"
-    np.testing.assert_allclose(found.fit.solution.parameters.T_h_c, usual.parameters.T_h_c, atol=1e-9)
-    for name in ("radius_right_m", "radius_left_m", "separation_m"):
-        assert getattr(found.fit.solution.parameters.wheels, name) == pytest.approx(
-            getattr(usual.parameters.wheels, name), abs=1e-9
-        )
-
-
-def turned(rotation: Rotation, place) -> dict:
-    names = dict(zip("xyzw", rotation.as_quat().tolist(), strict=True))
-    return {"translation": dict(zip("xyz", map(float, place), strict=True)), "rotation": names}
-
-
-def in_transforms(log, urdf, folder, camera_frame):
+def in_transforms(recording, urdf, folder, camera_frame):
     """The recording's head joints only as transforms of links that the URDF names; wheels stay joint states."""
-    with open_recording([log]) as recording:
-        states = [(m.log_time_ns, m.decode()) for m in recording.messages(["/joint_states"])]
-    above = {joint.child: joint for joint in urdf.joints.values()}
+    states = [(m.log_time_ns, m.decode()) for m in recording.messages(["/joint_states"])]
     path = urdf.path("base_link", "head_link")
     messages = []
     for log_ns, state in states:
@@ -72,10 +27,11 @@ def in_transforms(log, urdf, folder, camera_frame):
             rotation = Rotation.from_matrix(joint.T_parent_child[:3, :3])
             if joint.kind != "fixed":
                 rotation = rotation * Rotation.from_rotvec(read[joint.name] * joint.axis)
-            sent.append((joint.parent, joint.child, turned(rotation, joint.T_parent_child[:3, 3])))
-        sent.append(
-            ("head_link", camera_frame, turned(Rotation.from_euler("xyz", [-1.57, 0, -1.5]), [0, -0.05, 0]))
-        )
+            sent.append(
+                (joint.parent, joint.child, fields_of(joint.T_parent_child[:3, 3], rotation.as_quat()))
+            )
+        mounted = fields_of(np.array([0, -0.05, 0]), Rotation.from_euler("xyz", [-1.57, 0, -1.5]).as_quat())
+        sent.append(("head_link", camera_frame, mounted))
         items = [
             {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}
             for parent, child, transform in sent
@@ -85,17 +41,19 @@ def in_transforms(log, urdf, folder, camera_frame):
         header = {"stamp": stamp, "frame_id": ""}
         fields = {"header": header, "name": wheels, "position": [read[name] for name in wheels]}
         messages.append(("/wheels", log_ns, "sensor_msgs/JointState", fields))
-    assert set(above) >= {joint.child for joint in path}
     return written_in_json(folder / "tf.mcap", messages)
 
 
 @pytest.mark.long
-def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
+def test_neither_urdf_nor_joint_states_but_transforms(sample_logs, tmp_path):
     """The zeros of pan and tilt are lost; the head-eye transform is that of the head frame as it was first."""
+    log = sample_logs / "paper_robot.mcap"
+    usual = steps.calibrate([log], tmp_path / "usual").fit.solution
     with open_recording([log]) as recording:
-        (text,) = (m.decode().data for m in recording.messages(["/robot_description"]))
-    urdf = parse_urdf(text)
-    logs = [in_other_clothes(log, tmp_path)[0], in_transforms(log, urdf, tmp_path, "stereo_left_optical")]
+        (text,) = read_description(recording).urdfs.values()
+        urdf = parse_urdf(text)
+        pictures, _ = in_protobuf_and_json(recording, tmp_path)
+        logs = [pictures, in_transforms(recording, urdf, tmp_path, "stereo_left_optical")]
     nominal = {f"nominal.wheels.{name}": 0.22 for name in ("radius_left_m", "radius_right_m")}
     flags = {**nominal, "nominal.wheels.separation_m": 0.5}
     found = steps.calibrate(logs, tmp_path / "out", config=load_rig(None, flags))

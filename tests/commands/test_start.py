@@ -28,7 +28,7 @@ def test_help_loads_nothing_heavy(arguments, heavy):
         f"loaded = sorted(set({heavy!r}) & set(sys.modules))\n"
         "assert not loaded, loaded\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert done.returncode == 0, done.stderr
 
 
@@ -76,7 +76,7 @@ def test_a_system_that_is_not_supported_is_named(arguments):
         "from mobilecal_cli.__main__ import main\n"
         "main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = python("-c", code)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("error: mobilecal runs on Linux and macOS")
     assert "Windows Subsystem for Linux" in done.stderr

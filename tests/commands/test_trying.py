@@ -89,22 +89,16 @@ def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
     assert note not in data["notes"]
 
 
-@pytest.mark.parametrize(
-    ("key", "factor", "level"),
-    [("radius_right_m", 1.02, "FAIL"), ("radius_left_m", 1.001, "PASS")],
-)
-def test_evaluate_gives_a_verdict_without_gates(made, tmp_path, key, factor, level):
+def test_evaluate_gives_a_verdict_without_gates(made, tmp_path):
     folder, _ = made
-    params = changed_params(folder / "out" / "params.yaml", tmp_path / "params.yaml", key, factor)
+    params = changed_params(folder / "out" / "params.yaml", tmp_path / "params.yaml", "radius_right_m", 1.02)
     found = run("evaluate", folder / "out" / "extraction.npz", params, "--json")
-    assert found.code == (0 if level == "PASS" else 6), found.err
+    assert found.code == 6, found.err
     verdict = json.loads(found.out)["verdict"]
-    assert verdict["level"] == level
-    assert verdict["reason"]
+    assert verdict["level"] == "FAIL"
+    assert f"FAIL: {verdict['reason']}" in joined(found.err)
     assert verdict["next_step"]
-    if level == "FAIL":
-        assert f"FAIL: {verdict['reason']}" in joined(found.err)
-        assert verdict["next_step"] in joined(found.err)
+    assert verdict["next_step"] in joined(found.err)
 
 
 def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_logs):
@@ -119,7 +113,7 @@ def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_log
 def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
     """The same drive with and without the delay: errors are alike, and the delay is stated."""
     found = {}
-    moving = ("--motion", "moving", "--stations", "8", "--quiet")
+    moving = ("--motion", "moving", "--stations", "5", "--quiet")
     made = succeeded("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
     made = run("calibrate", tmp_path / "made.mcap", "-o", tmp_path / "made", "--quiet")
     assert made.code in (0, 6), made.err

@@ -148,13 +148,3 @@ def test_nominal_wheels_make_lengths_of_odometry(made, tmp_path):
     std = np.sqrt(np.diag(found.knowledge.covariance))[6:]
     true = [truth["wheels"][name] for name in ("radius_right_m", "radius_left_m", "separation_m")]
     assert np.all(np.abs(found.wheels.vector - true) < 4 * std)
-
-
-def test_counters_are_found_by_all_three_commands(sample_logs, tmp_path):
-    log = sample_logs / "tick_robot.mcap"
-    ticks = [f"--set=wheels.{side}.ticks_per_revolution=4096" for side in ("left", "right")]
-    linear = ("--board", "9x6", "--method", "linear", *ticks)
-    succeeded("calibrate", log, "--output", tmp_path / "out", *linear, cwd=tmp_path)
-    assert run("inspect", log, *ticks, cwd=tmp_path).code == 0
-    assert "ticks_per_revolution: N" in run("inspect", log, cwd=tmp_path).out
-    assert "ticks_per_revolution: TODO" in run("init", log, "--output", "-", cwd=tmp_path).out

@@ -23,7 +23,7 @@ from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
-from tests.command import run
+from tests.command import run, succeeded
 from tests.extractions import Noise, simulated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
@@ -132,8 +132,7 @@ def test_the_command_refuses_with_exit_code_6(straight, tmp_path):
     assert "error: " in refused.err
     assert "NOT ENOUGH. The wheel separation is not determined" in refused.err
     assert "hint: " in refused.err
-    done = run("export", straight, "--to", "ros2_control", "--allow-failed")
-    assert done.code == 0
+    done = succeeded("export", straight, "--to", "ros2_control", "--allow-failed")
     assert "Verdict of the calibration: NOT ENOUGH." in done.err
 
 

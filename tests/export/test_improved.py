@@ -27,6 +27,7 @@ from tests.actual import draw
 from tests.export.test_urdf_patch import robot
 from tests.extractions import STATION_NOISE, Imperfection, imperfect_extraction
 from tests.report.example import params_of
+from tests.robots import rig_of
 
 K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])
 CENTER = np.array([320.0, 240.0])
@@ -150,8 +151,6 @@ def test_the_urdf_without_the_chain_says_so(calibrated):
         if joint.name:
             before, after = (urdf.joints[joint.name].T_parent_child for urdf in (drawn, kept))
             assert before == pytest.approx(after)
-    with pytest.raises(ConfigError, match="--with-chain applies only to --to urdf"):
-        export(params, Target.xacro, with_chain=True)
 
 
 def test_older_calibrations_have_no_improved_cameras(calibrated, tmp_path):
@@ -219,7 +218,7 @@ def test_sliding_and_coupled_joints():
     """By hand: zeros move a sliding joint's origin along its axis, and a coupled joint's by its multiplier."""
     urdf = parse_urdf(MIMIC.decode())
     chain = HeadChain("base", "head", chain_links(urdf, "base", "head"), pan="pan")
-    rig = replace(imperfect_rig(), chain=chain)
+    rig = replace(rig_of(ROBOTS["tick"]()), chain=chain)
     names = [row.name for row in table(rig.cameras, chain) if row.kind.startswith("joint_")]
     values = dict(zip(names, np.linspace(-0.004, 0.005, len(names)), strict=True))
     improved = improved_chain(rig, values)
@@ -241,9 +240,3 @@ def moved(joint, amount):
     if joint.kind == "prismatic":
         return se3.transform(np.eye(3), amount * joint.axis)
     return se3.transform(cv2.Rodrigues(amount * joint.axis)[0], np.zeros(3))
-
-
-def imperfect_rig():
-    described = ROBOTS["tick"]()
-    route = plan_route(described, "standard", 3, seed=5)
-    return imperfect_extraction(described, route, Imperfection()).rig

@@ -57,7 +57,7 @@ def test_a_disk_that_fills_while_the_output_is_written(solved, size):
     assert result.stdout.split() == ["disk:", "out", "disk/out:", "params.yaml"]
 
 
-@pytest.mark.parametrize("option", ["--summary", "--junit"])
+@pytest.mark.parametrize("option", ["--summary", pytest.param("--junit", marks=pytest.mark.long)])
 def test_a_full_disk_for_a_further_output(solved, option):
     """An empty summary was left, and nothing said that there are results."""
     fill = "dd if=/dev/zero of=disk/full bs=1k 2>/dev/null; true"
@@ -72,14 +72,6 @@ def test_a_full_disk_for_a_further_output(solved, option):
     assert hint.startswith("hint: check free space")
     assert result.stdout.split() == ["disk:", "full"]
     assert (solved / "out/params.yaml").exists()
-
-
-@pytest.mark.long
-def test_a_disk_that_fills_while_a_recording_is_simulated(tmp_path):
-    result = on_a_small_disk(tmp_path, "512k", "true", "simulate", "disk/log.mcap", "--stations", 4)
-    assert result.returncode == 7, result.stderr
-    assert "No space left on device" in result.stderr
-    assert result.stdout.split() == ["disk:"]
 
 
 def test_a_full_directory_for_temporary_files(sample_logs, tmp_path):

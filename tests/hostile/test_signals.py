@@ -96,8 +96,11 @@ def cleaned(process, number, everyone, folder):
 @pytest.mark.parametrize(
     ("number", "everyone"),
     [
-        *((TERM, False), (HUP, True), (INT, True)),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in ((TERM, True), (HUP, False), (INT, False))),
+        *((TERM, False), (HUP, True)),  # Ctrl-C: tests/commands/test_calibrate.py
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in ((TERM, True), (HUP, False), (INT, False), (INT, True))
+        ),
     ],
 )
 def test_calibrate(sample_logs, tmp_path, number, everyone):

@@ -12,7 +12,7 @@ import pytest
 from mcap.writer import CompressionType
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording, read_description
+from mobilecal_cli.readers import open_recording
 
 from . import recordings as r
 
@@ -34,40 +34,6 @@ def written(folder: Path, data: bytes, name: str = "damaged") -> Path:
     path = folder / name
     path.write_bytes(data)
     return path
-
-
-def read_all(path: Path) -> int:
-    """Everything that a calibration reads; the number of messages."""
-    with open_recording([path]) as recording:
-        count = len(r.every(recording))
-        read_description(recording)
-        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
-        wanted = {side: index.stamp_ns.tolist() for side, index in signals.images.items()}
-        images = list(r.read_images(recording, r.SOURCES.image, wanted))
-        assert len(images) == sum(map(len, wanted.values()))
-    return count
-
-
-@pytest.mark.parametrize("name", FILES)
-def test_fuzz_only_recording_errors_escape(originals, tmp_path, name):
-    rng = np.random.default_rng(20 + FILES.index(name))
-    original = originals[name]
-    outcomes = []
-    for attempt in range(24):
-        data = bytearray(original)
-        if attempt % 2:
-            del data[rng.integers(1, len(data)) :]
-        else:
-            for place in rng.integers(0, len(data), rng.integers(1, 8)):
-                data[place] ^= 1 << int(rng.integers(8))
-        path = written(tmp_path, data, str(attempt))
-        try:
-            outcomes.append(read_all(path))
-        except RecordingError as error:
-            outcomes.append(-1 if error.message and error.hint else -2)
-    assert -2 not in outcomes, "an error without message or hint"
-    assert max(outcomes) > 0
-    assert all(count <= len(ITEMS) for count in outcomes)
 
 
 @pytest.mark.parametrize("chunk", [0, 1, 3])

@@ -66,6 +66,17 @@ def written_in_json(out, messages):
     return r.write_raw(out, raw, "")
 
 
+def in_protobuf_and_json(recording, folder):
+    """Pictures and calibrations in Foxglove's protobuf, joint states in JSON; no URDF."""
+    pictured = [info.name for info in recording.topics if info.type != "std_msgs/msg/String"]
+    pictured.remove("/joint_states")
+    with (folder / "protobuf.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
+        for m in recording.messages(pictured):
+            writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
+    joints = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in recording.messages(["/joint_states"]))
+    return [folder / "protobuf.mcap", written_in_json(folder / "joints.mcap", joints)]
+
+
 @pytest.fixture(scope="module")
 def original():
     with open_recording([LOG]) as recording:
@@ -76,18 +87,12 @@ def original():
 def other(request, original, tmp_path_factory):
     """The sample log without a single ROS message, but for its URDF and (beside protobuf) its joint states."""
     folder = tmp_path_factory.mktemp("encodings")
-    topics = [info.name for info in original.topics if info.name != "/robot_description"]
     if request.param == "json":
+        topics = [info.name for info in original.topics if info.name != "/robot_description"]
         messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(topics))
         paths = [written_in_json(folder / "json.mcap", messages)]
     else:
-        pictured = [name for name in topics if "joint" not in name]
-        with (folder / "protobuf.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
-            for m in original.messages(pictured):
-                writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
-        joints = [name for name in topics if "joint" in name]
-        messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(joints))
-        paths = [folder / "protobuf.mcap", written_in_json(folder / "joints.mcap", messages)]
+        paths = in_protobuf_and_json(original, folder)
     with open_recording(paths) as recording:
         yield recording
 

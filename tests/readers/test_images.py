@@ -164,18 +164,18 @@ def test_dishonest_pictures_are_refused(changes, message):
         decoded(GRAY, changes.pop("encoding", "mono8"), **changes)
 
 
-PNG = cv2.imencode(".png", GRAY)[1].tobytes()
+PNG, BMP = (cv2.imencode(kind, GRAY)[1].tobytes() for kind in (".png", ".bmp"))
 LARGEST = (2**31 - 1).to_bytes(4, "big")
 
 
 @pytest.mark.parametrize(
     "data",
-    [b"", b"\xff\xd8\xff\xe0 not a jpeg", PNG[:8] + bytes(30), PNG[:16] + LARGEST + LARGEST + PNG[24:]],
+    [b"", b"\xff\xd8\xff\xe0 not a jpeg", PNG[:8] + bytes(30), PNG[:16] + LARGEST + LARGEST + PNG[24:], BMP],
 )
-def test_damaged_compressed_pictures_are_refused(data):
+def test_damaged_compressed_pictures_and_other_kinds_are_refused(data):
     message = r.compressed(GRAY, ".png")(r.ROS2)
     message.data = np.frombuffer(data, dtype=np.uint8)
-    with pytest.raises(RecordingError, match=r"image (empty|damaged)"):
+    with pytest.raises(RecordingError, match=r"image (empty|damaged, or not JPEG or PNG: )"):
         decode_image(message)
 
 

@@ -140,8 +140,3 @@ class Browser:
         return base64.b64decode(
             self.call("Page.printToPDF", printBackground=False, preferCSSPageSize=True)["data"]
         )
-
-    def screenshot(self, path: Path, whole: bool = True) -> None:
-        """The page as a PNG file."""
-        data = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=whole)["data"]
-        path.write_bytes(base64.b64decode(data))

@@ -21,7 +21,6 @@ from mobilecal_cli.model import (
     LogSource,
     Method,
     Nominal,
-    Parameters,
     Provenance,
     Rejection,
     Snapshot,
@@ -31,34 +30,22 @@ from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
 from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.vision import thumbnail_jpeg
 from tests.actual import draw
-from tests.extractions import (
-    STATION_NOISE,
-    Imperfection,
-    Noise,
-    ideal_extraction,
-    imperfect_extraction,
-    joined,
-)
+from tests.extractions import STATION_NOISE, Noise, joined, simulated
 from tests.pairs import with_pair
 from tests.robots import true_nominal
 
 ROBOT = tick_robot()
 WHEELS = ROBOT.wheels
-ROBOT_PARAMETERS = Parameters(ROBOT.T_h_c, ROBOT.wheels)
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.003, joint_rad=5e-4)
 
 
 @cache
 def make_extraction(n: int = 12, logs: int = 1, seed: int = 0) -> Extraction:
     """Stations of one or several recordings, with a few rejections and a note."""
-    parts = [
-        ideal_extraction(ROBOT, plan_route(ROBOT, stations=n, seed=seed + log), NOISE, seed=seed + log)
-        for log in range(logs)
-    ]
+    parts = [simulated("standard", NOISE, ROBOT, n, seed + log) for log in range(logs)]
     start_ns = parts[0].observations[0].time_ns
     return replace(
         with_nominal(joined(*parts), Nominal()),
@@ -93,13 +80,7 @@ def make_provenance(extraction: Extraction) -> Provenance:
         created="2015-06-01T12:00:00Z",
         method="lm",
         logs=extraction.logs,
-        config={
-            "board": {
-                "columns": 9,
-                "rows": 6,
-            },
-            "cameras": {"left": {"image": "/stereo/left/image_raw"}},
-        },
+        config={"board": {"columns": 9, "rows": 6}, "cameras": {"left": {"image": "/stereo/left/image_raw"}}},
     )
 
 
@@ -221,10 +202,8 @@ STATION_LEVELS = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.0
 
 
 def recorded(constants, noise=STATION_LEVELS, motion="standard", stations=12, seed=1):
-    robot = tick_robot()
-    route = plan_route(robot, motion, stations, seed=seed)
-    extraction = imperfect_extraction(robot, route, Imperfection(constants, noise), seed=seed)
-    return replace(with_nominal(extraction, true_nominal(robot)), logs=(LogSource("log.mcap", "0" * 64),))
+    extraction = simulated(motion, noise, ROBOT, stations, seed, constants)
+    return replace(with_nominal(extraction, true_nominal(ROBOT)), logs=(LogSource("log.mcap", "0" * 64),))
 
 
 @cache

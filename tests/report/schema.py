@@ -11,7 +11,9 @@ SCHEMA = Path(__file__).parents[2] / "docs" / "reference" / "report.schema.json"
 
 @cache
 def _validator():
-    return jsonschema.Draft202012Validator(json.loads(SCHEMA.read_text(encoding="utf-8")))
+    schema = json.loads(SCHEMA.read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
 
 
 def validated(text):

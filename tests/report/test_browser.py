@@ -15,9 +15,8 @@ from mobilecal_cli.model import FixedLink, JointLink, LogSource, Nominal, Outlie
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.fleet import FleetRow, fleet_html
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import evaluate, solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.report.browser import CHROMIUM, Browser
 from tests.report.example import (
     HOSTILE,
@@ -46,7 +45,7 @@ def page(tmp_path_factory):
     """A report with every section: held-out stations, change, outliers, rejections, names that would steer."""
     robot = ROBOTS["paper"]()
     noise = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.003, joint_rad=1e-3)
-    extraction = ideal_extraction(robot, plan_route(robot), noise, seed=3)
+    extraction = simulated(noise=noise)
     time_ns = extraction.observations[3].time_ns
     extraction = replace(
         extraction,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +13,12 @@ from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
-from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers import maximum_likelihood, solve
 from mobilecal_cli.solvers.constraints import Constraints, constraints_of
 from mobilecal_cli.solvers.fit import uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
-from tests.extractions import ideal_extraction
+from tests.extractions import simulated
 from tests.judging import judge
 from tests.report.example import drawn, made, make_extraction, make_solution, solved
 
@@ -54,6 +53,8 @@ def test_squares_and_baseline_disagree_together():
     assert verdict.level == "FAIL"
     assert verdict.reason.startswith("The stated squares and the stereo baseline disagree by ")
     assert "The recording cannot tell which of the two is wrong." in verdict.next_step
+    (measured,) = set(re.findall(r"the squares measure ([\d.]+) mm \(stated: 80.00 mm\)", verdict.reason))
+    assert float(measured) == pytest.approx(81.6, abs=0.4)
     assert solution.scale.ratio == pytest.approx(1.02, abs=0.005)
 
 
@@ -99,7 +100,7 @@ def test_the_jackknife_widens_sigmas_that_are_too_small():
     np.testing.assert_allclose(uncertainty.std[wide], uncertainty.jackknife_std[wide])
 
 
-EXTRACTION = ideal_extraction(paper_robot(), plan_route(paper_robot(), stations=8))
+EXTRACTION = simulated(stations=8)
 
 
 def moved(*stations):
@@ -167,8 +168,14 @@ def test_a_fixed_value_that_the_data_contradict_is_named(sigmas, level):
     assert ("Correct --fix t_x (m, rad), or leave it out." in verdict.next_step) == (level == "FAIL")
 
 
-def test_a_fixed_value_with_which_nothing_fits_is_named():
+def test_a_fixed_value_with_which_nothing_fits_is_named(monkeypatch):
+    def none_agree(*_):
+        raise SolveError("no measurements agree", "")
+
     _, extraction = drawn()
+    monkeypatch.setattr(
+        maximum_likelihood, "agreeing", none_agree
+    )  # a search that takes long, and is in vain
     with pytest.raises(SolveError) as raised:
         solve(extraction, constraints=constraints_of(["t_x=3.0"], [], []))
     assert raised.value.hint.startswith("leave out --fix t_x, or correct the value; or ")

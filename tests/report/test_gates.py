@@ -26,13 +26,11 @@ from mobilecal_cli.report.verdict import (
     gate_metrics,
     gates_of,
 )
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.conftest import REPOSITORY
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.judging import judge
-from tests.report.example import made, make_extraction, make_solution
+from tests.report.example import made, make_solution
 
 EVALUATION = Evaluation(
     stations=3,
@@ -104,19 +102,8 @@ def test_each_side_of_a_limit():
     assert "unknown (limit 100)" in checks[4].why
 
 
-def test_gates_limit_the_values_of_criteria():
-    extraction = make_extraction()
-    solution = make_solution(extraction)
-    value = judge(solution, extraction).checks["leg_outlier.point"].value
-    for limit, level in ((value + 0.1, "PASS"), (value - 0.1, "GATE FAILED")):
-        verdict = judge(solution, extraction, gates_of([f"leg_outlier.point={limit}"], {}))
-        assert verdict.level == level
-        assert verdict.checks["gate.leg_outlier.point"].value == value
-
-
 def test_figures_of_a_calibration_are_those_of_its_files():
-    robot = ROBOTS["paper"]()
-    extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
+    extraction = simulated(noise=Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
     solution = solve(extraction)
     figures = figures_of(Calibration(solution, extraction, trial=EVALUATION))
     assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])

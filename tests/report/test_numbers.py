@@ -8,18 +8,15 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.numbers import decimals_of, percent_text, std_text, value_text
-from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.report.example import made
 
 
 @pytest.mark.parametrize("name", ["tick", "paper"])
 def test_sigmas_of_the_rotation_are_those_of_the_printed_components(name):
     """Monte Carlo: rotations drawn from the covariance spread as printed, component by component."""
-    robot = ROBOTS[name]()
-    extraction = ideal_extraction(robot, plan_route(robot), Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
+    extraction = simulated(noise=Noise(pixel_px=0.2, joint_rad=1e-3), robot=name, seed=1)
     solution = solve(extraction)
     R = solution.T_h_reference[:3, :3]
     rotation = made(solution, extraction).parameters

@@ -13,7 +13,7 @@ import pytest
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import job_summary
-from tests.command import run
+from tests.command import run, succeeded
 from tests.conftest import REPOSITORY
 from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution, report_on
 
@@ -23,8 +23,7 @@ NOTEBOOK = REPOSITORY / "docs" / "tutorial" / "notebook.ipynb"
 @pytest.fixture(scope="module")
 def result(sample_logs, tmp_path_factory):
     folder = tmp_path_factory.mktemp("summary")
-    done = run("calibrate", sample_logs / "paper_robot.mcap", "-o", "result", "-q", cwd=folder)
-    assert done.code == 0, done.err
+    succeeded("calibrate", sample_logs / "paper_robot.mcap", "-o", "result", "-q", cwd=folder)
     return folder
 
 
@@ -77,11 +76,10 @@ def test_the_summary_has_the_change_and_is_appended(result):
     accepted = result / "result" / "params.yaml"
     path = result / "summary.md"
     path.write_text("before\n")
-    done = run(
+    succeeded(
         "calibrate", "result/extraction.npz", "-o", "again", "-q", "--last", accepted, "--summary", path,
         "--junit", "junit.xml", cwd=result,
     )  # fmt: skip
-    assert done.code == 0, done.err
     text = path.read_text()
     assert text.startswith("before\n### PASS: ")
     assert "Difference from" in text
@@ -105,8 +103,7 @@ def test_junit_has_times():
 
 
 def test_suggest_as_json(result):
-    done = run("suggest", "result/extraction.npz", "-q", "--json", cwd=result)
-    assert done.code == 0, done.err
+    done = succeeded("suggest", "result/extraction.npz", "-q", "--json", cwd=result)
     advice = json.loads(done.out)
     assert advice["limiting"].endswith("of its variance.")
     assert all(stop["gain"] >= 0.05 for stop in advice["stops"])
@@ -115,6 +112,5 @@ def test_suggest_as_json(result):
 
 def test_suggestions_go_by_the_user_s_limits(result, sample_logs):
     (result / "mine.yaml").write_text("gates: {predicted.camera_mm: 4}\n")
-    done = run("suggest", sample_logs / "paper_robot.mcap", "-q", "-c", "mine.yaml", cwd=result)
-    assert done.code == 0, done.err
+    done = succeeded("suggest", sample_logs / "paper_robot.mcap", "-q", "-c", "mine.yaml", cwd=result)
     assert re.search("limits? the camera position in the base", done.out.splitlines()[0])

@@ -19,8 +19,7 @@ from mobilecal_cli.model import Board, Markers, Nominal, Provenance, WheelGeomet
 from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.route import plan_route
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, simulated
 from tests.report.example import make_extraction, make_solution
 
 
@@ -179,7 +178,7 @@ def test_every_board_and_prior_passes(board, sigma):
 
 def test_every_simulated_robot_passes(tmp_path):
     for name, robot in ROBOTS.items():
-        extraction = ideal_extraction(robot(), plan_route(robot()), Noise(pixel_px=0.1), seed=0)
+        extraction = simulated(noise=Noise(pixel_px=0.1), robot=name, seed=0)
         path = tmp_path / f"{name}.npz"
         path.write_bytes(extraction_to_npz(replace(extraction, logs=make_extraction().logs)))
         assert read_extraction(path).rig.chain.joints == robot().joint_names

@@ -329,7 +329,7 @@ def test_explicit_chain_needs_no_urdf():
         ),
         (
             {},
-            {"joint_names": {"/joint_states": JOINTS[2:]}},
+            {"joint_names": {"/joint_states": JOINTS[1:]}},
             RecordingError,
             "no joint is named as a left or right wheel",
         ),

@@ -162,19 +162,18 @@ def painted(
     middle = square_m * np.array([(board.columns - 1) / 2, (board.rows - 1) / 2, 0.0])
     x, y, z = T_camera_k[:3, :3] @ middle + T_camera_k[:3, 3]
     radius = 1.2 * reach * square_m
-    near = (np.hypot(rays[..., 0] * z - x, rays[..., 1] * z - y) < 1.6 * radius)[1:-1, 1:-1]
-    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    close = (np.hypot(rays[..., 0] * z - x, rays[..., 1] * z - y) < 1.6 * radius)[1:-1, 1:-1]
+    rows, columns = np.flatnonzero(close.any(axis=1)), np.flatnonzero(close.any(axis=0))
     (v0, v1), (u0, u1) = (rows[0], rows[-1] + 1), (columns[0], columns[-1] + 1)
 
     lifted = np.ascontiguousarray(np.moveaxis(rays @ H[:, :2].T + H[:, 2], -1, 0))
 
-    def on_board(at: tuple[Any, Any], du: float, dv: float) -> tuple[np.ndarray, ...]:
-        """Dark or light, and covered or not, at an offset in pixels (rows, columns); and the square's numbers."""
-        v, u = at[0] + 1, at[1] + 1
+    def on_board(around: dict[tuple[int, int], np.ndarray], du: float, dv: float) -> tuple[np.ndarray, ...]:
+        """Dark or light, and covered or not, at an offset of pixels and those around; and the square's numbers."""
         a, b = int(np.sign(du)), int(np.sign(dv))
         p, q = abs(du), abs(dv)
         weights = ((0, 0, (1 - q) * (1 - p)), (0, a, (1 - q) * p), (b, 0, q * (1 - p)), (b, a, q * p))
-        x, y, z = sum(weight * lifted[:, v + j, u + i] for j, i, weight in weights)
+        x, y, z = sum(weight * around[j, i] for j, i, weight in weights)
         X, Y = x / z / square_m, y / z / square_m
         squares = (-outer < X) & (board.columns - 1 + outer > X) & (-outer < Y) & (board.rows - 1 + outer > Y)
         margin = (-outer - 1 < X) & (board.columns + outer > X) & (-outer - 1 < Y) & (board.rows + outer > Y)
@@ -184,8 +183,9 @@ def painted(
     paint = np.full((camera.height, camera.width), float(light))
     cover = np.zeros((camera.height, camera.width))
     offset = (np.arange(supersample) + 0.5) / supersample - 0.5
-    inside = np.ix_(np.arange(v0, v1), np.arange(u0, u1))
-    corners = [on_board(inside, du, dv) for dv, du in product(offset[[0, -1]], repeat=2)]
+    inside, steps = (slice(v0, v1), slice(u0, u1)), list(product((-1, 0, 1), repeat=2))
+    whole = {(j, i): lifted[:, v0 + 1 + j : v1 + 1 + j, u0 + 1 + i : u1 + 1 + i] for j, i in steps}
+    corners = [on_board(whole, du, dv) for dv, du in product(offset[[0, -1]], repeat=2)]
     paint[inside] += np.where(corners[0][0], dark - light, 0.0)
     cover[inside] += corners[0][1]
     # Where its corners lie in one square, so does the whole pixel.
@@ -193,7 +193,8 @@ def painted(
     cut = np.any([values != first for values, first in others], axis=0)
     rows, columns = np.nonzero(cut)
     edge = (rows + v0, columns + u0)
-    parts = [on_board(edge, du, dv)[:2] for dv, du in product(offset, offset)]
+    near = {step: values[:, cut] for step, values in whole.items()}
+    parts = [on_board(near, du, dv)[:2] for dv, du in product(offset, offset)]
     paint[edge] = light + (dark - light) * np.mean([is_dark for is_dark, _ in parts], axis=0)
     cover[edge] = np.mean([covered for _, covered in parts], axis=0)
     # Light mixes in a pixel in proportion to the area: exact because paint is constant where cover is not 1.
