@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -108,6 +109,17 @@ def test_the_numbers_are_near_the_truth_and_their_uncertainty_is_a_contract(firs
     assert set(block["noise"]) == {field.name for field in fields(NoiseLevels)} - {"redundancy", "wider"}
     assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
     assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
+
+
+@pytest.mark.parametrize("name", ["paper_robot.bag", "paper_robot_rosbag2", "bare.db3"])
+@pytest.mark.long
+def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, name):
+    """Also the part of a rosbag2 alone, without its metadata."""
+    (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
+    log = shutil.copy(storage, workplace / name) if name == "bare.db3" else sample_logs / name
+    succeeded("calibrate", log, "--output", f"out_{name}", cwd=workplace)
+    assert same_numbers(workplace / f"out_{name}")
+    assert "separation_m" in numbers(workplace / f"out_{name}/params.yaml")
 
 
 def test_an_extraction_is_solved_again(npz, workplace):

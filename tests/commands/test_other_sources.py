@@ -1,4 +1,4 @@
-"""The sample log in protobuf and transforms through the whole product: the same numbers."""
+"""The sample log in other clothes through the whole product: the same numbers."""
 
 from __future__ import annotations
 
@@ -14,9 +14,41 @@ from tests.readers.test_encodings import in_protobuf_and_json, written_in_json
 from tests.readers.test_transforms import fields_of
 
 
-def in_transforms(recording, urdf, folder, camera_frame):
+@pytest.fixture(scope="module")
+def log(sample_logs):
+    return sample_logs / "paper_robot.mcap"
+
+
+@pytest.fixture(scope="module")
+def usual(log, tmp_path_factory):
+    return steps.calibrate([log], tmp_path_factory.mktemp("usual") / "out").fit.solution
+
+
+def in_other_clothes(log, folder):
+    """Pictures and calibrations in Foxglove's protobuf, joints in JSON, the URDF in a file."""
+    with open_recording([log]) as recording:
+        (urdf,) = read_description(recording).urdfs.values()
+        (folder / "robot.urdf").write_text(urdf)
+        return in_protobuf_and_json(recording, folder)
+
+
+@pytest.mark.long
+def test_protobuf_and_json(log, usual, tmp_path):
+    (tmp_path / "rig.yaml").write_text("head: {urdf: robot.urdf}\n")
+    logs = in_other_clothes(log, tmp_path)
+    found = steps.calibrate(logs, tmp_path / "out", config=load_rig(tmp_path / "rig.yaml"))
+    assert found.verdict.level == "PASS"
+    np.testing.assert_allclose(found.fit.solution.parameters.T_h_c, usual.parameters.T_h_c, atol=1e-9)
+    for name in ("radius_right_m", "radius_left_m", "separation_m"):
+        assert getattr(found.fit.solution.parameters.wheels, name) == pytest.approx(
+            getattr(usual.parameters.wheels, name), abs=1e-9
+        )
+
+
+def in_transforms(log, urdf, folder, camera_frame):
     """The recording's head joints only as transforms of links that the URDF names; wheels stay joint states."""
-    states = [(m.log_time_ns, m.decode()) for m in recording.messages(["/joint_states"])]
+    with open_recording([log]) as recording:
+        states = [(m.log_time_ns, m.decode()) for m in recording.messages(["/joint_states"])]
     path = urdf.path("base_link", "head_link")
     messages = []
     for log_ns, state in states:
@@ -45,15 +77,11 @@ def in_transforms(recording, urdf, folder, camera_frame):
 
 
 @pytest.mark.long
-def test_neither_urdf_nor_joint_states_but_transforms(sample_logs, tmp_path):
+def test_neither_urdf_nor_joint_states_but_transforms(log, usual, tmp_path):
     """The zeros of pan and tilt are lost; the head-eye transform is that of the head frame as it was first."""
-    log = sample_logs / "paper_robot.mcap"
-    usual = steps.calibrate([log], tmp_path / "usual").fit.solution
-    with open_recording([log]) as recording:
-        (text,) = read_description(recording).urdfs.values()
-        urdf = parse_urdf(text)
-        pictures, _ = in_protobuf_and_json(recording, tmp_path)
-        logs = [pictures, in_transforms(recording, urdf, tmp_path, "stereo_left_optical")]
+    pictures, _ = in_other_clothes(log, tmp_path)
+    urdf = parse_urdf((tmp_path / "robot.urdf").read_text())
+    logs = [pictures, in_transforms(log, urdf, tmp_path, "stereo_left_optical")]
     nominal = {f"nominal.wheels.{name}": 0.22 for name in ("radius_left_m", "radius_right_m")}
     flags = {**nominal, "nominal.wheels.separation_m": 0.5}
     found = steps.calibrate(logs, tmp_path / "out", config=load_rig(None, flags))

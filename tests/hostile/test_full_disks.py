@@ -74,6 +74,14 @@ def test_a_full_disk_for_a_further_output(solved, option):
     assert (solved / "out/params.yaml").exists()
 
 
+@pytest.mark.long
+def test_a_disk_that_fills_while_a_recording_is_simulated(tmp_path):
+    result = on_a_small_disk(tmp_path, "512k", "true", "simulate", "disk/log.mcap", "--stations", 4)
+    assert result.returncode == 7, result.stderr
+    assert "No space left on device" in result.stderr
+    assert result.stdout.split() == ["disk:"]
+
+
 def test_a_full_directory_for_temporary_files(sample_logs, tmp_path):
     packed = zstandard.compress((sample_logs / "paper_robot.mcap").read_bytes())
     (tmp_path / "log.mcap").write_bytes(packed)
