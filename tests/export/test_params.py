@@ -22,6 +22,7 @@ from mobilecal_cli.model import (
     EstimatedConstant,
     JointLink,
     LogSource,
+    Noise,
     NoiseLevels,
     Parameters,
     Uncertainty,
@@ -210,7 +211,7 @@ CONSTANTS = {
 
 def with_constants(solution, extraction):
     """A solution with constants: one of a sliding joint with a strange name, and two that the user fixed."""
-    noise = NoiseLevels(0.1, 1e-3, 0.0, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 0.3, 1.0, 1e-4, 1e-4, 1.0, {}, (), {})
+    noise = NoiseLevels(**Noise.limits("guess"), wider={}, estimated=(), redundancy={})
     uncertainty = Uncertainty(
         np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
         np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
