@@ -28,9 +28,10 @@ def local_cluster(folder: Path, workers: int) -> Iterator[tuple[str, list[subpro
     started: list[subprocess.Popen] = []
     try:
         deadline = time.monotonic() + 60
-        while not file.exists() and time.monotonic() < deadline:
+        # It exists before all of it is written, and ends with the last bracket.
+        while not (file.exists() and file.read_text("utf-8").endswith("}")) and time.monotonic() < deadline:
             time.sleep(0.1)
-        address = json.loads(file.read_text(encoding="utf-8"))["address"]
+        address = json.loads(file.read_text("utf-8"))["address"]
         here = (address, "--host", "127.0.0.1", "--no-nanny", "--no-dashboard")
         common = (*here, "--nworkers", 1, "--nthreads", 1)
         started += [
