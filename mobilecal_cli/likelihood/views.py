@@ -225,9 +225,7 @@ def images_of(
         for column, (_, _, effect) in enumerate(direct, 6)
         if isinstance(effect, CameraEffect) and effect.of == "delay_s"
     ]
-    together = Images(
-        information, gradient, cost, tuple(delays), information[:, delays].copy(), gradient[:, delays].copy()
-    )
+    together = Images(information, gradient, cost, tuple(delays), information[:, delays], gradient[:, delays])
     return together.with_own_delays(0.0, noise.pair_s**2)
 
 

@@ -92,12 +92,12 @@ def noise(case: Case) -> Table | None:
         return None
     levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
     moving = not all(o.at_rest for o in case.extraction.observations)
-    alone = len(case.extraction.rig.cameras.names) == 1
+    seen_moving = {*levels.estimated, *(given if moving else ())}
     rows = []
     for level, (meaning, unit, factor) in _LEVELS.items():
         std = float(getattr(levels, level))
         source = "given" if level in given else "assumed"
-        if level in ("stamp_s", "pair_s") and (not moving or (alone and level == "pair_s")):
+        if level in ("stamp_s", "pair_s") and level not in seen_moving:
             continue
         if level == "encoder_rad" and not std:
             continue

@@ -13,6 +13,7 @@ from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
+from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
@@ -91,6 +92,8 @@ def jumps_of(
 ) -> tuple[tuple[Jump, ...], Fit]:
     """Where something moved: the most significant jump, or else a stretch of outliers.
 
+    One that moves neither the result nor the part by what matters at work is none, however sharp the images are.
+
     And the fit without what a jump explains that moves the result: no evidence against the robot description.
 
     Args:
@@ -109,6 +112,11 @@ def jumps_of(
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
     move = float(np.linalg.norm(value[3:])) if turns and len(value) == 6 else 0.0
     move = float(value[0]) if slides or jump.part.endswith("wheel") else move
+    if without is fit and turns and not slides and turn < SMALL_RAD:
+        # The direction of a baseline is an angle: its length makes it a displacement.
+        baseline_m = 1.0 if len(value) == 6 else float(np.linalg.norm(fit.data.cameras.T_c_each[-1][:3, 3]))
+        if np.linalg.norm(value[3:]) * baseline_m < SMALL_M:
+            return (), fit
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
     return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),), without
