@@ -616,7 +616,7 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.wheel_share": 100 * found.wheel_share,
         "noise.floor": math.degrees(found.floor_rad),
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
-        "noise.pair": 1e3 * found.pair_s if moving and len(made.extraction.rig.cameras.names) > 1 else 0.0,
+        "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
     }
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
