@@ -23,7 +23,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
-_FEWEST_EACH_SIDE = 3  # stations before and after a change
+_FEWEST_EACH_SIDE = 2  # stations before and after a change: one alone is an outlier
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
@@ -312,21 +312,16 @@ def _after(lin: Posterior, first: int) -> BoolArray:
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))
 
 
-def likeliest(lin: Posterior, each_side: int = _FEWEST_EACH_SIDE) -> list[Jump]:
-    """The most probable jump of each part, the best first, whether or not it is significant.
-
-    Args:
-        lin: an optimum.
-        each_side: fewest stations before and after it.
-    """
+def likeliest(lin: Posterior) -> list[Jump]:
+    """The most probable jump at an optimum of each part, the best first, whether or not it is significant."""
     data = lin.data
     logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
     # Of two recordings, either may be the one that differs; a shorter one is an outlier.
-    differing = starts[stations >= each_side][len(logs) <= 2 :].tolist()
+    differing = starts[stations >= _FEWEST_EACH_SIDE][len(logs) <= 2 :].tolist()
     inside: list[int] = []
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
-        inside += mine[each_side : len(mine) - each_side + 1].tolist()
+        inside += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
     parts, ranked = _parts(lin), []
     tried = len(parts) * len(differing + inside)
     for name, part in parts.items():

@@ -382,7 +382,7 @@ class Inference:
             return None
         try:
             lin = to_first_order(self.refit(fit, images).lin.with_inliers(everything.inliers))
-            ranked = jumps.likeliest(lin, each_side=_SEVERAL)
+            ranked = jumps.likeliest(lin)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
             lin = to_first_order(jumps.without(lin, ranked[0]))

@@ -50,13 +50,14 @@ def turned(angle_rad):
     return ideal_extraction(replace(ROBOT, T_h_c=T), ROUTE, NOISE, 1)
 
 
-def spliced(first, second):
-    return replace(first, observations=first.observations[:HALF] + second.observations[HALF:])
+def spliced(first, second, at=HALF):
+    return replace(first, observations=first.observations[:at] + second.observations[at:])
 
 
-def test_a_mount_that_turns_is_found(whole):
-    (jump,) = solve(spliced(whole, turned(np.radians(1.5)))).jumps
-    assert (jump.part, jump.station, jump.rejected) == ("head mount", HALF, (0, 0))
+@pytest.mark.parametrize("at", [2, HALF, STATIONS - 2])
+def test_a_mount_that_turns_is_found(whole, at):
+    (jump,) = solve(spliced(whole, turned(np.radians(1.5)), at)).jumps
+    assert (jump.part, jump.station, jump.rejected) == ("head mount", at, (0, 0))
     assert jump.turn_rad == pytest.approx(np.radians(1.5), rel=0.2)
     assert jump.shift_sigmas > 2
 
