@@ -309,6 +309,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     sides = {side: getattr(settings.wheels, side) for side in SIDES}
+    joints = {side: wheel.side_joints for side, wheel in sides.items()}
     odometry, sizes = checked.odometry, checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(
@@ -319,8 +320,8 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         knowledge=knowledge,
         created=checked.provenance.created,
         logs=checked.provenance.logs,
-        wheel_joints={side: wheel.joint for side, wheel in sides.items() if wheel.joint},
-        side_joints={side: wheel.joints for side, wheel in sides.items() if wheel.joints},
+        wheel_joints={side: names[0] for side, names in joints.items() if len(names) == 1},
+        side_joints={side: names for side, names in joints.items() if len(names) > 1},
         odometry=None if odometry is None else odometry.assumed,
         nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(

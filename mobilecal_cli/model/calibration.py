@@ -82,7 +82,7 @@ class CalibratedRobot(ReadOnly):
         knowledge: None for methods that give no uncertainty.
         created: time, ISO 8601; "" if the file does not contain it.
         logs: recordings used for the calibration.
-        wheel_joints: names of the wheel joints if one wheel of each side was read from joint states.
+        wheel_joints: names of the wheel joints of robots with two wheels, if these were read from joint states.
         side_joints: the same for several wheels a side.
         odometry: the odometry that stands for wheels, if the recording had no wheels.
         nominal_wheels: nominal wheels, if any.

@@ -306,6 +306,7 @@ class WheelSource:
         assumed: `baked_in` is not known but assumed, so that results are factors of the odometry, not lengths.
         separation_share: relative standard deviation of the separation in `baked_in`, where it is assumed.
         others: further wheels of this side; the side's rotation is the mean of all.
+        unread: joints of further wheels of this side, which turn with it but are not read; None if not stated.
     """
 
     topic: str
@@ -318,11 +319,12 @@ class WheelSource:
     assumed: bool = False
     separation_share: float = 0.0
     others: tuple[WheelSource, ...] = ()
+    unread: tuple[str, ...] | None = None
 
     @property
     def every(self) -> tuple[WheelSource, ...]:
-        """All wheels of the side, each by itself."""
-        return (replace(self, others=()), *self.others)
+        """All wheels of the side that are read, each by itself."""
+        return (replace(self, others=(), unread=None), *self.others)
 
     @property
     def where(self) -> str:
@@ -420,7 +422,7 @@ class Sources:
     @property
     def several_wheels(self) -> bool:
         """Whether a side has more than one wheel: the base turns with slip."""
-        return any(source.others for source in self.wheels.values())
+        return any(source.others or source.unread for source in self.wheels.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -238,6 +238,9 @@ class WheelConfig(_Section):
     bits: int | None = Field(None, ge=4, le=64, description="width of a counter that wraps around")
     sign: Literal[1, -1] = 1
     signs: tuple[Literal[1, -1], ...] = Field((), description="sign of each of joints or fields")
+    unread: tuple[Text, ...] | None = Field(
+        None, description="joints of the side's wheels that are not read; those of the URDF by default"
+    )
 
     @model_validator(mode="after")
     def _joint_or_field(self) -> WheelConfig:
@@ -257,6 +260,12 @@ class WheelConfig(_Section):
         if self.bits is not None and self.ticks_per_revolution is None:
             raise ValueError("bits requires ticks_per_revolution")
         return self
+
+    @property
+    def side_joints(self) -> tuple[str, ...]:
+        """Joints of all wheels of the side, those that are read first; none where counters are read."""
+        read = (self.joint,) if self.joint else self.joints
+        return (*read, *(self.unread or ())) if read else ()
 
     @property
     def sources(self) -> tuple[WheelSource, ...]:

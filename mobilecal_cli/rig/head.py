@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
 from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, require_topic, words
-from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, urdf_wheels
+from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, unread_wheels, urdf_wheels
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
 _MIDWAY_M, _AHEAD_DEG = 1e-6, 1e-4
@@ -215,6 +215,13 @@ def _vehicle_offset(
     """
     links, notes, wheels = [], [], urdf_wheels(urdf, sources)
     if len(wheels) == 2:
+        unread = [name for each in unread_wheels(urdf, sources).values() for name in each or ()]
+        if unread:
+            notes.append(
+                f"According to the URDF, the robot has further wheels that are not read: {listed(unread)}. The vehicle "
+                "frame is midway between all wheels, and the base turns with slip. If they are casters, set "
+                "wheels.left.unread and wheels.right.unread to []."
+            )
         T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
         shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
         if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:

@@ -26,7 +26,7 @@ from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
 from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
-from mobilecal_cli.rig.wheels import wheel_sources, with_drawn_separation
+from mobilecal_cli.rig.wheels import as_drawn, wheel_sources
 
 T = TypeVar("T")
 _Lack = RecordingError | ConfigError
@@ -174,7 +174,7 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         survey.cameras = tried("camera infos", lambda: camera_rig(infos, survey.rectified, config, drawn))
     survey.lacks += lacks_of_head
     if wheels is not None and head is not None and head.urdf is not None:
-        wheels = with_drawn_separation(wheels, config, head.urdf, head.chain.base_frame)
+        wheels = as_drawn(wheels, config, head.urdf, head.chain.base_frame)
     survey.wheels = wheels
     if head is not None:
         survey.notes += head.notes

@@ -66,6 +66,7 @@ def wheel_settings(source: WheelSource) -> dict[str, Any]:
     settings |= {"odometry_separation_share": share} if assumed else {}
     settings[made_with] = settings.pop("baked_in")
     settings.pop("others")
+    settings["unread"] = source.unread if source.unread is None else list(source.unread)
     if len(parts) > 1:
         for name in ("topic", "joint", "field", "sign"):
             values = [part[name] for part in parts]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -62,6 +62,8 @@ _NOT_WHEELS = {
     "rf2o", "mavros", "gps", "gnss", "utm", "truth", "gt", "ground", "groundtruth", "mocap", "vicon",
     "optitrack", "optical",
 }  # fmt: skip
+#: Relative difference of radii up to which wheels may be of one set.
+_ALIKE = 0.05
 _OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
 #: Words of joints that steer wheels, except those of casters.
 _STEERING, _CASTERS = {"steer", "steering"}, {"caster", "castor", "casters", "castors"}
@@ -117,7 +119,7 @@ def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> Wh
     """
     parts = (replace(part, topic=_topic_of(side, part, description)) for part in wheel.sources)
     first, *others = parts
-    return replace(first, others=tuple(others))
+    return replace(first, others=tuple(others), unread=wheel.unread)
 
 
 def _topic_of(side: Side, part: WheelSource, description: RobotDescription) -> str:
@@ -270,14 +272,18 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
     }
 
 
-def with_drawn_separation(
+def as_drawn(
     sources: Mapping[Side, WheelSource], config: RigConfig, urdf: Urdf, base: str
 ) -> dict[Side, WheelSource]:
-    """Sources of assumed wheels with the separation of the URDF, unless the configuration states it."""
+    """Sources with the wheels of the URDF that are not read.
+
+    And assumed wheels with the separation of the URDF, unless the configuration states it.
+    """
     drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, sources, base)
-    changed = dict(sources)
+    unread = unread_wheels(urdf, sources)
+    changed = {side: replace(source, unread=unread[side]) for side, source in sources.items()}
     if drawn is not None and drawn in ranges.WHEEL_SEPARATION:
-        for side, source in sources.items():
+        for side, source in changed.items():
             if source.assumed and source.baked_in is not None:
                 wheels = replace(source.baked_in, separation_m=drawn)
                 changed[side] = replace(source, baked_in=wheels, separation_share=WHEEL_SIGMA)
@@ -301,20 +307,52 @@ def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> Record
 
 
 def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...]]:
-    """Wheel joints of the URDF: those that are read, otherwise the set found by name.
+    """Wheel joints of the URDF: of those that are read the whole set, otherwise the set found by name.
 
-    Joints that are named for the other side are there: their readings are exchanged, not their places.
+    Wheels that are not read carry the base, too: it turns about the middle of all. Joints that are named for the other
+    side are there: their readings are exchanged, not their places.
+
+    Raises:
+        ConfigError: a wheel that is stated as not read is not in the URDF.
     """
     read = {side: tuple(part.joint or "" for part in source.every) for side, source in sources.items()}
-    if len(read) == 2 and all(name in urdf.joints for names in read.values() for name in names):
-        crossed = all(
-            (place := wheel_place(name)) is not None and place[1] != side
-            for side, names in read.items()
-            for name in names
-        )
-        return {"left": read["right"], "right": read["left"]} if crossed else read
-    by_name = wheel_sets(name for name in urdf.joints if is_wheel(name))
-    return by_name[0] if len(by_name) == 1 else {}
+    names = {name for each in read.values() for name in each}
+    if len(read) < len(SIDES) or not names <= {*urdf.joints}:
+        by_name = wheel_sets(name for name in urdf.joints if is_wheel(name))
+        return by_name[0] if len(by_name) == 1 else {}
+    stated = {side: source.unread for side, source in sources.items() if source.unread is not None}
+    for side, unread in stated.items():
+        if missing := {*unread} - {*urdf.joints}:
+            raise ConfigError(
+                f"wheels.{side}.unread: the URDF has no joint {min(missing)!r}",
+                f"joints present: {listed(urdf.joints)}",
+            )
+    read = {side: (*read[side], *stated.get(side, ())) for side in SIDES}
+    names = {name for each in read.values() for name in each}
+    further = [] if stated else [name for name in urdf.joints if _alike(urdf, name, names)]
+    by_name = wheel_sets({*names, *further})
+    return next((each for each in by_name if names <= {*each["left"], *each["right"]}), read)
+
+
+def _alike(urdf: Urdf, name: str, others: Collection[str]) -> bool:
+    """Whether the wheel of a joint turns, and has the radius of others, as far as the URDF draws them."""
+    radius_m, *others_m = (urdf.cylinder_radius_m.get(urdf.joints[each].child) for each in (name, *others))
+    alike = not radius_m or all(abs(radius_m - m) < _ALIKE * radius_m for m in others_m if m)
+    return alike and urdf.joints[name].kind != "fixed"
+
+
+def unread_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...] | None]:
+    """Wheel joints of the URDF beyond those that are read; None where there are none. The driver of odometry has all.
+
+    Of counters, which no joint names, any of them.
+    """
+    wheels, read = urdf_wheels(urdf, sources), {part.joint for s in sources.values() for part in s.every}
+    unread: dict[Side, tuple[str, ...] | None] = {}
+    for side, source in sources.items():
+        others = [name for name in wheels.get(side, ()) if name not in read]
+        counted = 0 if source.joint else len(source.every)
+        unread[side] = source.unread if source.baked_in else tuple(others[counted:]) or source.unread
+    return unread
 
 
 def side_centres(

@@ -17,11 +17,12 @@ from mobilecal_cli.model import (
     WheelSource,
 )
 from mobilecal_cli.rig.cameras import camera_rig, image_topics
-from mobilecal_cli.rig.config import RigConfig, load_rig
+from mobilecal_cli.rig.config import RigConfig, checked_settings, load_rig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.head import fixed_pose, urdf_of_transforms
 from mobilecal_cli.rig.names import pairs, side_of, words
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
+from mobilecal_cli.rig.settings import wheel_settings
 
 URDF = """<robot name="r">
 <joint name="wheel_left_joint" type="continuous"><parent link="base_link"/><child link="wl"/><origin xyz="{x} 0.25 0.1"/></joint>
@@ -183,6 +184,53 @@ def test_base_link_off_the_axle_is_taken_out():
     assert T_v_h[:3, 3] == pytest.approx([0.2, 0, 0.9])
     assert "not midway between the wheels" in notes[0]
     assert "x -200.0 mm" in notes[0]
+
+
+def further_wheels(radius_m=0.2, kind="continuous"):
+    """The URDF with two more wheels 0.4 m behind the others."""
+    joint = (
+        '<joint name="wheel_rear_{side}_joint" type="{kind}"><parent link="base_link"/><child link="rear_{side}"/>'
+        '<origin xyz="-0.4 {y} 0.1"/></joint><link name="rear_{side}"><collision><geometry>'
+        '<cylinder radius="{radius_m}" length="0.1"/></geometry></collision></link></robot>'
+    )
+    urdf = AT_BASE
+    for side, y in (("left", 0.25), ("right", -0.25)):
+        urdf = urdf.replace("</robot>", joint.format(side=side, y=y, radius_m=radius_m, kind=kind))
+    return urdf
+
+
+def test_wheels_that_are_not_read_carry_the_base_too():
+    """One of four is not published: its opposite alone is no pair."""
+    names = {"/joint_states": (*JOINTS, "wheel_rear_left_joint")}
+    rig, notes = resolve_rig(RigConfig(), description(urdf=further_wheels(), joint_names=names))
+    assert head_pose(rig.chain, np.zeros(2))[:3, 3] == pytest.approx([0.2, 0, 0.9])
+    assert rig.sources.several_wheels
+    assert [part.joint for part in rig.sources.wheels["left"].every] == ["wheel_left_joint"]
+    assert rig.sources.wheels["left"].unread == ("wheel_rear_left_joint",)
+    assert "not read: wheel_rear_left_joint, wheel_rear_right_joint" in notes[0]
+    again = checked_settings({"wheels": {"left": wheel_settings(rig.sources.wheels["left"])}}, "")
+    assert again.wheels.left.side_joints == ("wheel_left_joint", "wheel_rear_left_joint")
+
+
+@pytest.mark.parametrize(
+    ("urdf", "stated"),
+    [
+        (further_wheels(radius_m=0.1), None),
+        (further_wheels(kind="fixed"), None),
+        (further_wheels(), []),
+    ],
+    ids=["smaller", "fixed", "stated"],
+)
+def test_wheels_that_do_not_turn_with_their_side_carry_nothing(urdf, stated):
+    wheels = {side: {"unread": stated} for side in ("left", "right")}
+    rig, _ = resolve_rig(config(wheels=wheels), description(urdf=urdf))
+    assert head_pose(rig.chain, np.zeros(2))[:3, 3] == pytest.approx([0, 0, 1])
+    assert not rig.sources.several_wheels
+
+
+def test_stated_wheels_that_are_not_read_are_in_the_urdf():
+    with pytest.raises(ConfigError, match=r"wheels.left.unread: the URDF has no joint 'rear'"):
+        resolve_rig(config(wheels={"left": {"unread": ["rear"]}}), description())
 
 
 def test_exchanged_readings_leave_the_wheels_where_they_are():
