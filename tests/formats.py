@@ -9,7 +9,7 @@ from mobilecal_cli.targets import Target
 HEAD_EYE = tuple(
     str(name)
     for name in Target
-    if hasattr(import_module(f"mobilecal_cli.export.formats.{name}"), "of_head_eye")
+    if name == "json" or hasattr(import_module(f"mobilecal_cli.export.formats.{name}"), "of_head_eye")
 )
 
 

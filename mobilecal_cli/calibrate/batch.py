@@ -25,8 +25,7 @@ from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import submitted, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
-from mobilecal_cli.export import check_output, write_file
-from mobilecal_cli.export.outputs import OUTPUT_NAMES
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file
 from mobilecal_cli.files.interruption import naming_interruptions
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text

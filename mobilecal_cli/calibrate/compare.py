@@ -11,7 +11,7 @@ import numpy as np
 from mobilecal_cli.calibrate.load import read_params
 from mobilecal_cli.comparison import Difference, difference, history
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import check_file, write_file
+from mobilecal_cli.export.outputs import check_file, write_file
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.comparison import Comparison, history_plot
 

@@ -22,7 +22,7 @@ from mobilecal_cli.calibrate.detect import (
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
-from mobilecal_cli.export import THUMBNAILS
+from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CAMERA_INFO,

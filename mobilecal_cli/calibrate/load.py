@@ -13,7 +13,8 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.arguments import AnyPath, path_of
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import extraction_from_npz, parameters_from_yaml, snapshots_from_npz
+from mobilecal_cli.export.extraction import extraction_from_npz, snapshots_from_npz
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot

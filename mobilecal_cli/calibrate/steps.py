@@ -19,13 +19,9 @@ from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_o
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
 from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
-from mobilecal_cli.export import (
-    check_output,
-    extraction_to_npz,
-    parameters_from_yaml,
-    params_yaml,
-    write_outputs,
-)
+from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.outputs import check_output, write_outputs
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import (
     FEW_READINGS,
     CalibratedRobot,

@@ -49,6 +49,7 @@ def batch(
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.fleet import failed_text, fleet_json, fleet_text, robots_of
     from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
+    from mobilecal_cli.rig.config import parse_settings
 
     local = partial(in_processes, count=jobs or os.cpu_count() or 1)
     run = partial(on_cluster, address=scheduler) if scheduler else local
@@ -60,7 +61,7 @@ def batch(
                 source,
                 output,
                 config_path=config,
-                flags=options.flags_of(setting),
+                flags=parse_settings(setting or []),
                 gates=gate or [],
                 force=force,
                 run=run,

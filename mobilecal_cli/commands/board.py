@@ -46,8 +46,8 @@ def board(
         output: PDF to write.
     """
     from mobilecal_cli.calibrate.extract import board_of
-    from mobilecal_cli.export import check_file, write_file
     from mobilecal_cli.export.board_print import board_pdf
+    from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.rig.config import load_rig
 
     if output.suffix.lower() not in ("", ".pdf"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mobilecal_cli.commands.options import Settings, flags_of, show_each
+from mobilecal_cli.commands.options import Settings, show_each
 
 
 def check(
@@ -29,14 +29,14 @@ def check(
     from mobilecal_cli.calibrate.inspect import recordings
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.model.text import visible
-    from mobilecal_cli.report.inspection import checklist_json, checklist_text
+    from mobilecal_cli.report.inspection import Inspection, checklist_json, checklist_text
+    from mobilecal_cli.rig.config import parse_settings
 
     with progress_bar(quiet) as progress:
-        flags = flags_of(setting)
+        flags = parse_settings(setting or [])
         inspections = [checked(rig, parts, flags, progress) for parts in recordings(logs)]
-    if as_json:
-        texts = [checklist_json(each) for each in inspections]
-    else:
-        titles = [f"{visible(each.name)}\n" if len(inspections) > 1 else "" for each in inspections]
-        texts = [title + checklist_text(each) for title, each in zip(titles, inspections, strict=True)]
-    show_each(inspections, texts, as_json)
+
+    def titled(each: Inspection) -> str:
+        return f"{visible(each.name)}\n" * (len(inspections) > 1) + checklist_text(each)
+
+    show_each(inspections, checklist_json if as_json else titled, as_json)

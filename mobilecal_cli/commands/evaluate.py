@@ -42,7 +42,6 @@ def evaluate(
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.evaluation import evaluation_json, evaluation_text
     from mobilecal_cli.report.junit import junit_xml
-    from mobilecal_cli.rig.config import load_rig
 
     *logs, params = files
     if not logs:
@@ -56,7 +55,7 @@ def evaluate(
                 logs,
                 params,
                 before=before,
-                config=load_rig(config, options.flags_of(setting)),
+                config=options.rig_of(config, setting),
                 gates=gate or [],
                 progress=progress,
             )

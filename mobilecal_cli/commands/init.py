@@ -73,10 +73,10 @@ def draft(
     from mobilecal_cli.calibrate.extract import describe
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
-    from mobilecal_cli.rig.config import RigConfig
+    from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.draft import draft_rig
 
-    config = RigConfig.model_validate({"head": {"urdf": urdf}} if urdf is not None else {})
+    config = load_rig(None, {"head.urdf": urdf})
     with open_recording(logs) as recording:
         progress("topics", 0, None)
         survey = describe(recording, config, joints_too=True)

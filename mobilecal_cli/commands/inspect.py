@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mobilecal_cli.commands.options import Settings, flags_of, show_each
+from mobilecal_cli.commands.options import Settings, rig_of, show_each
 
 
 def inspect(
@@ -28,13 +28,8 @@ def inspect(
     from mobilecal_cli.calibrate.inspect import recordings
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.inspection import inspection_json, inspection_text
-    from mobilecal_cli.rig.config import load_rig
 
     with progress_bar(quiet) as progress:
-        rig = load_rig(config, flags_of(setting))
+        rig = rig_of(config, setting)
         inspections = [inspected(parts, rig, progress) for parts in recordings(logs)]
-    show_each(
-        inspections,
-        [inspection_json(each) if as_json else inspection_text(each) for each in inspections],
-        as_json,
-    )
+    show_each(inspections, inspection_json if as_json else inspection_text, as_json)

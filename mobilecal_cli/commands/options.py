@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from copy import copy
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, get_args, get_origin
 
 import typer
 from typer import Argument, Option
@@ -29,6 +29,7 @@ from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, Quali
 
 if TYPE_CHECKING:
     from mobilecal_cli.report.inspection import Inspection
+    from mobilecal_cli.rig.config import RigConfig
 
 _COUNTS = re.compile("([0-9]{1,9})x([0-9]{1,9})", re.IGNORECASE)
 #: A parameter in the `Args` of a docstring, and its text.
@@ -81,15 +82,15 @@ Settings = Annotated[list[str] | None, Option("--set", metavar="KEY=VALUE", auto
 Gates = Annotated[list[str] | None, Option("--gate", metavar="NAME=LIMIT", autocompletion=gate_names)]
 
 
-def flags_of(settings: list[str] | None) -> dict[str, Any]:
-    """The settings of `--set` as dotted keys that override rig.yaml.
+def rig_of(config: Path | None, settings: list[str] | None) -> RigConfig:
+    """The configuration of --config, overridden by the settings of --set.
 
     Raises:
-        ConfigError: one is not a valid setting.
+        ConfigError: see `load_rig` and `parse_settings`.
     """
-    from mobilecal_cli.rig.config import parse_settings
+    from mobilecal_cli.rig.config import load_rig, parse_settings
 
-    return parse_settings(settings or [])
+    return load_rig(config, parse_settings(settings or []))
 
 
 def counts_of(option: str, text: str) -> tuple[int, int]:
@@ -125,7 +126,7 @@ def junit_file(
         others: more inputs.
         outputs: option or name → path of each other output of the command.
     """
-    from mobilecal_cli.export import check_apart, check_file, write_file
+    from mobilecal_cli.export.outputs import check_apart, check_file, write_file
     from mobilecal_cli.report.junit import junit_error_xml
 
     check_apart({"--junit": junit, **(outputs or {})})
@@ -191,8 +192,9 @@ def written_line(*paths: Path) -> str:
     return f"Written: {visible(', '.join(map(str, paths)))}"
 
 
-def show_each(inspections: Sequence[Inspection], texts: Sequence[str], as_json: bool) -> None:
+def show_each(inspections: Sequence[Inspection], shown: Callable[[Inspection], str], as_json: bool) -> None:
     """Print one recording after another, in JSON as a list if there are several; end with the largest exit code."""
+    texts = [shown(each) for each in inspections]
     if as_json and len(texts) > 1:
         typer.echo(f"[\n{','.join(texts)}]")
     else:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from mobilecal_cli.commands.options import Settings, flags_of
+from mobilecal_cli.commands.options import Settings, rig_of
 
 
 def suggest(
@@ -29,8 +29,7 @@ def suggest(
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.formats import json_text
-    from mobilecal_cli.rig.config import load_rig
 
     with progress_bar(quiet) as progress:
-        advice = steps.suggest(logs, load_rig(config, flags_of(setting)), progress)
+        advice = steps.suggest(logs, rig_of(config, setting), progress)
     typer.echo(json_text(advice) if as_json else "\n".join(advice.lines), nl=not as_json)

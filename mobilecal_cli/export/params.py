@@ -27,7 +27,6 @@ from mobilecal_cli.likelihood.nuisance import kind as kind_of
 from mobilecal_cli.model import (
     FACTORS,
     NINE,
-    SIDES,
     AssumedOdometry,
     CalibratedRobot,
     EstimatedConstant,
@@ -308,8 +307,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     read_elsewhere = checked.provenance.config.get("joints", {})
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
-    sides = {side: getattr(settings.wheels, side) for side in SIDES}
-    joints = {side: wheel.side_joints for side, wheel in sides.items()}
+    joints = {side: wheel.side_joints for side, wheel in settings.wheels.of_sides.items()}
     odometry, sizes = checked.odometry, checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(

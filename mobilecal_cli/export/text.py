@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -83,21 +83,16 @@ def _emitter() -> Any:  # noqa: ANN401  (ruamel.yaml's emitter is typed as Any i
     def number(representer: SafeRepresenter, data: float) -> Any:  # noqa: ANN401
         return representer.represent_scalar("tag:yaml.org,2002:float", decimal(data))
 
-    def mapping(representer: SafeRepresenter, data: Mapping[str, Setting]) -> Any:  # noqa: ANN401
-        node = representer.represent_mapping("tag:yaml.org,2002:map", dict(data))
+    def mapping(representer: SafeRepresenter, data: dict[str, Setting]) -> Any:  # noqa: ANN401
+        node = representer.represent_mapping("tag:yaml.org,2002:map", data)
         for key, _ in node.value:
             if _PLAIN_KEY.fullmatch(key.value) and key.value.lower() not in _WORDS:
                 key.style = None
         return node
 
-    def sequence(representer: SafeRepresenter, data: Sequence[Setting]) -> Any:  # noqa: ANN401
-        return representer.represent_sequence("tag:yaml.org,2002:seq", list(data))
-
     Plain.add_representer(str, text)
     Plain.add_representer(float, number)
     Plain.add_representer(dict, mapping)
-    Plain.add_multi_representer(Mapping, mapping)
-    Plain.add_multi_representer(tuple, sequence)
     yaml = YAML(typ="safe", pure=True)
     yaml.Representer = Plain
     yaml.default_flow_style = False

@@ -27,7 +27,7 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
-from mobilecal_cli.model import FloatArray, StereoLayout, WheelGeometry, WheelSource
+from mobilecal_cli.model import FloatArray, Side, StereoLayout, WheelGeometry, WheelSource
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -300,6 +300,11 @@ class WheelsConfig(_Section):
         None,
         description="wheel separation in the driver that computes the odometry, if nominal.wheels are not given",
     )
+
+    @property
+    def of_sides(self) -> dict[Side, WheelConfig]:
+        """The wheels of each side."""
+        return {"left": self.left, "right": self.right}
 
 
 class ChainLink(_Section):

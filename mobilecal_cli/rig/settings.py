@@ -230,7 +230,7 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     for side in SIDES:
         keys = {key for key in given if key.startswith(f"wheels.{side}.")}
         if keys:
-            rig, tracks = _rescaled(rig, tracks, side, getattr(config.wheels, side), keys)
+            rig, tracks = _rescaled(rig, tracks, side, config.wheels.of_sides[side], keys)
     return replace(extraction, rig=rig, wheels=tracks)
 
 

@@ -85,7 +85,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
-    stated = {side: wheel for side, wheel in _of_sides(config).items() if wheel.sources}
+    stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
     found = None if len(stated) == len(SIDES) else _wheels_by_name(config, description)
     wheels = (found or {}) | stated
     sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
@@ -103,12 +103,8 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
 
 def needs_numbers(config: RigConfig, description: RobotDescription) -> bool:
     """Whether wheels may be among the numbers in other messages: no wheel is configured or named in joint states."""
-    told = all(wheel.sources for wheel in _of_sides(config).values())
+    told = all(wheel.sources for wheel in config.wheels.of_sides.values())
     return config.wheels.odometry is None and not told and not _wheel_joints(description)
-
-
-def _of_sides(config: RigConfig) -> dict[Side, WheelConfig]:
-    return {"left": config.wheels.left, "right": config.wheels.right}
 
 
 def _source(side: Side, wheel: WheelConfig, description: RobotDescription) -> WheelSource:
@@ -154,7 +150,7 @@ def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Si
             f"several pairs of joints could be the wheels: {several}",
             "set wheels.left.joint and wheels.right.joint in rig.yaml",
         )
-    wheels = _of_sides(config)
+    wheels = config.wheels.of_sides
     if sets:
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
     counted = counters(description.numbers)

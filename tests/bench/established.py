@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior

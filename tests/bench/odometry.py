@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.export import parameters_from_yaml, params_yaml
 from mobilecal_cli.export.formats.odometry_covariance import OdometryCovariance, odometry_covariance
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.model import CalibratedRobot, FloatArray, Provenance
 from mobilecal_cli.simulate.route import Drive, Stretch

@@ -14,7 +14,7 @@ from mobilecal_cli.calibrate import detect as detecting
 from mobilecal_cli.calibrate import workers as processes
 from mobilecal_cli.calibrate.extract import extract
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.export import THUMBNAILS
+from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.record import simulate

@@ -12,7 +12,7 @@ import pytest
 
 import mobilecal_cli as mc
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_to_npz
 from tests.report.example import make_extraction
 
 NAN, INF = math.nan, math.inf

@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, RecordingError, SolveError
-from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource

@@ -20,7 +20,7 @@ from typer.testing import CliRunner
 import mobilecal_cli as mc
 from mobilecal_cli.commands import app
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import Parameters, Rejection
 from mobilecal_cli.solvers.residuals import at_constants
 from mobilecal_cli.vision import Detection, find_board

@@ -12,7 +12,7 @@ import mobilecal_cli as mc
 from mobilecal_cli.calibrate import steps
 from mobilecal_cli.calibrate.steps import Data, calibrate
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.solvers import constraints_of
 from tests.command import run
 from tests.conftest import REPOSITORY

@@ -16,8 +16,8 @@ from mobilecal_cli.calibrate import batch as batch_module
 from mobilecal_cli.calibrate.batch import FleetJob, on_cluster
 from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
-from mobilecal_cli.export import extraction_to_npz, write_outputs
-from mobilecal_cli.export.outputs import OUTPUT_NAMES
+from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out

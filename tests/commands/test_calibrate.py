@@ -16,7 +16,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import NINE, LogSource, NoiseLevels
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run, succeeded

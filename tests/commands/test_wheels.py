@@ -12,7 +12,7 @@ from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.load import read_params
 from mobilecal_cli.comparison import difference
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.model import FACTORS, AssumedOdometry, CalibratedRobot, WheelGeometry
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text

@@ -15,10 +15,11 @@ from mcap.reader import make_reader
 import mobilecal_cli as mc
 from mobilecal_cli.calibrate.steps import Data
 from mobilecal_cli.errors import ConfigError, QualityError
-from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.formats import with_verdict
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text

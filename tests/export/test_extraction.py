@@ -13,8 +13,13 @@ from hypothesis.extra import numpy as hnp
 
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.export import THUMBNAILS, extraction_from_npz, extraction_to_npz, snapshots_from_npz
-from mobilecal_cli.export.extraction import SCHEMA_VERSION
+from mobilecal_cli.export.extraction import (
+    SCHEMA_VERSION,
+    THUMBNAILS,
+    extraction_from_npz,
+    extraction_to_npz,
+    snapshots_from_npz,
+)
 from mobilecal_cli.model import (
     Board,
     Camera,

@@ -12,9 +12,10 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.improved import improved_chain, without_correction
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.kinematics.urdf import chain_links, parse_urdf
 from mobilecal_cli.likelihood.nuisance import camera_change, table

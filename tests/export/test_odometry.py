@@ -8,7 +8,7 @@ import yaml
 
 from mobilecal_cli.calibrate import export as exporting
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.formats import odometry_covariance as odometry
 from mobilecal_cli.export.formats.odometry_covariance import odometry_covariance
 from mobilecal_cli.export.text import rendered

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.export import check_file, check_output, outputs, write_file, write_outputs
+from mobilecal_cli.export import outputs
+from mobilecal_cli.export.outputs import check_file, check_output, write_file, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import placing
 from mobilecal_cli.files.scratch import locked

@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.export.text import decimal, dump, quoted
 from mobilecal_cli.model import (
     AtWork,

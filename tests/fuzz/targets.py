@@ -27,9 +27,10 @@ from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.commands.init import draft
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import (
     CalibratedRobot,

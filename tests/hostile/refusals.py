@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image
 from rosbags.rosbag2 import Writer
 
-from mobilecal_cli.export import extraction_to_npz
+from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.model import LogSource
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY

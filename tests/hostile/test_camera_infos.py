@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.model import Parameters
 from tests.command import run
 from tests.commands.edited import edited

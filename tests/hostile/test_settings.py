@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
-from mobilecal_cli.export import extraction_from_npz, extraction_to_npz, parameters_from_yaml
-from mobilecal_cli.export.extraction import LARGEST_BYTES
+from mobilecal_cli.export.extraction import LARGEST_BYTES, extraction_from_npz, extraction_to_npz
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.rig.config import load_rig, parse_settings, read_urdf
 from tests.hostile.test_recordings import LAUGHS, MEMORY_BYTES, bounded

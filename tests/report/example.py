@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
-from mobilecal_cli.export import params_yaml
+from mobilecal_cli.export.params import params_yaml
 from mobilecal_cli.model import (
     Board,
     CalibratedRobot,

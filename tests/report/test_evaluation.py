@@ -10,7 +10,8 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.evaluate import evaluate
-from mobilecal_cli.export import extraction_to_npz, params_yaml
+from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.params import params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated

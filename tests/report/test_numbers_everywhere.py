@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.numbers import decimals_of
 from mobilecal_cli.report.text import summary_text

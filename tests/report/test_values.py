@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.export import parameters_from_yaml
+from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.numbers import image_coverage

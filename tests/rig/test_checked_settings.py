@@ -14,7 +14,8 @@ from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.load import read_extraction
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export import extraction_to_npz, parameters_from_yaml, params_yaml
+from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import Board, Markers, Nominal, Provenance, WheelGeometry
 from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of

@@ -81,6 +81,11 @@ def frame_note(robot: CalibratedRobot) -> str:
     )
 
 
+def rectified_note(robot: CalibratedRobot) -> tuple[str, ...]:
+    """The note of an export on its camera frame, where it is not that of the images as recorded."""
+    return (frame_note(robot),) if robot.rectified else ()
+
+
 def verdict_note(robot: CalibratedRobot) -> tuple[str, ...]:
     """What a reader of an export has to know: a verdict other than PASS, its reasons, unobservable parameters."""
     lines: tuple[str, ...] = ()
@@ -109,10 +114,10 @@ def with_verdict(content: bytes, robot: CalibratedRobot) -> bytes:
     return content[:at] + "".join(lines).encode() + content[at:]
 
 
-def head_eye_text(robot: CalibratedRobot, template: str, **values: str) -> str:
+def of_head_eye(robot: CalibratedRobot, template: str, **values: str) -> Exported:
     """A text with the frames of the head-eye transform, from its template."""
     T = robot.T_parent_child
-    return rendered(
+    text = rendered(
         template,
         robot=robot,
         about=f"{CONVENTION} {frame_note(robot)}",
@@ -124,9 +129,4 @@ def head_eye_text(robot: CalibratedRobot, template: str, **values: str) -> str:
         factors=robot.factors,
         **values,
     )
-
-
-def of_head_eye(robot: CalibratedRobot, text: str, states_verdict: bool = False) -> Exported:
-    """A text with the frames of the head-eye transform, which says what the camera frame is."""
-    notes = (frame_note(robot),) if robot.rectified else ()
-    return Exported(text.encode(), notes, states_verdict=states_verdict)
+    return Exported(text.encode(), rectified_note(robot))

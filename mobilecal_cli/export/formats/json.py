@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.export.formats import CONVENTION, Exported, Source, of_head_eye
+from mobilecal_cli.export.formats import CONVENTION, Exported, Source, rectified_note
 from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot
 
 
@@ -31,7 +31,8 @@ def export(of: Source) -> Exported:
         "verdict_reasons": list(robot.reasons),
         "created": robot.created,
     }
-    return of_head_eye(robot, json.dumps(data, indent=1, allow_nan=False) + "\n", states_verdict=True)
+    text = json.dumps(data, indent=1, allow_nan=False) + "\n"
+    return Exported(text.encode(), rectified_note(robot), states_verdict=True)
 
 
 def _wheels(robot: CalibratedRobot) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import shlex
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Source, head_eye_text, of_head_eye
+from mobilecal_cli.export.formats import Exported, Source, of_head_eye
 
 
 def export(of: Source) -> Exported:
@@ -13,4 +13,4 @@ def export(of: Source) -> Exported:
         if "$(" in frame:
             raise ConfigError(f"a launch file substitutes $( in the frame name {frame!r}", "rename the frame")
     frames = f"--frame-id {shlex.quote(robot.parent_frame)} --child-frame-id {shlex.quote(robot.child_frame)}"
-    return of_head_eye(robot, head_eye_text(robot, "static_transform_launch.xml", frames=frames))
+    return of_head_eye(robot, "static_transform_launch.xml", frames=frames)

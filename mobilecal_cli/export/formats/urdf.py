@@ -11,7 +11,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.formats import Exported, Source, frame_note
+from mobilecal_cli.export.formats import Exported, Source, frame_note, rectified_note
 from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_origins
 from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.files.reading import read_bytes
@@ -61,8 +61,7 @@ def export(
         notes += (
             "The head chain is unchanged. --with-chain also writes its estimated joint axes, positions and zeros.",
         )
-    if robot.rectified:
-        notes += (frame_note(robot),)
+    notes += rectified_note(robot)
     missing = " and ".join(side for side in SIDES if side not in joints)
     if kept:
         notes += (f"The wheels are unchanged: {kept}.",)
