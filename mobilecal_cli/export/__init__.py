@@ -15,4 +15,4 @@ from mobilecal_cli.export.outputs import (
     write_file,
     write_outputs,
 )
-from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
