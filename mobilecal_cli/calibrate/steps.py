@@ -21,7 +21,7 @@ from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, write_outputs
-from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.model import (
     FEW_READINGS,
     CalibratedRobot,
@@ -271,7 +271,8 @@ class Report:
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         created = (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
         self.provenance = Provenance(__version__, created, fit.method, extraction.logs, settings)
-        robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
+        params = params_yaml(solution, extraction, self.provenance)
+        robot = parameters_from_yaml(params)
         _require_own(data.extraction, fit.extraction, robot)
         if last is None:
             self.change = change_from_nominal(robot, extraction.rig.nominal)
@@ -283,7 +284,7 @@ class Report:
         self._case = Case(*made, provenance=self.provenance)
         self.verdict = self._case.verdict
         level, reasons = self.verdict.level, self.verdict.reasons
-        self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
+        self.params = with_verdict(params, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
         self.values = build_report(self._case)
 

@@ -58,10 +58,8 @@ def params_yaml(
     solution: Solution,
     extraction: Extraction,
     provenance: Provenance,
-    verdict: str = "",
-    reasons: Sequence[str] = (),
 ) -> str:
-    """The calibrated robot as commented YAML, the same bytes for the same values.
+    """The calibrated robot as commented YAML, the same bytes for the same values; without a verdict.
 
     ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,
     that is the rectified optical frame, and ``head_eye_raw`` adds the raw one: x_rect = R x_raw, so
@@ -71,8 +69,6 @@ def params_yaml(
         solution: the solution.
         extraction: its measurements.
         provenance: time, version, recordings and settings.
-        verdict: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" to state none.
-        reasons: why it is not PASS, whole sentences.
     """
     cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
     T_h_reference = solution.T_h_reference
@@ -107,8 +103,6 @@ def params_yaml(
         "params.yaml",
         first_line=FIRST_LINE,
         schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
-        verdict=verdict,
-        reasons=reasons,
         camera=camera_words(cameras.reference),
         kind="rectified" if cameras.rectified else "raw",
         head_eye=_transform(chain.head_frame, frame, T_h_reference),
@@ -121,6 +115,18 @@ def params_yaml(
         sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
         **shown,
     )
+
+
+def with_verdict(params: str, level: str, reasons: Sequence[str]) -> str:
+    """A params.yaml of `params_yaml` with the verdict, which is the paragraph after the schema version.
+
+    Args:
+        params: its text.
+        level: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED".
+        reasons: why it is not PASS, whole sentences.
+    """
+    head, separator, rest = params.partition("\n\n")
+    return f"{head}{separator}{rendered('verdict.yaml', level=level, reasons=reasons)}{rest}"
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:

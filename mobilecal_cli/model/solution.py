@@ -343,6 +343,11 @@ class Solution:
         T: FloatArray = self.parameters.T_h_c @ self.cameras.T_c_reference
         return T
 
+    @property
+    def gross_outliers(self) -> tuple[Outlier, ...]:
+        """The outliers but single corners: stations, legs and joint readings."""
+        return tuple(outlier for outlier in self.outliers if outlier.kind != "corners")
+
 
 @dataclass(frozen=True, slots=True)
 class Provenance:

@@ -22,6 +22,11 @@ def visible(text: str) -> str:
     )
 
 
+def capitalized(text: str) -> str:
+    """The text with a capital first letter; the others stay as they are."""
+    return f"{text[:1].upper()}{text[1:]}"
+
+
 #: Names in a message, and characters of a name; more would be unreadable.
 MOST_LISTED, LONGEST_LISTED = 10, 200
 

@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
     Solution,
     camera_words,
 )
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion
 from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
@@ -99,7 +99,7 @@ def figures(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     values: dict[str, float | None] = {
         "reprojection_rms_px": solution.reprojection_rms_px,
         "point_rms_mm": solution.point_rms_m * 1e3,
-        "left_out": float(sum(o.kind != "corners" for o in solution.outliers)),
+        "left_out": float(len(solution.gross_outliers)),
         **{p.gate: std for p, std in zip(shown, reference_std(solution), strict=False)},
         **{f"std.odometry.{name}": std for name, (_, std) in factors.items()},
     }
@@ -117,7 +117,7 @@ def mistake(made: Calibration, metric: Metric) -> Iterator[Check]:
     shares = [None if s is None else 100 * s for s in (diagnosis.error_share, diagnosis.corrected_share)]
     said = ("no solution" if share is None else f"{share:.2g} %" for share in shares)
     yield metric.check(
-        shares[0], None, "robot description", f"{diagnosis.cure[0].upper()}{diagnosis.cure[1:]}.",
+        shares[0], None, "robot description", f"{capitalized(diagnosis.cure)}.",
         measured="{}: point error {} of the distance to the board, {} when corrected".format(diagnosis.cause, *said),
         at_limit="no mistake found",
         why=f"The recording does not fit the robot's description: {diagnosis.cause}.",
@@ -248,7 +248,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
         else:
             when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
-            harmless = small or all(use.within for use in uses(made.solution, made.gates))
+            harmless = small or made.accurate
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
@@ -257,7 +257,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
             "changes inside the recording", f"{cure}. {then}",
             measured=f"{what} {moved}{size} {when}",
             at_limit=f"moves the result by at most {limit:g} sigma",
-            why=f"{when[0].upper()}{when[1:]}, {what} {moved}{size}.{lost}",
+            why=f"{capitalized(when)}, {what} {moved}{size}.{lost}",
             passes=False,
             beyond="warning" if harmless else "fail",
         )  # fmt: skip
@@ -274,12 +274,12 @@ def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
         return
     known = uncertainty.observable | uncertainty.fixed | uncertainty.described
     missing = [name for name, ok in zip(NINE, known, strict=True) if not ok]
-    if not missing and uncertainty.described.any():  # no joint tilts the camera: its height is not measured
-        shown = int(uncertainty.observable.sum())
-        yield metric.check(shown, shown, name, measured=f"{shown} that the motion of this robot can show")
-    elif not missing:
-        yield metric.check(float(len(known)))
     if not missing:
+        if uncertainty.described.any():  # no joint tilts the camera: its height is not measured
+            shown = int(uncertainty.observable.sum())
+            yield metric.check(shown, shown, name, measured=f"{shown} that the motion of this robot can show")
+        else:
+            yield metric.check(float(len(known)))
         return
     between = made.solution.between
     if between is not None and any(between.between_std[NINE.index(name)] for name in missing):
@@ -287,13 +287,11 @@ def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
         cure = "Calibrate each recording alone, and check that all are of one robot on which nothing was changed."
     else:
         because, cure = _motion_to_add(made, missing)
-    within = all(use.within for use in uses(made.solution, made.gates))
-    names = plain_names(missing, made.extraction)
     yield metric.check(
         9 - len(missing), 9, name, cure,
         measured=f"{9 - len(missing)} of 9 (not observable: {', '.join(missing)})",
-        why=f"{names[0].upper()}{names[1:]} not determined{because}.",
-        beyond="warning" if within else "not_enough",
+        why=f"{capitalized(plain_names(missing, made.extraction))} not determined{because}.",
+        beyond="warning" if made.accurate else "not_enough",
     )  # fmt: skip
 
 
@@ -764,7 +762,7 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
         known = [bool(part.all()) for part in made.solution.uncertainty.observable.reshape(3, 3)]
         apart = [value if ok else 0.0 for value, ok in zip(apart, known, strict=True)]
     largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
-    if largest > 1 and any(outlier.kind != "corners" for outlier in made.solution.outliers):
+    if largest > 1 and made.solution.gross_outliers:
         return
     text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
     yield metric.check(
@@ -782,8 +780,7 @@ def outliers(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
     if made.solution.uncertainty is None:
         return
-    bad, count = 30.0, len(made.extraction.observations)
-    gross = [outlier for outlier in made.solution.outliers if outlier.kind != "corners"]
+    bad, count, gross = 30.0, len(made.extraction.observations), made.solution.gross_outliers
     share = 100 * len(gross) / max(1, count)
     further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
     yield metric.check(

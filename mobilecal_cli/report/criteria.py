@@ -8,8 +8,9 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from mobilecal_cli.model import Evaluation, Extraction, Solution
-from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.model.text import capitalized, visible, wrapped
 from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.use import uses
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
 
@@ -35,6 +36,11 @@ class Calibration:
     def checks(self) -> tuple[Check, ...]:
         """What every criterion finds, evaluated once; also figures alone."""
         return tuple(check for each in CRITERIA for check in each.judge(self, *each.metrics))
+
+    @property
+    def accurate(self) -> bool:
+        """Whether all expected errors in use are within their limits; also where none are known."""
+        return all(use.within for use in uses(self.solution, self.gates))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +124,7 @@ class Metric:
         measured = measured or ("unknown" if value is None else f"{value:.3g}{unit}")
         if limit is not None:
             at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:g}{unit}"
-        why = why or f"{name[:1].upper()}{name[1:]}: {measured}. Limit: {at_limit}."
+        why = why or f"{capitalized(name)}: {measured}. Limit: {at_limit}."
         return Check(
             id=f"{self.name}.{part}" if part else self.name,
             value=value,

@@ -20,7 +20,7 @@ from mobilecal_cli.model import (
     Parameters,
     Solution,
 )
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
@@ -139,7 +139,7 @@ def _unsolved(error: MobilecalError) -> Iterator[Check]:
     """That the recording has no estimate of its own."""
     yield Metric("own_estimate").check(
         None, None, "estimate from this recording",
-        f"{error.hint[:1].upper()}{error.hint[1:]}." if error.hint else "Record again.",
+        f"{capitalized(error.hint)}." if error.hint else "Record again.",
         measured="none",
         at_limit="all nine parameters",
         why=f"This recording cannot be solved by itself: {error.message}.",
@@ -178,8 +178,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         if not uncertainty.observable[part].all():
             value, measured = None, "unobservable"
             why = f"The {name} is unobservable in this recording."
-            cure = missing or "record more motion of base and head"
-            cure = f"{cure[:1].upper()}{cure[1:]}."
+            cure = f"{capitalized(missing or 'record more motion of base and head')}."
         elif size > max(limit, _SIGMAS * sigma):
             outcome = "fail"
             why = f"The {name} differs from this recording by {measured} (limit {limit:g} {unit})."

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
-from mobilecal_cli.model.text import visible
+from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import STATED
 
@@ -29,7 +29,7 @@ def _part(evidence: Evidence) -> str:
         return f"Joint {visible(evidence.part)}"
     if evidence.kind == "clock":
         return f"Clock of the {visible(evidence.part)}"
-    return f"{evidence.part[0].upper()}{evidence.part[1:]}"
+    return capitalized(evidence.part)
 
 
 def contradiction_sentences(
@@ -130,7 +130,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             gain = f"{shown.name}, now unobservable, gets a standard deviation of {then}{unit}"
         board_in_view = f"{extraction.rig.cameras.cameras_words} the whole board"
         stop = f"Set {head}, so that {board_in_view}, and stop." if head else f"Stop where {board_in_view}."
-        sentences.append(f"{path[0].upper()}{path[1:]}. {stop} Expected result: {gain}.")
+        sentences.append(f"{capitalized(path)}. {stop} Expected result: {gain}.")
     return tuple(sentences)
 
 

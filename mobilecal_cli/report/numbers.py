@@ -56,9 +56,7 @@ class Parameter:
 
     @property
     def gate(self) -> str:
-        """Name of the gate on its standard deviation."""
-        if self.unit == "1":
-            return f"std.odometry.{self.name}"
+        """Name of the gate on its standard deviation; not of a factor of odometry."""
         return f"std.{'wheels' if self.name in NINE[6:] else 'head_eye'}.{self.name}_{self.unit}"
 
     @property

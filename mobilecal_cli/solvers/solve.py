@@ -374,7 +374,7 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     wheels where it is no fault.
     """
     stations = Counter(o.log for o in extraction.observations)
-    gross = Counter(outlier.log for outlier in solution.outliers if outlier.kind != "corners")
+    gross = Counter(outlier.log for outlier in solution.gross_outliers)
     distance_m = extraction.board_distance_m
     of_corners_m = min(solution.residuals.corner_noise_m, _GROSS_SHARE * distance_m)  # more is no noise
     right_m, left_m = encoder_steps_rad(extraction.wheels) * solution.parameters.wheels.vector[:2]
