@@ -106,7 +106,7 @@ def from_poses(
         observations += [_observed(log, k, pose, chain) for k, pose in enumerate(drive.poses)]
     nowhere, wheel = {"camera": ""}, WheelSource("measured")
     rig = Rig(
-        CameraRig(("camera",), (_NO_CAMERA,), (np.eye(4),), False, (np.eye(3),), "camera"),
+        CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
         chain,
         Nominal(T_h_c, WheelGeometry(*(float(value) for value in wheels_m))),
         Sources(nowhere, nowhere, (), {"right": wheel, "left": wheel}),

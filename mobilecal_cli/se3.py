@@ -136,6 +136,14 @@ def act(T: FloatArray, points: FloatArray) -> FloatArray:
     return points @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
 
 
+def by_twist(points: FloatArray) -> FloatArray:
+    """J with exp(xi) x = x + J xi to first order: (..., 3) → (..., 3, 6)."""
+    J = np.empty((*points.shape, 6))
+    J[..., :3] = -skew(points)
+    J[..., 3:] = np.eye(3)
+    return J
+
+
 def rotation_about(axis: FloatArray, angle_rad: FloatArray) -> FloatArray:
     """Rotation by an angle about a unit axis: (3,) and (...) → (..., 3, 3)."""
     return exp_so3(np.asarray(angle_rad)[..., None] * axis)

@@ -100,3 +100,11 @@ def test_leading_axes_broadcast():
     assert T.shape == (2, 5, 4, 4)
     assert se3.log(T)[1, 3] == pytest.approx(se3.log(T[1, 3]))
     assert se3.act(T, np.ones((7, 3))).shape == (2, 5, 7, 3)
+
+
+def test_points_by_a_small_twist():
+    points = np.random.default_rng(3).normal(size=(2, 4, 3))
+    step = 1e-6
+    moved = [se3.act(se3.exp(step * twist), points) for twist in np.eye(6)]
+    numeric = (np.stack(moved, axis=-1) - points[..., None]) / step
+    np.testing.assert_allclose(se3.by_twist(points), numeric, atol=1e-5)

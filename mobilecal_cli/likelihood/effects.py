@@ -195,7 +195,7 @@ class CameraChange:
             K[:2, 2] += self.principal[k] * stated.width
             lens = LensCorrection(self.lens[k], stated.K[:2, 2]) if np.any(self.lens[k]) else None
             each.append(replace(stated, K=K, correction=lens))
-        return replace(rig, each=tuple(each), T_c_each=tuple(poses))
+        return replace(rig, each=tuple(each), T_c_each=np.stack(poses))
 
 
 #: Attributes of `CameraChange`: those of a camera's pose in the first one but for the baseline's length, of the camera

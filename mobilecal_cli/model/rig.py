@@ -16,20 +16,16 @@ Distortion = Literal["none", "plumb_bob", "rational_polynomial", "equidistant"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraInfo(ReadOnly):
-    """Calibration of one camera from the recording, for the pixels of the images as recorded.
-
-    Binning and region of interest are already applied to K and P.
+class Intrinsics(ReadOnly):
+    """Image size, intrinsics and distortion of one camera.
 
     Attributes:
         frame_id: the optical frame's name.
         width, height: image size, px.
-        K: (3, 3) raw intrinsics, px.
+        K: (3, 3) intrinsics, px.
         D: (n,) distortion coefficients in OpenCV's order: n = 0 none, 5 plumb_bob, 8 (or 12, 14)
             rational_polynomial, 4 equidistant.
         distortion: model of D.
-        R: (3, 3) rotation from raw to rectified camera coordinates.
-        P: (3, 4) projection of rectified coordinates, px; P[0, 3] = -fx * baseline in the right camera.
     """
 
     frame_id: str
@@ -38,6 +34,19 @@ class CameraInfo(ReadOnly):
     K: Annotated[FloatArray, 3, 3]
     D: Annotated[FloatArray, "n"]
     distortion: Distortion
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CameraInfo(Intrinsics):
+    """Calibration of one camera from the recording, for the pixels of the images as recorded.
+
+    Binning and region of interest are already applied to K and P. K is that of the raw images.
+
+    Attributes:
+        R: (3, 3) rotation from raw to rectified camera coordinates.
+        P: (3, 4) projection of rectified coordinates, px; P[0, 3] = -fx * baseline in the right camera.
+    """
+
     R: Annotated[FloatArray, 3, 3]
     P: Annotated[FloatArray, 3, 4]
 
@@ -57,37 +66,26 @@ class LensCorrection(ReadOnly):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Camera(ReadOnly):
+class Camera(Intrinsics):
     """Pinhole camera with distortion: maps points in the optical frame to pixels.
 
     Attributes:
-        frame_id: the optical frame's name.
-        width, height: image size, px.
-        K: (3, 3) intrinsics, px.
-        D: (n,) distortion coefficients, see `CameraInfo`.
-        distortion: model of D.
-        correction: displacement of the pixels on top of that model; None for a camera as stated.
+        correction: displacement of the pixels on top of the distortion model; None for a camera as stated.
     """
 
-    frame_id: str
-    width: int
-    height: int
-    K: Annotated[FloatArray, 3, 3]
-    D: Annotated[FloatArray, "n"]
-    distortion: Distortion
     correction: LensCorrection | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CameraRig:
+class CameraRig(ReadOnly):
     """The cameras, rigidly joined: one or more. Frame c is the optical frame of the first one.
 
     Attributes:
         names: of the cameras: "left" and "right" for a stereo pair.
         each: the cameras, for the images as recorded (raw or rectified).
-        T_c_each: (4, 4) coordinates of each camera to those of the first, m; the first one is the identity.
+        T_c_each: (C, 4, 4) coordinates of each camera to those of the first, m; the first one is the identity.
         rectified: the images are rectified, so the frames are the rectified optical frames.
-        R_rect: (3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
+        R_rect: (C, 3, 3) raw to rectified coordinates of each camera (`CameraInfo.R`).
         reference: name of the camera of the calibrated head-eye transform.
         calibrated: a stereo pair, calibrated together: its baseline gives the scale. The poses of other cameras are
             from a drawing of the robot, which states them less exactly.
@@ -95,9 +93,9 @@ class CameraRig:
 
     names: tuple[str, ...]
     each: tuple[Camera, ...]
-    T_c_each: tuple[FloatArray, ...]
+    T_c_each: Annotated[FloatArray, "C", 4, 4]
     rectified: bool
-    R_rect: tuple[FloatArray, ...]
+    R_rect: Annotated[FloatArray, "C", 3, 3]
     reference: str
     calibrated: bool = False
 
@@ -105,13 +103,7 @@ class CameraRig:
         sizes = {len(self.names), len(set(self.names)), len(self.each), len(self.T_c_each), len(self.R_rect)}
         if len(sizes) > 1 or (self.calibrated and len(self.each) != 2) or self.reference not in self.names:
             raise ValueError(f"cameras {self.names} with reference {self.reference!r}: numbers do not match")
-        for name, size in (("T_c_each", 4), ("R_rect", 3)):
-            matrices = tuple(np.array(T, dtype=np.float64) for T in getattr(self, name))
-            if any(T.shape != (size, size) for T in matrices):
-                raise ValueError(f"{name}: not all are {size} x {size}")
-            for T in matrices:
-                T.setflags(write=False)
-            object.__setattr__(self, name, matrices)
+        ReadOnly.__post_init__(self)
 
     @property
     def first(self) -> Camera:
@@ -144,16 +136,17 @@ class CameraRig:
         return CameraRig(
             names,
             tuple(self.each[k] for k in cameras),
-            tuple(self.T_c_each[k] for k in cameras),
+            self.T_c_each[list(cameras)],
             self.rectified,
-            tuple(self.R_rect[k] for k in cameras),
+            self.R_rect[list(cameras)],
             names[0],
         )
 
     @property
     def T_c_reference(self) -> FloatArray:
         """Reference camera coordinates to those of the first camera, (4, 4), m."""
-        return self.T_c_each[self.names.index(self.reference)]
+        T: FloatArray = self.T_c_each[self.names.index(self.reference)]
+        return T
 
 
 def camera_words(name: str) -> str:

@@ -327,7 +327,7 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     R_rect_c, R_rect_r = (np.eye(3), np.eye(3)) if rectified else (left.R, right.R)
     T_c_r = se3.transform(R_rect_c.T @ R_rect_r, R_rect_c.T @ offset)
     cameras = _camera("left", left, rectified), _camera("right", right, rectified)
-    poses, R_rect = (np.eye(4), T_c_r), (left.R, right.R)
+    poses, R_rect = np.stack([np.eye(4), T_c_r]), np.stack([left.R, right.R])
     return CameraRig(SIDES, cameras, poses, rectified, R_rect, reference, calibrated=True)
 
 
@@ -382,6 +382,6 @@ def camera_rig(
         if rectified:
             T = se3.transform(first.R, np.zeros(3)) @ T @ se3.transform(infos[name].R.T, np.zeros(3))
         poses.append(T)
-    rotations = tuple(info.R for info in infos.values())
+    rotations = np.stack([info.R for info in infos.values()])
     each = tuple(_camera(name, info, rectified) for name, info in infos.items())
-    return CameraRig(names, each, tuple(poses), rectified, rotations, reference)
+    return CameraRig(names, each, np.stack(poses), rectified, rotations, reference)

@@ -206,15 +206,15 @@ class SimulatedRobot:
             Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
             for info in self.infos
         )
-        rotations = tuple(info.R for info in self.infos)
+        rotations = np.stack([info.R for info in self.infos])
         if self.mounted:
             names = tuple(self.mounted)
-            return CameraRig(names, cameras, tuple(self.mounted.values()), False, rotations, names[0])
+            return CameraRig(names, cameras, np.stack([*self.mounted.values()]), False, rotations, names[0])
         left, right = self.infos
         baseline = np.array([-right.P[0, 3] / right.P[0, 0], 0, 0])
-        T_c_r = np.eye(4)
-        T_c_r[:3, :3], T_c_r[:3, 3] = left.R.T @ right.R, left.R.T @ baseline
-        return CameraRig(SIDES, cameras, (np.eye(4), T_c_r), False, rotations, "left", calibrated=True)
+        poses = np.stack([np.eye(4), np.eye(4)])
+        poses[1, :3, :3], poses[1, :3, 3] = left.R.T @ right.R, left.R.T @ baseline
+        return CameraRig(SIDES, cameras, poses, False, rotations, "left", calibrated=True)
 
     def head_pose(self, joints_rad: FloatArray) -> FloatArray:
         """T_v_h from the simulator's own forward kinematics: (J,) → (4, 4)."""

@@ -318,7 +318,7 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
     """The observation of all corners: detected ones, and the others predicted from the board's pose."""
     common = _common(views)
     points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
-    moves = np.concatenate([-se3.skew(points_c), np.broadcast_to(np.eye(3), (len(points_c), 3, 3))], axis=-1)
+    moves = se3.by_twist(points_c)
     points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
     count, whole = len(points_c), []
     unseen = Corners(

@@ -175,8 +175,7 @@ def pose_residuals(
     points_c = points_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
     predicted, J_point = reproject(rig, points_c)
     moves = np.empty((len(points_c), 3, 7))
-    moves[:, :, :3] = -se3.skew(points_c)
-    moves[:, :, 3:6] = np.eye(3)
+    moves[:, :, :6] = se3.by_twist(points_c)
     moves[:, :, 6] = points_c - T_c_k[:3, 3]
     return measured - predicted, J_point @ moves
 
