@@ -5,9 +5,7 @@ from __future__ import annotations
 import io
 import re
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import cv2
@@ -38,32 +36,24 @@ class _Encoding:
     Attributes:
         depth: bytes per value, 1 or 2.
         channels: values per pixel.
-        to_gray: (height, width) or (height, width, channels) uint8 to (height, width) uint8; None: it is gray.
+        to_gray: OpenCV's code of the conversion to gray; None: it is gray.
         rows: rows of the data for each row of the image; more than 1 if colors follow the gray image.
     """
 
     depth: int
     channels: int
-    to_gray: Callable[[Pixels], Pixels] | None = None
+    to_gray: int | None = None
     rows: float = 1.0
 
 
-def _converted(code: int, pixels: Pixels) -> Pixels:
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels), code))
-
-
-def _channel(number: int, pixels: Pixels) -> Pixels:
-    return np.ascontiguousarray(pixels[..., number])
-
-
-_BGR, _RGB = partial(_converted, cv2.COLOR_BGR2GRAY), partial(_converted, cv2.COLOR_RGB2GRAY)
-_BGRA, _RGBA = partial(_converted, cv2.COLOR_BGRA2GRAY), partial(_converted, cv2.COLOR_RGBA2GRAY)
+_BGR, _RGB = cv2.COLOR_BGR2GRAY, cv2.COLOR_RGB2GRAY
+_BGRA, _RGBA = cv2.COLOR_BGRA2GRAY, cv2.COLOR_RGBA2GRAY
 # OpenCV names a Bayer pattern by the second row's second and third pixel, ROS by the first row's first two.
 _BAYER = {
-    "bayer_rggb": partial(_converted, cv2.COLOR_BayerBG2GRAY),
-    "bayer_bggr": partial(_converted, cv2.COLOR_BayerRG2GRAY),
-    "bayer_gbrg": partial(_converted, cv2.COLOR_BayerGR2GRAY),
-    "bayer_grbg": partial(_converted, cv2.COLOR_BayerGB2GRAY),
+    "bayer_rggb": cv2.COLOR_BayerBG2GRAY,
+    "bayer_bggr": cv2.COLOR_BayerRG2GRAY,
+    "bayer_gbrg": cv2.COLOR_BayerGR2GRAY,
+    "bayer_grbg": cv2.COLOR_BayerGB2GRAY,
 }
 _ENCODINGS: dict[str, _Encoding] = {
     **dict.fromkeys(("mono8", "8uc1"), _Encoding(1, 1)),
@@ -74,8 +64,8 @@ _ENCODINGS: dict[str, _Encoding] = {
     **{name: _Encoding(2, 4, way) for name, way in (("rgba16", _RGBA), ("bgra16", _BGRA), ("16uc4", _BGRA))},
     **{f"{name}8": _Encoding(1, 1, way) for name, way in _BAYER.items()},
     **{f"{name}16": _Encoding(2, 1, way) for name, way in _BAYER.items()},
-    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(1, 2, partial(_channel, 1))),
-    **dict.fromkeys(("yuv422_yuy2", "yuy2", "yuyv"), _Encoding(1, 2, partial(_channel, 0))),
+    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(1, 2, cv2.COLOR_YUV2GRAY_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuy2", "yuyv"), _Encoding(1, 2, cv2.COLOR_YUV2GRAY_YUY2)),
     **dict.fromkeys(("nv12", "nv21"), _Encoding(1, 1, rows=1.5)),
     "nv24": _Encoding(1, 1, rows=3.0),
 }
@@ -101,7 +91,9 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
         pixels, to_gray = _decompressed(message) if hasattr(message, "format") else _raw(message)
         if pixels.dtype != np.uint8:
             pixels = pixels >> (max(int(pixels.max()).bit_length(), 8) - 8)
-        return np.asarray(pixels if to_gray is None else to_gray(pixels), dtype=np.uint8)
+        if to_gray is not None:
+            pixels = cv2.cvtColor(np.ascontiguousarray(pixels), to_gray)
+        return np.asarray(pixels, dtype=np.uint8)
     except (AttributeError, TypeError, ValueError) as error:
         raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
     except cv2.error as error:
@@ -110,7 +102,7 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
         raise RecordingError(f"image damaged: {error.err}", "") from error
 
 
-def _decompressed(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | None]:  # noqa: ANN401
+def _decompressed(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
     """Pixels of a JPEG or PNG as they are stored, and their conversion to gray."""
     data, kind = np.frombuffer(message.data, dtype=np.uint8), str(message.format)
     if not data.size:
@@ -158,7 +150,7 @@ def _check_header(stored: bytes, kind: str) -> str:
     return mode
 
 
-def _raw(message: Any) -> tuple[Pixels, Callable[[Pixels], Pixels] | None]:  # noqa: ANN401
+def _raw(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
     """View of an image's pixels that respects step and byte order, and their conversion to gray."""
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:

@@ -262,6 +262,16 @@ def test_garbage_between_records_costs_nothing(whole, tmp_path, size):
     assert any("are not valid records; skipped" in note for note in damage)
 
 
+def test_bytes_like_a_chunk_whose_content_would_go_beyond_the_end_cost_nothing(originals, tmp_path):
+    data = originals["mcap-no-index-at-all"]
+    with open_recording([written(tmp_path, data, "whole")]) as recording:
+        end = max(block.offset + block.size for block in recording.parts[0].blocks)
+    like_a_chunk = struct.pack("<BQQQQII", 6, 40, 1, 2, 3, 0, 8) + bytes(8)
+    found, damage = messages_of(written(tmp_path, data[:end] + bytes(9) + like_a_chunk))
+    assert len(found) == len(ITEMS)
+    assert "the file ends inside a record at byte" in " ".join(damage)
+
+
 def test_a_chunk_that_is_gone_costs_only_its_messages(whole, tmp_path):
     data = whole.read_bytes()
     with open_recording([whole]) as recording:

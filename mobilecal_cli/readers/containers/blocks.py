@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, replace
 from itertools import count, islice, pairwise
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 
@@ -113,11 +113,14 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def fits(self, at: int) -> bool:
-        """Whether a complete record begins at a byte."""
+        """Whether a complete record begins at a byte; damaged bytes may raise anything, which means that none does."""
 
     @abstractmethod
     def rest_of_chunk(self, at: int) -> int | None:
-        """Where the records of an uncompressed chunk begin, if one begins at a byte: its first messages are intact."""
+        """Where the records of an uncompressed chunk begin, if one begins at a byte: its first messages are intact.
+
+        Damaged bytes may raise anything, which means that none begins there.
+        """
 
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block."""
@@ -326,6 +329,17 @@ def _holds(block: Block, at_ns: IntArray) -> bool:
     return first < len(at_ns) and int(at_ns[first]) <= block.end_ns
 
 
+Answer = TypeVar("Answer")
+
+
+def _tried(question: Callable[[int], Answer], at: int) -> Answer | None:
+    """What a container says of the bytes from `at` on; None if they are damaged, and it raises for them."""
+    try:
+        return question(at)
+    except Exception:  # damaged bytes may raise anything
+        return None
+
+
 #: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
 _SPAN_BYTES = 2**22
 
@@ -360,7 +374,7 @@ class Reindex:
             except Exception as error:  # no complete record begins there: search for the next one
                 if self._last is not None:  # registers its channels, by which messages are recognized
                     storage.scanned(self._last, lambda _: None)
-                rest = storage.rest_of_chunk(at)
+                rest = _tried(storage.rest_of_chunk, at)
                 if rest is not None and self._next_record(at + 1, chunks=True) is None:
                     self._close()
                     self._last = Block(rest, storage.size - rest, False, LATEST_NS, 0, None)
@@ -396,7 +410,7 @@ class Reindex:
         while at < storage.size:
             window = storage.read_at(at, min(_SPAN_BYTES, storage.size - at))
             for place in storage.likely_records(window, chunks=chunks):
-                if storage.fits(at + place):
+                if _tried(storage.fits, at + place):
                     return at + place
             if at + len(window) == storage.size:
                 return None

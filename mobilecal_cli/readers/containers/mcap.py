@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -34,6 +35,9 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 #: A plain number, because comparing with an enum member is slow and happens for every message.
 _MESSAGE_RECORD = int(Opcode.MESSAGE)
+#: First bytes of a chunk, or of a message or chunk, whose length is at most 4 GB, as those of all records are.
+_CHUNKS = re.compile(rb"\x06(?=.{4}\x00{4})", re.DOTALL)
+_KINDS = re.compile(rb"[\x05\x06](?=.{4}\x00{4})", re.DOTALL)
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
 
@@ -86,11 +90,18 @@ class McapStorage(BlockStorage):
         return summary if complete else None
 
     def _is_chunk(self, index: records.ChunkIndex) -> bool:
+        begin, size = index.chunk_start_offset, index.chunk_length
         try:
-            head = _HEAD.unpack(self.read_at(index.chunk_start_offset, _HEAD.size))
+            opcode, _, end = self._head(begin)
         except (EOFError, ValueError):
             return False
-        return bool(head == (Opcode.CHUNK, index.chunk_length - _HEAD.size))
+        return opcode == Opcode.CHUNK and end == begin + size
+
+    def _head(self, at: int) -> tuple[int, int, int]:
+        """Kind of the record at byte `at` of the file, and begin and end of its content."""
+        opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
+        body = at + _HEAD.size
+        return opcode, body, body + length
 
     def _use(self, summary: Summary) -> None:
         self._schemas.update(summary.schemas)
@@ -141,14 +152,14 @@ class McapStorage(BlockStorage):
         """Channel id, and (n, 2) log time and position of its messages, from the message indexes after a chunk."""
         at = block.offset + block.size
         while at + _HEAD.size <= self.size:
-            opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
+            opcode, body, end = self._head(at)
             if opcode != Opcode.MESSAGE_INDEX:
                 return
-            body = self.read_at(at + _HEAD.size, length)
-            (number,) = struct.unpack_from("<H", body)
-            entries = np.frombuffer(body, "<u8", offset=6).reshape(-1, 2)
+            content = self.read_at(body, end - body)
+            (number,) = struct.unpack_from("<H", content)
+            entries = np.frombuffer(content, "<u8", offset=6).reshape(-1, 2)
             yield number, entries[entries[:, 0] < LATEST_NS].astype(np.int64)
-            at += _HEAD.size + length
+            at = end
 
     def _define(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
@@ -174,9 +185,8 @@ class McapStorage(BlockStorage):
         )
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
-        opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
-        body = at + _HEAD.size
-        end, block = int(body + length), None
+        opcode, body, end = self._head(at)
+        block = None
         if opcode == 0 or end > self.size:
             raise EOFError("chunk" if opcode == Opcode.CHUNK else "record")
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
@@ -189,7 +199,7 @@ class McapStorage(BlockStorage):
                 start_ns, end_ns, _, _ = _CHUNK.unpack(self.read_at(body, _CHUNK.size))
                 block = Block(at, end - at, True, start_ns, end_ns, None)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(opcode, self.read_at(body, length))
+                self._define(opcode, self.read_at(body, end - body))
         except Exception as error:  # one damaged record; the next one has its own header
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return end, block
@@ -202,16 +212,13 @@ class McapStorage(BlockStorage):
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""
-        content, starts = np.frombuffer(window, np.uint8), max(len(window) - _HEAD.size, 0)
-        likely = np.isin(content[:starts], (Opcode.CHUNK,) if chunks else (Opcode.MESSAGE, Opcode.CHUNK))
-        for byte in range(5, 9):  # no record is longer than 4 GB
-            likely &= content[byte : byte + starts] == 0
-        yield from np.flatnonzero(likely).tolist()
+        for match in (_CHUNKS if chunks else _KINDS).finditer(window):
+            yield match.start()
 
     def fits(self, at: int) -> bool:
         """Whether a chunk or a message begins at a byte, judged by the length and time in its header."""
-        opcode, length = _HEAD.unpack(self.read_at(at, _HEAD.size))
-        body, end = at + _HEAD.size, at + _HEAD.size + length
+        opcode, body, end = self._head(at)
+        length = end - body
         if end > self.size or length < (_MESSAGE.size if opcode == Opcode.MESSAGE else _CHUNK.size + 12):
             return False
         if opcode == Opcode.MESSAGE:

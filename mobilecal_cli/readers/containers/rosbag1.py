@@ -216,19 +216,13 @@ class BagStorage(BlockStorage):
             yield from range(match.start() - 4, max(match.start() - self.LONGEST_HEAD, -1), -1)
 
     def fits(self, at: int) -> bool:
-        try:
-            (head_size,) = _U32.unpack(self.read_at(at, _U32.size))
-            if head_size > self.LONGEST_HEAD:
-                return False
-            fields, _, end = self._head(at)
-            return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self.size
-        except Exception:  # arbitrary bytes may raise anything
+        (head_size,) = _U32.unpack(self.read_at(at, _U32.size))
+        if head_size > self.LONGEST_HEAD:
             return False
+        fields, _, end = self._head(at)
+        return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self.size
 
     def rest_of_chunk(self, at: int) -> int | None:
-        try:
-            fields, body, _ = self._head(at)
-        except Exception:  # arbitrary bytes may raise anything
-            return None
-        plain = fields.get(b"op") == bytes([_CHUNK]) and fields.get(b"compression") == b"none"
+        fields, body, _ = self._head(at)
+        plain = fields[b"op"] == bytes([_CHUNK]) and fields[b"compression"] == b"none"
         return body if plain else None

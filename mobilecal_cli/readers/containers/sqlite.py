@@ -54,7 +54,7 @@ class _Log(NamedTuple):
 
 def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
     """The log of rows with their sizes, and topic id → number of messages."""
-    columns = [array("q") for _ in range(4)]
+    log = array("q")
     counts: Counter[int] = Counter()
     for row in rows:
         _, topic, time_ns, _ = row
@@ -62,9 +62,8 @@ def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
             continue
         counts[topic] += 1
         if isinstance(time_ns, int):
-            for column, value in zip(columns, row, strict=True):
-                column.append(value or 0)
-    return _Log(*(np.array(column, dtype=np.int64) for column in columns)), dict(counts)
+            log.extend(value or 0 for value in row)
+    return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), dict(counts)
 
 
 class SqliteStorage(Storage):

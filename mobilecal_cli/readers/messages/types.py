@@ -101,43 +101,43 @@ class MessageType:
     """What the readers know of a message type.
 
     Attributes:
-        fields: of a type of the ROS core, the same in every ROS 1, and in every ROS 2: one with other fields is
-            damaged.
+        core: definition of a type of the ROS core, the same in every ROS 1, and in every ROS 2: one with other fields
+            is damaged.
         definition: of a type beyond the ROS core, for recordings that store none.
         read_as: ROS type that says the same; "" for the type itself.
         any_package: the same message is in several packages.
         convert: a message → the fields of `read_as` that it lacks or spells differently.
     """
 
-    fields: str = ""
+    core: str = ""
     definition: str = ""
     read_as: str = ""
     any_package: bool = False
     convert: Callable[[Any], dict[str, Any]] = _header
 
 
-#: Fields are listed here, because rosbags loads the types of five releases to get them, which takes longer than all
-#: other imports.
+#: Definitions are listed here, because rosbags loads the types of five releases to get them, which takes longer than
+#: all other imports.
 TYPES = {
-    "builtin_interfaces/msg/Time": MessageType("sec:int32 nanosec:uint32"),
-    "std_msgs/msg/Header": MessageType("stamp:builtin_interfaces/msg/Time frame_id:string"),
-    STRING: MessageType("data:string"),
+    "builtin_interfaces/msg/Time": MessageType("int32 sec\nuint32 nanosec"),
+    "std_msgs/msg/Header": MessageType("builtin_interfaces/Time stamp\nstring frame_id"),
+    STRING: MessageType("string data"),
     "sensor_msgs/msg/RegionOfInterest": MessageType(
-        "x_offset:uint32 y_offset:uint32 height:uint32 width:uint32 do_rectify:bool"
+        "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
     ),
     CAMERA_INFO: MessageType(
-        "header:std_msgs/msg/Header height:uint32 width:uint32 distortion_model:string d:float64[] k:float64[9] "
-        "r:float64[9] p:float64[12] binning_x:uint32 binning_y:uint32 roi:sensor_msgs/msg/RegionOfInterest",
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+        "float64[9] r\nfloat64[12] p\nuint32 binning_x\nuint32 binning_y\nRegionOfInterest roi",
         convert=_camera_info,
     ),
     IMAGES[0]: MessageType(
-        "header:std_msgs/msg/Header height:uint32 width:uint32 encoding:string is_bigendian:uint8 step:uint32 "
-        "data:uint8[]",
+        "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\n"
+        "uint8[] data",
         convert=_image,
     ),
-    IMAGES[1]: MessageType("header:std_msgs/msg/Header format:string data:uint8[]", convert=_image),
+    IMAGES[1]: MessageType("std_msgs/Header header\nstring format\nuint8[] data", convert=_image),
     JOINT_STATE: MessageType(
-        "header:std_msgs/msg/Header name:string[] position:float64[] velocity:float64[] effort:float64[]"
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"
     ),
     "foxglove/RawImage": MessageType(read_as=IMAGES[0], convert=_image),
     "foxglove/CompressedImage": MessageType(read_as=IMAGES[1], convert=_image),
@@ -305,27 +305,16 @@ def _check_growth(types: Mapping[str, Any]) -> None:
 def agrees(store: Typestore, encoding: str) -> bool:
     """Whether the types used by the readers have their standard fields; if not, their definitions are damaged."""
     for name in TYPES.keys() & store.fielddefs.keys():
-        seq = "seq:uint32 " if encoding == "ros1" and name == "std_msgs/msg/Header" else ""
+        core = TYPES[name].core
+        if encoding == "ros1" and name == "std_msgs/msg/Header":
+            core = f"uint32 seq\n{core}"
         # ROS 1 names a camera's matrices D, K, R, P, ROS 2 d, k, r, p.
-        fields = (
+        stored = [
             (field.lower() if len(field) == 1 else field, kind) for field, kind in store.fielddefs[name][1]
-        )
-        stored = " ".join(f"{field}:{_spelled(kind)}" for field, kind in fields)
-        if TYPES[name].fields and stored != f"{seq}{TYPES[name].fields}":
+        ]
+        if core and stored != get_types_from_msg(core, name)[name][1]:
             return False
     return True
-
-
-def _spelled(field_type: Any) -> str:  # noqa: ANN401 - rosbags' nested tuples
-    """A field's type as spelled in message definitions, such as float64[9] or string[]."""
-    kind, what = field_type
-    if kind == Nodetype.NAME:
-        return str(what)
-    of, bound = what
-    if kind == Nodetype.BASE:
-        return f"{of}<={bound}" if bound else str(of)
-    length = f"<={bound}" if bound and kind == Nodetype.SEQUENCE else bound or ""
-    return f"{_spelled(of)}[{length}]"
 
 
 @lru_cache(maxsize=2)

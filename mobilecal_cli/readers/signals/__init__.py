@@ -9,7 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError, usable
-from mobilecal_cli.model import SIDES, IntArray, JointField, PictureIndex, Signals, Sources, Track
+from mobilecal_cli.model import (
+    CAMERA_INFO,
+    SIDES,
+    IntArray,
+    JointField,
+    PictureIndex,
+    Signals,
+    Sources,
+    Track,
+)
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
@@ -58,7 +67,11 @@ def read_signals(
         for name, where in sources.elsewhere.items()
     }
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
-    infos = InfoChanges(recording, sources.info.values())
+    infos = {
+        info.name: InfoChanges(info.name)
+        for info in recording.topics
+        if info.type == CAMERA_INFO and info.name in sources.info.values()
+    }
     read.run(extent, infos)
 
     notes: list[str] = []
@@ -74,7 +87,9 @@ def read_signals(
     used: list[Source] = [*images.values(), *moving.values(), *itertools.chain(*turning.values())]
     samples = [source.series.samples(notes) for source in used]
     pieces, steps = cut(samples)
-    notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *infos.notes, *notes]
+    changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
+    notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *changes, *notes]
+    corrected = {name: topic.infos[topic.usual] for name, topic in infos.items() if topic.usual}
 
     def signals_of(recorded: Mapping[Source, Samples]) -> Signals:
         own_notes: list[str] = []
@@ -99,15 +114,16 @@ def read_signals(
         recorded_ns: dict[str, IntArray] = {}
         for name, camera in images.items():
             index = camera.index(samples[camera], own_notes)
-            usual = infos.usual_at(sources.info.get(name, ""), index.log_ns)
-            indices[name], recorded_ns[name] = index.rows(usual), index.time_ns
+            stated = infos.get(sources.info.get(name, ""))
+            indices[name] = index.rows(stated.usual_at(index.log_ns)) if stated else index
+            recorded_ns[name] = index.time_ns
             if not len(indices[name].time_ns):
                 raise RecordingError(
                     f"{camera.series.topic}: no usable images", "record all cameras the whole time"
                 )
         for side, track in wheels.items():
             own_notes += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, infos.corrected)
+        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected)
 
     logs, problems = usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of)
     notes += (

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,17 +10,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import (
-    CAMERA_INFO,
-    CAMERA_INFO_CHANGES,
-    Camera,
-    CameraInfo,
-    Distortion,
-    FloatArray,
-    IntArray,
-)
+from mobilecal_cli.model import CAMERA_INFO_CHANGES, Camera, CameraInfo, Distortion, FloatArray, IntArray
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
-from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
@@ -184,92 +173,64 @@ _SAME_RELATIVE, _SAME = 1e-6, 1e-9
 _MOST_KEPT = 16
 
 
-@dataclass(slots=True)
-class _Stated:
-    """What the camera infos of one topic state.
+class InfoChanges:
+    """Compares the camera infos of one topic with one another.
 
     Attributes:
         infos: the different calibrations, in order of appearance.
-        which, log_ns: calibration in each message, and the log time.
-        last: bytes of the last message after its stamp.
     """
 
-    infos: list[CameraInfo] = field(default_factory=list)
-    which: array[int] = field(default_factory=lambda: array("q"))
-    log_ns: array[int] = field(default_factory=lambda: array("q"))
-    last: bytes = b""
-
-    @property
-    def usual(self) -> int:
-        """The calibration in most messages."""
-        return int(np.argmax(np.bincount(self.which)))
-
-
-class InfoChanges:
-    """Compares the camera infos of some topics with one another.
-
-    Args:
-        topics: camera-info topics; those that the recording does not contain are ignored.
-    """
-
-    def __init__(self, recording: Recording, topics: Iterable[str]) -> None:
-        present = {info.name for info in recording.topics if info.type == CAMERA_INFO}
-        self.topics = frozenset(topics) & present
-        self._recording = recording
-        self._stated = {topic: _Stated() for topic in sorted(self.topics)}
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.infos: list[CameraInfo] = []
+        #: Calibration in each message, and the log time.
+        self._which, self._log_ns = array("q"), array("q")
+        #: Bytes of the last message after its stamp.
+        self._last = b""
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Take one message. Only one that differs from the one before is decoded."""
-        stated, own = self._stated[channel.topic], bytes(payload[_STAMP_BYTES:])
-        if stated.last != own or not stated.which:
+        own = bytes(payload[_STAMP_BYTES:])
+        if self._last != own or not self._which:
             try:
-                decoded = camera_info(channel.decode(payload), channel.topic)
+                decoded = camera_info(channel.decode(payload), self.topic)
             except (RecordingError, *NOT_ITS_TYPE):
                 return
-            known = (k for k, info in enumerate(stated.infos) if not _difference(info, decoded))
-            which = next(known, len(stated.infos))
+            known = (k for k, info in enumerate(self.infos) if not _difference(info, decoded))
+            which = next(known, len(self.infos))
             if which == _MOST_KEPT:
                 return
-            stated.infos += [decoded] if which == len(stated.infos) else []
-            stated.last = own
+            self.infos += [decoded] if which == len(self.infos) else []
+            self._last = own
         else:
-            which = stated.which[-1]
-        stated.which.append(which)
-        stated.log_ns.append(log_ns)
+            which = self._which[-1]
+        self._which.append(which)
+        self._log_ns.append(log_ns)
 
     @property
-    def corrected(self) -> dict[str, CameraInfo]:
-        """Topic → the calibration in most messages, where it is not that of the first."""
-        return {
-            topic: stated.infos[stated.usual]
-            for topic, stated in self._stated.items()
-            if stated.infos and stated.usual
-        }
+    def usual(self) -> int:
+        """Index of the calibration in most messages; 0 without any."""
+        return int(np.argmax(np.bincount(self._which, minlength=1)))
 
-    def usual_at(self, topic: str, log_ns: IntArray) -> IntArray:
+    def usual_at(self, log_ns: IntArray) -> IntArray:
         """(n,) indices of those of some log times at which the topic states its usual calibration."""
-        stated = self._stated.get(topic)
-        if stated is None or len(stated.infos) < 2:
+        if len(self.infos) < 2:
             return np.arange(len(log_ns))
-        last = np.maximum(np.searchsorted(stated.log_ns, log_ns, side="right") - 1, 0)
-        return np.flatnonzero(np.array(stated.which)[last] == stated.usual)
+        last = np.maximum(np.searchsorted(self._log_ns, log_ns, side="right") - 1, 0)
+        return np.flatnonzero(np.array(self._which)[last] == self.usual)
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """One sentence for each topic whose calibration changes."""
-        notes = []
-        for topic, stated in self._stated.items():
-            if len(stated.infos) < 2:
-                continue
-            at_ns, total = stated.log_ns[stated.which.index(1)], len(stated.which)
-            since_s = (at_ns - (self._recording.start_ns or at_ns)) * 1e-9
-            others = total - stated.which.count(stated.usual)
-            notes.append(
-                f"{topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: "
-                f"{_difference(stated.infos[0], stated.infos[1])}; {others} of {total} messages differ "
-                "from the others, which are used; images recorded while it differs are left out"
-            )
-        return tuple(notes)
+    def notes(self, start_ns: int | None) -> list[str]:
+        """A sentence on a calibration that changes; `start_ns` is when the recording starts."""
+        if len(self.infos) < 2:
+            return []
+        at_ns, total = self._log_ns[self._which.index(1)], len(self._which)
+        since_s = (at_ns - (start_ns or at_ns)) * 1e-9
+        others = total - self._which.count(self.usual)
+        return [
+            f"{self.topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: "
+            f"{_difference(self.infos[0], self.infos[1])}; {others} of {total} messages differ "
+            "from the others, which are used; images recorded while it differs are left out"
+        ]
 
 
 def _difference(first: CameraInfo, other: CameraInfo) -> str:

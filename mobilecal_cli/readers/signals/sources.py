@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -157,14 +157,12 @@ class Subscriptions:
         self._takers.setdefault(topic, []).append(source.take)
         return source
 
-    def run(self, extent: Extent, infos: InfoChanges) -> None:
-        """Run the pass, which also compares the cameras' calibrations."""
-        topics = frozenset(self.clocks)
-        compared = infos.topics - topics
-        for channel, log_ns, payload in self.recording.messages(topics | compared, extent):
+    def run(self, extent: Extent, infos: Mapping[str, InfoChanges]) -> None:
+        """Run the pass, which also compares the calibrations on the topics of cameras, `infos`."""
+        for channel, log_ns, payload in self.recording.messages(self.clocks.keys() | infos.keys(), extent):
             topic = channel.topic
-            if topic in compared:
-                infos.add(channel, log_ns, payload)
+            if topic not in self.clocks:
+                infos[topic].add(channel, log_ns, payload)
                 continue
             try:
                 message = channel.decode(payload)
