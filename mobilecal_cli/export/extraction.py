@@ -223,9 +223,13 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
     }  # None was estimated
     stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
     names = stated.rig.cameras.names
+    observations = tuple(_observation(arrays, names, i) for i in range(stated.observations))
+    order = [(o.log, o.time_ns) for o in observations]
+    if order != sorted(order) or not {o.log for o in observations} <= set(range(stated.wheels)):
+        raise ValueError("stations that are not in the order of their recordings and times")
     return Extraction(
         **{name: getattr(stated, name) for name in _STATED},
-        observations=tuple(_observation(arrays, names, i) for i in range(stated.observations)),
+        observations=observations,
         wheels=tuple(_wheels(arrays, f"wheels.{i}") for i in range(stated.wheels)),
         joint_tracks=tuple(
             tuple(

@@ -133,6 +133,15 @@ joint_tracks = st.integers(0, 5).flatmap(
     lambda n: st.builds(Track, hnp.arrays(np.int64, n, elements=int64), arrays(n))
 )
 tracks = st.builds(WheelTrack, joint_tracks, joint_tracks).filter(lambda track: len(track.time_ns))
+
+
+def in_order(extraction):
+    """Its stations by recording and time, all of recordings that it has."""
+    count = len(extraction.wheels)
+    stations = (replace(o, log=o.log % count) for o in extraction.observations * bool(count))
+    return replace(extraction, observations=tuple(sorted(stations, key=lambda o: (o.log, o.time_ns))))
+
+
 extractions = st.builds(
     Extraction,
     rig=rigs,
@@ -146,7 +155,7 @@ extractions = st.builds(
     logs=st.lists(st.builds(LogSource, names, names), max_size=2).map(tuple),
     counts=st.dictionaries(names, int64, max_size=3),
     joint_tracks=st.lists(st.lists(joint_tracks, max_size=2).map(tuple), max_size=2).map(tuple),
-)
+).map(in_order)
 
 
 def assert_same(a, b, where="extraction"):
@@ -203,6 +212,15 @@ def test_every_field_comes_back(extraction):
     data = extraction_to_npz(extraction)
     assert_same(extraction, extraction_from_npz(data))
     assert extraction_to_npz(extraction) == data
+
+
+@pytest.mark.parametrize("change", [{"log": 1}, {"log": -1}, {"time_ns": 2**62}])
+def test_stations_are_in_the_order_of_recordings_that_are_there(change):
+    whole = make_extraction(n=3)
+    first, *others = whole.observations
+    damaged = replace(whole, observations=(replace(first, **change), *others))
+    with pytest.raises(RecordingError, match="not in the order of their recordings and times"):
+        extraction_from_npz(extraction_to_npz(damaged))
 
 
 def test_thumbnails_travel_beside_it(tmp_path):

@@ -417,6 +417,19 @@ def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
     assert not any("clocks differ" in note for note in signals.notes)
 
 
+def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
+    names = [*NAMES, "rear"]
+    rows = [(0.1 * k, at(0.1 * k), names, [k, 2.0 * k, 3.0 * k, np.nan]) for k in range(30)]
+    left = replace(SOURCES.wheels["left"], others=(WheelSource("/j", joint="rear"),))
+    sources = replace(SOURCES, wheels={**SOURCES.wheels, "left": left})
+    signals = signals_of(tmp_path, [*images(), *joints(rows)], sources)
+    np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(30))
+    assert "joint rear on /j: all readings are NaN or infinite; left out" in signals.notes
+    alone = replace(SOURCES, wheels={**SOURCES.wheels, "left": WheelSource("/j", joint="rear")})
+    with pytest.raises(RecordingError, match="joint rear on /j: all 30 readings are NaN or infinite"):
+        signals_of(tmp_path, [*images(), *joints(rows)], alone)
+
+
 @pytest.mark.parametrize(
     "bad",
     [

@@ -77,6 +77,11 @@ def read_signals(
     notes: list[str] = []
     for source in (*images.values(), *itertools.chain(*turning.values())):
         read.check(source, notes)
+    for side, each in turning.items():
+        silent = [wheel for wheel in each if wheel.series.not_finite and not len(wheel.series)]
+        if 0 < len(silent) < len(each):
+            notes += (f"{wheel.series.label}: all readings are NaN or infinite; left out" for wheel in silent)
+            turning[side] = [wheel for wheel in each if wheel not in silent]
     moving: dict[str, Source] = {}
     for name in joints:
         if name in elsewhere:
