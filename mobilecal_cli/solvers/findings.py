@@ -27,7 +27,7 @@ from mobilecal_cli.model import (
     ScaleCheck,
 )
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.outliers import longest_stretch
+from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
 
 _SCALE_SHOWN = 0.9  # variance of the ratio over its prior's, below which the data show it
 _APART_CHI2 = 16.0  # scales that differ by more than four sigma are inconsistent
@@ -123,19 +123,16 @@ def jumps_of(
 
 
 def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
-    """The moment at which something moved, for legs that nothing confirms: after them if they are the first ones."""
-    inliers, (i, j) = fit.inliers, fit.data.legs[stretch].T
-    stations = np.unique(np.concatenate([i, j]))
+    """The moment at which something moved, for legs that nothing confirms."""
+    inliers, first = fit.inliers, moved_before(fit, stretch)
+    stations = np.unique(fit.data.legs[stretch])
     out = stations[~inliers.views[stations]]
-    o = extraction.observations
-    begins = i[0] == 0 or o[i[0] - 1].log != o[i[0]].log
-    first = int(j[-1] if begins and inliers.views[j[-1]] else j[0])
     views, corners = inliers.views.copy(), inliers.corners.copy()
     views[out], corners[out] = True, fit.data.seen[out]
     lin = fit.lin.with_inliers(replace(inliers, views=views, corners=corners))
     part = jumps.cause(lin, int(out[0])) if len(out) else ""
     rejected = len(out), int(np.sum(~inliers.legs[stretch]))
-    at = o[first]
+    at = extraction.observations[first]
     return Jump(part, at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
 
 

@@ -63,13 +63,35 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     fit = _of_all(inference, as_stated, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
-    fit = _without_outliers(as_stated, first)
+    try:
+        fit = _without_outliers(as_stated, first)
+    except SolveError as error:
+        change = _change(first)
+        if change is None:
+            raise
+        raise change from error
     try:
         return _with_scales(inference, as_stated, fit)
     except SolveError:
         if as_stated.jump(fit) is None:
             raise
         return as_stated.estimate_noise(fit, FINE)
+
+
+def _change(first: Fit) -> SolveError | None:
+    """When something moved, for an estimate that did not converge: a long stretch of legs fits no others at the start."""
+    stretch = outliers.longest_stretch(first)
+    if stretch is None:
+        return None
+    station, data = outliers.moved_before(first, stretch), first.data
+    log = int(data.log[station])
+    before_s, after_s = (data.times_ns[station - 1 : station + 1] - data.tracks[log].time_ns[0]) * 1e-9
+    where = f"recording {log + 1}: " if data.logs > 1 else ""
+    return SolveError(
+        f"{where}something moved between {before_s:.1f} and {after_s:.1f} s: {len(stretch)} legs one after another do "
+        "not fit the others",
+        "check what happened then to the camera's mount, the board and the base; record again without it",
+    )
 
 
 def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:

@@ -189,6 +189,13 @@ def longest_stretch(fit: Fit) -> IntArray | None:
     return longest
 
 
+def moved_before(fit: Fit, stretch: IntArray) -> int:
+    """The station before which something moved, for legs that nothing confirms: after the first legs of a recording."""
+    log, views, (i, j) = fit.data.log, fit.inliers.views, fit.data.legs[stretch].T
+    begins = i[0] == 0 or log[i[0] - 1] != log[i[0]]
+    return int(j[-1] if begins and views[j[-1]] else j[0])
+
+
 def known_by(fit: Fit, kind: str) -> float:
     """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
     levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
