@@ -79,7 +79,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
 
 
 def _change(first: Fit) -> SolveError | None:
-    """When something moved, for an estimate that did not converge: a long stretch of legs fits no others at the start."""
+    """When something moved, for an estimate that did not converge: a long stretch of legs fits no others."""
     stretch = outliers.longest_stretch(first)
     if stretch is None:
         return None
