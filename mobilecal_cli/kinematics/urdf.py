@@ -99,6 +99,15 @@ class Urdf:
             T = T @ joint.T_parent_child
         return T
 
+    def carrier(self, link: str) -> tuple[str, FloatArray]:
+        """The highest link that carries a link by fixed joints alone, and the pose of the link on it, (4, 4)."""
+        above, T = {joint.child: joint for joint in self.joints.values()}, np.eye(4)
+        for _ in above:  # transforms may go in a circle
+            if link not in above or above[link].kind != "fixed":
+                break
+            T, link = above[link].T_parent_child @ T, above[link].parent
+        return link, T
+
 
 def _checked(joint: UrdfJoint) -> UrdfJoint:
     """The joint itself, if a real robot can have it.

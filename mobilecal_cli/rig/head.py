@@ -169,9 +169,7 @@ def _head_link_of(
         return _named_head(urdf, way[max([known, *behind]) - 1].child) if way else base
     if tilt not in urdf.joints and pan in urdf.joints:
         head = urdf.joints[pan].child
-        roots = {
-            _fixed_root(urdf, joint.parent)[0] for joint in urdf.joints.values() if joint.kind != "fixed"
-        }
+        roots = {urdf.carrier(joint.parent)[0] for joint in urdf.joints.values() if joint.kind != "fixed"}
         if head not in roots:
             return head
     if tilt not in urdf.joints:
@@ -201,7 +199,7 @@ def _moving_to(urdf: Urdf, base: str, camera_frame: str, tilt: str) -> list[Urdf
 
 def _named_head(urdf: Urdf, carried: str) -> str:
     """Head_link if it is fixed to the link that carries the camera, else that link."""
-    fixed = "head_link" in urdf.links and _fixed_root(urdf, "head_link")[0] == carried
+    fixed = "head_link" in urdf.links and urdf.carrier("head_link")[0] == carried
     return "head_link" if fixed else carried
 
 
@@ -244,20 +242,9 @@ def fixed_pose(urdf: Urdf | None, frame: str, other: str) -> FloatArray | None:
     """(4, 4) pose of another frame in a frame, by fixed joints of the URDF; None unless these connect them."""
     if urdf is None or not {frame, other} <= set(urdf.links):
         return None
-    (root, T_root_frame), (other_root, T_root_other) = _fixed_root(urdf, frame), _fixed_root(urdf, other)
+    (root, T_root_frame), (other_root, T_root_other) = urdf.carrier(frame), urdf.carrier(other)
     T = se3.inverse(T_root_frame) @ T_root_other
     return T if root == other_root and all(value in POSITION for value in T[:3, 3]) else None
-
-
-def _fixed_root(urdf: Urdf, link: str) -> tuple[str, FloatArray]:
-    """The highest link that carries a link by fixed joints alone, and the pose of the link on it, (4, 4)."""
-    above = {joint.child: joint for joint in urdf.joints.values()}
-    T = np.eye(4)
-    for _ in above:  # transforms may go in a circle
-        if link not in above or above[link].kind != "fixed":
-            break
-        T, link = above[link].T_parent_child @ T, above[link].parent
-    return link, T
 
 
 def urdf_of_transforms(transforms: Mapping[tuple[str, str], FloatArray]) -> Urdf:

@@ -62,9 +62,9 @@ _NOT_WHEELS = {
     "rf2o", "mavros", "gps", "gnss", "utm", "truth", "gt", "ground", "groundtruth", "mocap", "vicon",
     "optitrack", "optical",
 }  # fmt: skip
+_OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
 #: Relative difference of radii up to which wheels may be of one set.
 _ALIKE = 0.05
-_OF_WHEELS = {"wheel", "encoder", "encoders", "diff", "drive", "controller", "raw"}
 #: Words of joints that steer wheels, except those of casters.
 _STEERING, _CASTERS = {"steer", "steering"}, {"caster", "castor", "casters", "castors"}
 #: Drives that are no differential drive, by the words of their topics, types and joints.
@@ -331,10 +331,17 @@ def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, t
 
 
 def _alike(urdf: Urdf, name: str, others: Collection[str]) -> bool:
-    """Whether the wheel of a joint turns, and has the radius of others, as far as the URDF draws them."""
-    radius_m, *others_m = (urdf.cylinder_radius_m.get(urdf.joints[each].child) for each in (name, *others))
-    alike = not radius_m or all(abs(radius_m - m) < _ALIKE * radius_m for m in others_m if m)
-    return alike and urdf.joints[name].kind != "fixed"
+    """Whether the wheel of a joint turns on the same body as others, with their radius as far as the URDF draws it.
+
+    A wheel on a body that moves itself is a caster's, or is steered.
+    """
+    joint, beside = urdf.joints[name], [urdf.joints[other] for other in others]
+    if joint.kind == "fixed" or urdf.carrier(joint.parent)[0] not in {
+        urdf.carrier(o.parent)[0] for o in beside
+    }:
+        return False
+    radius_m, *others_m = (urdf.cylinder_radius_m.get(each.child) for each in (joint, *beside))
+    return not radius_m or all(abs(radius_m - m) < _ALIKE * radius_m for m in others_m if m)
 
 
 def unread_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...] | None]:

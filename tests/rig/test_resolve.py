@@ -186,16 +186,17 @@ def test_base_link_off_the_axle_is_taken_out():
     assert "x -200.0 mm" in notes[0]
 
 
-def further_wheels(radius_m=0.2, kind="continuous"):
-    """The URDF with two more wheels 0.4 m behind the others."""
+def further_wheels(radius_m=0.2, kind="continuous", on="fixed"):
+    """The URDF with two more wheels 0.4 m behind the others, on arms with joints of a kind."""
     joint = (
-        '<joint name="wheel_rear_{side}_joint" type="{kind}"><parent link="base_link"/><child link="rear_{side}"/>'
+        '<joint name="arm_{side}" type="{on}"><parent link="base_link"/><child link="arm_{side}"/></joint>'
+        '<joint name="wheel_rear_{side}_joint" type="{kind}"><parent link="arm_{side}"/><child link="rear_{side}"/>'
         '<origin xyz="-0.4 {y} 0.1"/></joint><link name="rear_{side}"><collision><geometry>'
         '<cylinder radius="{radius_m}" length="0.1"/></geometry></collision></link></robot>'
     )
     urdf = AT_BASE
     for side, y in (("left", 0.25), ("right", -0.25)):
-        urdf = urdf.replace("</robot>", joint.format(side=side, y=y, radius_m=radius_m, kind=kind))
+        urdf = urdf.replace("</robot>", joint.format(side=side, y=y, radius_m=radius_m, kind=kind, on=on))
     return urdf
 
 
@@ -217,9 +218,10 @@ def test_wheels_that_are_not_read_carry_the_base_too():
     [
         (further_wheels(radius_m=0.1), None),
         (further_wheels(kind="fixed"), None),
+        (further_wheels(on="continuous"), None),
         (further_wheels(), []),
     ],
-    ids=["smaller", "fixed", "stated"],
+    ids=["smaller", "fixed", "swivelling", "stated"],
 )
 def test_wheels_that_do_not_turn_with_their_side_carry_nothing(urdf, stated):
     wheels = {side: {"unread": stated} for side in ("left", "right")}
