@@ -23,7 +23,7 @@ from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
-from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes
+from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes, without_stale
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
@@ -99,7 +99,11 @@ def read_signals(
     def signals_of(recorded: Mapping[Source, Samples]) -> Signals:
         own_notes: list[str] = []
         samples = {source: each.arranged(own_notes) for source, each in recorded.items()}
-        tracks = {name: joint.track(samples[joint], own_notes) for name, joint in moving.items()}
+
+        def track_of(source: Source) -> Track:
+            return without_stale(source.series.label, source.track(samples[source], own_notes), own_notes)
+
+        tracks = {name: track_of(joint) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
         for name, joint in moving.items():
             if len(joint.series) == 1 and not joint.series.not_finite:
@@ -110,7 +114,7 @@ def read_signals(
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
             {
-                side: [(wheel.series.label, wheel.track(samples[wheel], own_notes)) for wheel in each]
+                side: [(wheel.series.label, track_of(wheel)) for wheel in each]
                 for side, each in turning.items()
             },
             own_notes,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
 
@@ -168,6 +168,50 @@ class Series:
         stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
         value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
         return Samples(self.topic, self.label, stamp_ns, log_ns, value)
+
+
+#: Readings are stale from the fourth repetition on, if the step after them catches up: by so many times what the two
+#: steps before and the two after them would change since the first of them, at least and at most.
+_REPETITIONS, _CATCHES_UP = 4, (1 / 3, 3.0)
+
+
+def without_stale(label: str, track: Track, notes: list[str]) -> Track:
+    """A track without readings that a driver repeated while the joint or the wheel went on; notes how many.
+
+    They are between steps of a motion, and end with a step that catches up. What stood still starts with a step that is
+    no faster than the steps after it.
+    """
+    step, pause_ns = np.abs(np.diff(track.value)), np.diff(track.time_ns)
+    at = np.flatnonzero(step)
+    before, last = at[1:-3], at[2:-2]  # the last step before some equal readings, and the step after them
+    runs = (
+        (last - before > _REPETITIONS)
+        & (before - at[:-4] == 1)
+        & (at[3:-1] - last == 1)
+        & (at[4:] - last == 2)
+    )
+    before, last = before[runs], last[runs]
+    if not len(last):
+        return track
+    usual_ns = np.maximum(pause_ns, np.median(pause_ns))
+    around = np.stack([before - 1, before, last + 1, last + 2])
+    speed = (step[around] / usual_ns[around]).max(axis=0)
+    since_ns = track.time_ns[last + 1] - track.time_ns[before + 1]
+    caught_up = step[last] / (speed * since_ns)
+    stale = (
+        (step[last] > speed * usual_ns[last]) & (_CATCHES_UP[0] < caught_up) & (caught_up < _CATCHES_UP[1])
+    )
+    if not stale.any():
+        return track
+    keep = np.ones(len(track.value), dtype=np.bool_)
+    for first, end in zip(before[stale] + 2, last[stale] + 1, strict=True):
+        keep[first:end] = False
+    longest_s = 1e-9 * float(since_ns[stale].max())
+    notes.append(
+        f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat the one before although the motion goes on, for "
+        f"up to {longest_s:.2f} s; dropped"
+    )
+    return Track(track.time_ns[keep], track.value[keep])
 
 
 _NS = 1_000_000_000
