@@ -19,6 +19,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
+from mobilecal_cli.readers.containers.sqlite_tree import link, message_leaves
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     SIZE_LIMIT,
@@ -80,9 +81,6 @@ class SqliteStorage(Storage):
         self._copies = ExitStack()
         try:
             self._connection = self._connect(path)
-            self._copies.callback(self._connection.close)
-            # Otherwise SQLite refuses a file that is shorter than its header states.
-            self._connection.execute("PRAGMA writable_schema=ON")
             self._read_topics()
             self._check_size()
         except BaseException:
@@ -100,9 +98,15 @@ class SqliteStorage(Storage):
             with closing(sqlite3.connect(self.opened)) as copy, suppress(sqlite3.Error):
                 copy.execute("PRAGMA journal_mode=DELETE")  # moves what the log contains into the file
             options = "mode=rw" if log.exists() else options
+        return self._open(options)
+
+    def _open(self, options: str) -> sqlite3.Connection:
         connection = sqlite3.connect(f"file:{quote(str(self.opened.absolute()))}?{options}", uri=True)
+        self._copies.callback(connection.close)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
         connection.execute("PRAGMA trusted_schema=OFF")
+        # Otherwise SQLite refuses a file that is shorter than its header states.
+        connection.execute("PRAGMA writable_schema=ON")
         connection.text_factory = lambda raw: raw.decode(errors="replace")
         return connection
 
@@ -156,7 +160,9 @@ class SqliteStorage(Storage):
         try:
             log, counts = _listed(self._connection.execute(f"{select} ORDER BY id"))
         except (sqlite3.Error, OverflowError):
-            log, counts = _listed(row for row in self._rows(self._every_row(), select) if row is not None)
+            log, counts = self._of_readable(select)
+            if self._relinked(sum(counts.values())):
+                log, counts = self._of_readable(select)
             self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
         self.counts = counts
         steps = steps_back(log.channel, log.log_ns)
@@ -166,6 +172,30 @@ class SqliteStorage(Storage):
         self.note_steps([size_ns for _, size_ns in steps])
         self._log = log
         self.delay(0)
+
+    def _of_readable(self, select: str) -> tuple[_Log, dict[int, int]]:
+        """See `_listed`; of the rows of a damaged table that can be read one by one."""
+        return _listed(row for row in self._rows(self._every_row(), select) if row is not None)
+
+    def _relinked(self, reached: int) -> bool:
+        """Go on with a copy of a file whose leaves have more messages than can be reached; False if they do not.
+
+        SQLite reads what is missing of a page that is cut as zeros: a copy has no such messages.
+        """
+        leaves, cut = message_leaves(self.opened)
+        if not leaves or (sum(leaf.rows for leaf in leaves) <= reached and not cut):
+            return False
+        (root,) = self._connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE type='table' AND name='messages'"
+        ).fetchone()
+        copy = enter_scratch(self._copies) / self.path.name
+        with full_disk_told():
+            shutil.copyfile(self.opened, copy)
+            link(copy, root, leaves)
+        self._connection.close()
+        self.opened = copy
+        self._connection = self._open("immutable=1")
+        return True
 
     def delay(self, shift_ns: int) -> None:
         if len(self._log.row):
