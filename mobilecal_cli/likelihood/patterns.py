@@ -41,7 +41,7 @@ _WAVE = 0.43  # amplitude of each wave, in the rms over the image of all togethe
 _MOST_STATIONS = 100  # that the patterns are made from
 _TIED = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm of a station's board pose
 _ANYWHERE = 1e3 * _TIED  # of camera and board
-_PIXEL_PX = 0.1  # noise of a usual corner
+_MOST_PX = 0.1  # noise of a usual corner; a smaller one shows more of the patterns
 _WIDER = 10.0  # priors of contradicted constants become so much wider
 
 
@@ -120,11 +120,8 @@ class _Images:
         plain, each = some.with_constants(in_images), data.stations / some.stations
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
         state = State.without_errors(plain, *anywhere, np.zeros((some.stations, 3)))
-        J = (
-            whitened(some.whitening, corner_residuals(plain, state, some.T_c_k)[1])
-            * np.sqrt(each)
-            / _PIXEL_PX
-        )
+        J = whitened(some.whitening, corner_residuals(plain, state, some.T_c_k)[1])
+        J *= np.sqrt(each) / min(data.claimed_px, _MOST_PX)
         J[~some.seen] = 0.0
         wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
         return cls(some, each, J, (np.array(wider) * [row.sigma for row in in_images]) ** -2)
