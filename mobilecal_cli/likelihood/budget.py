@@ -152,25 +152,24 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
-    """Of corners, and of measured poses; some stations at once."""
-    views = lin.views
-    for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
-        every = np.flatnonzero(of_kind)
-        for block in blocks_of(len(every)):
-            stations = every[block]
-            root, inverse = roots(views.information[stations])
-            parts = _by_level([level] * root.shape[1])
-            if views.delays:
-                across = lin.noise.pair_s * inverse @ views.information[stations][:, :, [*views.delays]]
-                own = across @ across.mT
-                parts = {level: parts[level] - own, "pair_s": own}
-            yield Influence(
-                lin,
-                (inverse @ views.gradient[stations, :, None])[..., 0],
-                root.mT @ lin.marginals.images(stations) @ root,
-                parts,
-                partial(_of_views, lin, stations, root),
-            )
+    """Of corners, or of measured poses; some stations at once."""
+    views, level = lin.views, lin.data.images_level
+    every = np.arange(lin.data.stations)
+    for block in blocks_of(len(every)):
+        stations, information = every[block], views.information[block]
+        root, inverse = roots(information)
+        parts = _by_level([level] * root.shape[1])
+        if views.delays:
+            across = lin.noise.pair_s * inverse @ information[:, :, [*views.delays]]
+            own = across @ across.mT
+            parts = {level: parts[level] - own, "pair_s": own}
+        yield Influence(
+            lin,
+            (inverse @ views.gradient[stations, :, None])[..., 0],
+            root.mT @ lin.marginals.images(stations) @ root,
+            parts,
+            partial(_of_views, lin, stations, root),
+        )
 
 
 def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:

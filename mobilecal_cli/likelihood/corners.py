@@ -181,7 +181,7 @@ def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
     poses, rates = data.T_c_k.copy(), view_rates(data, state)
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
-    for block in blocks_of(0 if data.posed.any() else data.stations):
+    for block in blocks_of(0 if data.posed else data.stations):
         poses[block] = fitted_poses(data, state, poses[block], block, counted[block], rates[:, block])
     return poses
 

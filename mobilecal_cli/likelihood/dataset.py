@@ -61,21 +61,10 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     moving = np.array([not o.at_rest for o in observations])
     tracks = extraction.wheels
     if moving.any():  # at rest a reading is as good as its step; in motion its changes are more exact
-        tracks = tuple(
-            WheelTrack(
-                *(
-                    between_steps(w, step) if step else w
-                    for w, step in zip((t.right, t.left), steps, strict=True)
-                )
-            )
-            for t in tracks
-        )
+        tracks = tuple(WheelTrack(*map(between_steps, (t.right, t.left), steps)) for t in tracks)
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
-    widths_ns = tuple(
-        tuple(_width_ns(noise, unit) for noise, unit in zip(noises, units, strict=True))
-        for noises in joint_noise
-    )
+    widths_ns = tuple(tuple(map(_width_ns, of_log, units)) for of_log in joint_noise)
     motions = None
     if extraction.motions:
         measured = [(m.motion, m.covariance) for m in extraction.motions]

@@ -106,12 +106,11 @@ class Linearization:
         """
         wheels, known = self.state.parameters.wheels, {}
         if "views" in self.__dict__:
-            levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
-            factor = np.asarray(
-                sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
-            )
-            before, after = self.noise.pair_s**2, noise.pair_s**2
-            known["views"] = self.views.scaled(factor).with_own_delays(before * factor**2, after)
+            level = self.data.images_level
+            factor = getattr(noise, level) / getattr(self.noise, level)
+            before, after = self.noise.pair_s**2 * factor**2, noise.pair_s**2
+            scaled = self.views.scaled(np.full(self.data.stations, factor))
+            known["views"] = scaled.with_own_delays(before, after)
         same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
             ("legs",) if same_legs else (),

@@ -197,10 +197,15 @@ class Measurements:
         """Number of recordings, also of those without stations."""
         return len(self.tracks)
 
+    @cached_property
+    def posed(self) -> bool:
+        """Whether the board's poses were measured, not its corners."""
+        return not self.seen.any()
+
     @property
-    def posed(self) -> BoolArray:
-        """(N,) stations whose board pose was measured, not its corners."""
-        return np.asarray(~self.seen.any(axis=(1, 2)))
+    def images_level(self) -> str:
+        """Noise level of the images, or of measured poses."""
+        return "pose_scale" if self.posed else "pixel_px"
 
     @property
     def base_width(self) -> int:

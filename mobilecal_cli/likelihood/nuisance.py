@@ -7,7 +7,7 @@ row names what its constant changes, an effect (see `effects`). The rows of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal, TypeVar
@@ -391,11 +391,6 @@ def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterat
         if sigma > 0:
             wide = FREE * row.sigma if math.isinf(sigma) else sigma
             yield replace(row, sigma=wide)
-
-
-def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str, ...]:
-    """Names of the rows that some names or kinds stand for."""
-    return tuple(row.name for row in rows if row.name in requested or row.kind in requested)
 
 
 _E = TypeVar("_E", bound=Effect)

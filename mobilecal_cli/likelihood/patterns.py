@@ -52,7 +52,7 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
         data: cameras and board as stated, and each station's board pose.
         rows: the other constants that are estimated.
     """
-    if data.posed.all():
+    if data.posed:
         return
     lenses = list(_of_lenses(data))
     yield from lenses

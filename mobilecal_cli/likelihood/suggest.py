@@ -193,7 +193,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
         lin: the optimum.
         covariance: (P, P) of the shared parameters.
     """
-    if lin.data.posed.any():
+    if lin.data.posed:
         return ()  # no camera says from where the target would be seen
     normal, wheels, last = lin.normal, lin.state.parameters.wheels.vector, int(lin.data.log[-1])
     # Shared parameters, last board and last base block; at a stop, the stamp's error has no effect.

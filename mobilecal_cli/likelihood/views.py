@@ -78,8 +78,8 @@ class Images:
             pull=weight[:, None] * self.pull,
         )
 
-    def with_own_delays(self, before: FloatArray | float, after: float) -> Self:
-        """The same if delays of further cameras vary from image to image by another variance, s^2; before: also (N,).
+    def with_own_delays(self, before: float, after: float) -> Self:
+        """The same if delays of further cameras vary from image to image by another variance, s^2.
 
         Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
         delay d, and v the variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
@@ -203,7 +203,7 @@ def images_of(
     stations: IntArray,
 ) -> Images:
     """Residuals of some stations' images, or of measured poses; T_c_k: of all stations, (N, 4, 4)."""
-    if data.posed.any():
+    if data.posed:
         return _measured_poses(data, T_c_k, inliers, noise, stations)
     showing, direct = Showing.at(data, state), data.layout.direct
     Q = 6 + len(direct)

@@ -91,7 +91,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:
         sigmas["square_scale"] = NO_SQUARE
-    sigmas |= dict.fromkeys(nuisance.names_of(constraints.constants, rows), math.inf)
+    sigmas |= {row.name: math.inf for row in rows if {row.name, row.kind} & {*constraints.constants}}
     sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
     sigmas |= dict.fromkeys(constraints.fixed, math.inf)
     offered = (row for row in rows if row.effect.offered(data))

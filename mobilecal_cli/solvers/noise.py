@@ -59,8 +59,7 @@ class Component:
 
 def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
-    views, posed = lin.views, lin.data.posed
-    taken = lin.marginals.leverage(views.information)
+    views = lin.views
     result: dict[str, Component] = {}
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
@@ -71,17 +70,16 @@ def components(lin: Posterior) -> dict[str, Component]:
         )
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
-    counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
-    squares, left = views.cost.copy(), np.array(counts) - taken
+    corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
+    squares, left = views.cost, np.where(lin.inliers.views, corners + measured, 0)
+    left = left - lin.marginals.leverage(views.information)
     for delay in views.delays:
         across, variance = views.information[:, :, delay], lin.noise.pair_s**2
         own = variance * views.gradient[:, delay] ** 2
         free = variance * (across[:, delay] - lin.marginals.variance_along(across))
         add("pair_s", own, free)
         squares, left = squares - own, left - free
-    for level, of, redundant in zip(("pixel_px", "pose_scale"), (~posed, posed), left, strict=True):
-        if of.any():
-            add(level, squares[of], redundant[of])
+    add(lin.data.images_level, squares, left)
 
     means = int(lin.data.log.max())
     for each in of_errors(lin, _within(lin)):

@@ -52,7 +52,7 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
     Returns:
         (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
-    if data.posed.any():
+    if data.posed:
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
     size = np.zeros(data.seen.shape)
     numbers = np.arange(data.seen.shape[1])

@@ -284,9 +284,7 @@ def error_parts(
         * (noise.joint_rad * np.array(data.chain.joint_units)),
         "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
     }
-    by_twist = np.concatenate(
-        [-se3.skew(points_c), np.broadcast_to(np.eye(3), (*points_c.shape, 3))], axis=-1
-    )
+    by_twist = se3.by_twist(points_c)
     own = {name: _mean_squares(by_twist @ twist[:, None], by_point) for name, twist in twists.items()}
     # Corners: detected at one station, triangulated at the other.
     T_w_v = residuals.T_w_v

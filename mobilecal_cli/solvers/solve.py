@@ -12,7 +12,7 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.noise import Inliers
@@ -33,6 +33,7 @@ from mobilecal_cli.model import (
     Method,
     Parameters,
     Refinement,
+    Residuals,
     Solution,
     WheelGeometry,
 )
@@ -145,9 +146,8 @@ def _by_likelihood(
     data, state = fit.data, fit.lin.state
     parameters = state.parameters
     _require_positive(parameters.wheels)
-    inliers = fit.sure_legs
-    if not inliers.any():
-        inliers[:] = True
+    legs = fit.sure_legs if fit.sure_legs.any() else None
+    used = legs, data.seen & ~fit.inliers.corners
     together, at_once = at_one_time(extraction, fit.lin)
     corrected_extraction, corrected = at_state(
         together, at_once, state, fit.noise.pixel_px, corners=fit.inliers.corners
@@ -155,10 +155,12 @@ def _by_likelihood(
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
-    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
+    solution = _solution(corrected_extraction, corrected, linear, refinement, *used)
     parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
-    parts |= _of_lenses(together, at_once, fit, solution, corrected.T_c_k)
+    if any(row.kind in PATTERNS for row in data.layout.constants):
+        undone = at_state(together, at_once, state, fit.noise.pixel_px, patterns=True, T_c_k=corrected.T_c_k)
+        without = residuals_of(*undone, parameters, *used)
+        parts["lenses"] = _of_lenses(fit, solution.residuals, without)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -178,28 +180,20 @@ def _by_likelihood(
     )
 
 
-def _of_lenses(
-    extraction: Extraction, data: Dataset, fit: Fit, solution: Solution, T_c_k: FloatArray
-) -> dict[str, ErrorPart]:
-    """What the lenses do beside their models contributes to the errors: so much less are these without it.
+def _of_lenses(fit: Fit, residuals: Residuals, without: Residuals) -> ErrorPart:
+    """What the lenses do beside their models contributes to the errors: so much less are these `without` it.
 
     A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
     description of the cameras is wrong.
     """
     patterns = [row for row in fit.data.layout.constants if row.kind in PATTERNS]
-    if not patterns:
-        return {}
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
-    state, rejected = fit.lin.state, data.seen & ~fit.inliers.corners
-    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, T_c_k=T_c_k)
-    used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
-    without = residuals_of(*undone, solution.parameters, used, rejected)
     squares = [
-        float(np.mean(getattr(solution.residuals, name) ** 2 - getattr(without, name) ** 2))
+        float(np.mean(getattr(residuals, name) ** 2 - getattr(without, name) ** 2))
         for name in ("leg_reprojection_px", "leg_point_rms_m")
     ]
-    return {"lenses": ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))}
+    return ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))
 
 
 def _linear_start(
@@ -279,27 +273,27 @@ def _by_points(
     _require_positive(linear.parameters.wheels)
     refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
     refinement = refiner(pairs, linear.parameters) if refiner is not None else None
-    return _solution(extraction, pairs, refinement or linear, linear=linear)
+    return _solution(extraction, pairs, linear, refinement)
 
 
 def _solution(
     extraction: Extraction,
     pairs: MotionPairs,
-    best: LinearEstimate | Refinement,
-    *,
     linear: LinearEstimate,
+    refinement: Refinement | None,
     inliers: BoolArray | None = None,
     rejected: BoolArray | None = None,
 ) -> Solution:
-    residuals = residuals_of(extraction, pairs, best.parameters, inliers, rejected)
-    wheels = best.parameters.wheels
+    parameters = (refinement or linear).parameters
+    residuals = residuals_of(extraction, pairs, parameters, inliers, rejected)
+    wheels = parameters.wheels
     psi = integrate(pairs.steps, wheels).psi_rad
     return Solution(
-        method=best.method if isinstance(best, Refinement) else "linear",
-        parameters=best.parameters,
+        method="linear" if refinement is None else refinement.method,
+        parameters=parameters,
         cameras=extraction.rig.cameras,
         linear=linear,
-        refinement=best if isinstance(best, Refinement) else None,
+        refinement=refinement,
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
