@@ -28,7 +28,7 @@ class Influence:
         lin: the optimum.
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
-        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
+        parts: noise level (see `Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
         gradients: gives (n, P, m) gradients of the shared parameters by each unit's residuals, all else eliminated.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.

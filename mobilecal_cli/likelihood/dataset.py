@@ -13,6 +13,9 @@ from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, l
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
+#: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
+#: and a joint reading.
+DEGREES = {"views": 6, "legs": 3, "readings": 1}
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
 #: A component of a measured pose with a larger standard deviation, rad or m, was not measured.
 NOT_MEASURED = 100.0
@@ -44,6 +47,41 @@ class Dataset(Measurements):
     def with_constants(self, constants: Sequence[Constant]) -> Dataset:
         """The same measurements with other constants estimated."""
         return replace(self, layout=Layout(tuple(constants)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inliers:
+    """The measurements that are used.
+
+    Attributes:
+        corners: (N, C, M) corners of each image, among those that were detected.
+        views: (N,) stations whose images are used.
+        legs: (L,) legs whose wheels are used.
+        readings: (N, J) joint readings that are used.
+    """
+
+    corners: BoolArray
+    views: BoolArray
+    legs: BoolArray
+    readings: BoolArray
+
+    @classmethod
+    def all_of(cls, data: Dataset) -> Inliers:
+        """Every measurement."""
+        every = (
+            np.ones(shape, dtype=np.bool_) for shape in (data.stations, len(data.legs), data.joints.shape)
+        )
+        return cls(data.seen, *every)
+
+    def same(self, other: Inliers) -> bool:
+        """Whether both are the same measurements."""
+        kinds = ("corners", *DEGREES)
+        return all(np.array_equal(getattr(self, kind), getattr(other, kind)) for kind in kinds)
+
+    @property
+    def used_corners(self) -> BoolArray:
+        """(N, C, M) corners of the stations whose images are used."""
+        return self.corners & self.views[:, None, None]
 
 
 def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Dataset:

@@ -17,6 +17,7 @@ from mobilecal_cli.model import (
     FloatArray,
     HeadChain,
     IntArray,
+    Noise,
     Track,
     WheelTrack,
 )
@@ -221,6 +222,10 @@ class Measurements:
     def joint_units(self) -> FloatArray:
         """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
         return np.array(self.chain.joint_units)
+
+    def joint_sigmas(self, noise: Noise) -> FloatArray:
+        """(N, J) sigma of each reading, rad or m."""
+        return np.hypot(noise.joint_rad * self.joint_units, self.joints_between)
 
     @property
     def encoder_shares(self) -> FloatArray:

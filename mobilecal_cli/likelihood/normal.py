@@ -16,9 +16,11 @@ from mobilecal_cli.likelihood.chain import banded, chain_covariance
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
-from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
+
+_FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
+_FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +146,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     h[views.direct] += of_direct.sum(axis=0) - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
     hK = _by_log(data, Kt @ gradient[..., None])
-    HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
+    HK += np.eye(6) / _FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
     off = np.zeros((count, B, B))
@@ -304,4 +306,4 @@ def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArr
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
-    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
+    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / _FREE_BASE**2

@@ -120,11 +120,7 @@ class _Images:
         plain, each = some.with_constants(in_images), data.stations / some.stations
         anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
         state = State.without_errors(plain, *anywhere, np.zeros((some.stations, 3)))
-        J = (
-            whitened(some.whitening, corner_residuals(plain, state, some.T_c_k)[1])
-            * np.sqrt(each)
-            / _PIXEL_PX
-        )
+        J = whitened(some.whitening, corner_residuals(state, some.T_c_k)[1]) * np.sqrt(each) / _PIXEL_PX
         J[~some.seen] = 0.0
         wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
         return cls(some, each, J, (np.array(wider) * [row.sigma for row in in_images]) ** -2)

@@ -84,7 +84,7 @@ class Posterior(Linearization):
             "normal": self.normal.after(step.shared),
             "conditional_covariance": self.conditional_covariance,
         }
-        return self.changed(known=known, state=self.state.plus(self.data, step))
+        return self.changed(known=known, state=self.state.plus(step))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

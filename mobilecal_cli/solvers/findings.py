@@ -14,7 +14,6 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
-from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
@@ -187,7 +186,7 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"differ by {by}. The odometry of this leg is excluded."
         )
         add("slip", (i, j), text)
-    expected = board_in_camera(fit.data, state)
+    expected = state.T_c_k
     for i in np.flatnonzero(~inliers.views).tolist():
         off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
         shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3

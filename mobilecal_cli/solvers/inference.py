@@ -11,15 +11,14 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.shrinking import expected_gradient
-from mobilecal_cli.likelihood.state import State, cameras_at
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
@@ -200,9 +199,9 @@ class Inference:
         """
         layout, anchor = self.data.layout, self._anchor(state.parameters)
         scales = layout.prior_sigmas(anchor.wheels)
-        stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
+        stated = self.data.cameras.T_c_reference
         meant = anchor.seen_from(stated)
-        seen = state.parameters.seen_from(cameras.T_c_reference)
+        seen = state.parameters.seen_from(state.cameras.T_c_reference)
         apart = seen.minus(meant) - state.parameters.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
         mean, weight = np.zeros(layout.size), scales**-2
@@ -265,7 +264,7 @@ class Inference:
             inliers, noise: the measurements that are used, and their noise.
             most_steps: of one optimization.
         """
-        start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
+        start = Posterior.at(state, inliers, noise, self.priors(state))
         return self._fit_from(start, self.coarse.near, most_steps)
 
     def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
@@ -285,7 +284,7 @@ class Inference:
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
-        start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
+        start = Posterior.at(fit.lin.state, inliers, fit.noise, fit.lin.priors)
         lin, costs = optimize(start, self.coarse.near, self.on_step)
         return replace(fit, lin=lin, costs=costs, components=components(lin))
 

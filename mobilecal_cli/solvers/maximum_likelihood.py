@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import DEGREES, Inliers
+from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, IntArray, Parameters
 from mobilecal_cli.solvers import outliers
@@ -223,10 +223,10 @@ def _supposed(
     if legs is not None:
         driven = np.isin(np.arange(len(driven)), legs)
     state = initial_state(inference.data, initial, replace(everything, legs=driven))
-    corners, boards, own_px = outliers.gross_corners(inference.data, state)
+    corners, boards, own_px = outliers.gross_corners(state)
     noise = replace(inference.first_noise(own_px), wider=wider)
     inliers = replace(everything, corners=corners, views=boards)
-    return Posterior.at(inference.data, state, inliers, noise, inference.priors(state))
+    return Posterior.at(state, inliers, noise, inference.priors(state))
 
 
 def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
@@ -293,7 +293,7 @@ def _corners_decided(inference: Inference, fit: Fit) -> Fit:
     that does not fit as a whole is left to the tests of stations.
     """
     for _ in range(_CORNER_ROUNDS):
-        corners, boards, _ = outliers.gross_corners(fit.data, fit.lin.state)
+        corners, boards, _ = outliers.gross_corners(fit.lin.state)
         used = fit.inliers.corners
         corners &= used.any(axis=2, keepdims=True)
         decided = np.where(boards[:, None, None], corners, used | corners)

@@ -16,23 +16,14 @@ from numpy.typing import NDArray
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, integrate
-from mobilecal_cli.likelihood.corners import Showing, blocks_of, board_poses, corner_residuals
+from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_residuals, of_camera
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import MotionPairs, in_each_camera
 from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import (
-    State,
-    board_in_camera,
-    cameras_at,
-    clock_s,
-    constant_stance,
-    head_at,
-    points_at,
-    view_rates,
-)
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (
     BoolArray,
     CameraRig,
@@ -51,7 +42,6 @@ _STILL_M = 1e-9
 
 def at_state(
     extraction: Extraction,
-    data: Dataset,
     state: State,
     noise_px: float | None = None,
     patterns: bool = False,
@@ -61,47 +51,48 @@ def at_state(
     """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
 
     Args:
-        extraction, data: the measurements.
+        extraction: the measurements.
         state: gives the constants.
         noise_px: of the corners, px; as stated if None.
         patterns: whether those of the lenses are applied, too.
         corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
         T_c_k: (N, 4, 4) these poses, if they are known.
     """
-    stated, cameras = extraction, cameras_at(data, state)
-    extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
+    data, rig = state.data, replace(extraction.rig, cameras=state.cameras)
+    extraction = replace(_as_modeled(extraction, state, patterns), rig=rig)
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     if T_c_k is None:
-        T_c_k = board_poses(data, state, data.seen if corners is None else corners)
-    points_c = se3.act(T_c_k, points_at(data, state))
+        T_c_k = board_poses(state, data.seen if corners is None else corners)
+    points_c = se3.act(T_c_k, state.points_k)
     on_boards = zip(extraction.observations, points_c, strict=True)
     seen = tuple(replace(o, points_c=points) for o, points in on_boards)
     extraction = triangulated_again(replace(extraction, observations=seen), factor)
-    as_read = replace(state, own=np.zeros_like(state.own))
     return extraction, replace(
         data.pairs,
         points_c=np.stack([o.points_c for o in extraction.observations]),
         T_c_k=T_c_k,
-        T_v_h=head_at(data, as_read),
-        steps=data.steps(clock_s(data, state, "wheels")),
+        T_v_h=replace(state, own=np.zeros_like(state.own)).T_v_h,
+        steps=data.steps(state.clock_s("wheels")),
     )
 
 
-def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: bool) -> Extraction:
-    """The same with each corner where `cameras_at` has it at the image's stamp.
+def _as_modeled(extraction: Extraction, state: State, patterns: bool) -> Extraction:
+    """The same with each corner where `State.cameras` have it at the image's stamp.
 
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
     lens, which are left in the pixels unless they are asked for.
     """
-    rows = data.layout.constants
+    data, rows = state.data, state.data.layout.constants
     of_lenses = [row for row in rows if isinstance(row.effect, CameraEffect) and row.kind in PATTERNS]
     of_times = [row for row in rows if isinstance(row.effect, CameraEffect) and row.effect.of in TIMES]
     undone = [row for row in (*of_lenses * patterns, *of_times) if state.value(row.name)]
     if not undone:
         return extraction
-    rates = view_rates(data, state)
+    rates = state.view_rates
     shown, modeled = (
-        corner_residuals(data.with_constants(kept), state, data.T_c_k, rates=rates, by_constants=False)[0]
+        corner_residuals(
+            replace(state, data=data.with_constants(kept)), data.T_c_k, rates=rates, by_constants=False
+        )[0]
         for kept in (
             [row for row in rows if row not in of_lenses or row in undone],
             [row for row in rows if row not in of_lenses and row not in of_times],
@@ -119,21 +110,21 @@ def _moved_back(extraction: Extraction, moved: FloatArray) -> Extraction:
     return replace(extraction, observations=tuple(observations))
 
 
-def at_one_time(extraction: Extraction, lin: Posterior) -> tuple[Extraction, Dataset]:
+def at_one_time(extraction: Extraction, lin: Posterior) -> tuple[Extraction, State]:
     """The same with each camera's corners where they were at the mean delay of its images, see `Images.own_delays`."""
-    data, direct = lin.data, [effect for _, _, effect in lin.data.layout.direct]
+    data, state, direct = lin.data, lin.state, [effect for _, _, effect in lin.data.layout.direct]
     if not lin.views.delays:
-        return extraction, data
-    moved, T_c_k = np.zeros(data.pixels.shape), board_in_camera(data, lin.state)
-    showing = Showing.at(data, lin.state)
+        return extraction, state
+    moved = np.zeros(data.pixels.shape)
     for delay, own_s in zip(lin.views.delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True):
         effect = direct[delay - 6]
         camera = next(k for k in range(1, len(data.cameras.each)) if effect.concerns(k))
         for block in blocks_of(data.stations):
-            _, J = showing.of_camera(camera, T_c_k[block], block, lin.rates[:, block], [effect])
+            _, J = of_camera(state, camera, state.T_c_k[block], block, lin.rates[:, block], [effect])
             moved[block, camera] = J[..., 6] * own_s[block, None, None]
     moved = np.where(data.seen[..., None], moved, 0.0)
-    return _moved_back(extraction, moved), replace(data, pixels=data.pixels - moved)
+    at_once = replace(data, pixels=data.pixels - moved)
+    return _moved_back(extraction, moved), replace(state, data=at_once)
 
 
 def at_constants(
@@ -155,7 +146,7 @@ def at_constants(
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
     known = {row.name: constants[row.name] for row in rows}
-    return at_state(extraction, data, replace(state, constants=known))
+    return at_state(extraction, replace(state, constants=known))
 
 
 def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
@@ -277,7 +268,7 @@ def error_parts(
     by_point = _by_point(extraction.rig.cameras, data, points_c)
     base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
     turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
-    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], constant_stance(data, lin.state))
+    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], lin.state.constant_stance)
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
         @ head_jacobian(data.chain, data.joints)

@@ -12,10 +12,9 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
@@ -150,7 +149,7 @@ def _by_likelihood(
     used = legs, data.seen & ~fit.inliers.corners
     together, at_once = at_one_time(extraction, fit.lin)
     corrected_extraction, corrected = at_state(
-        together, at_once, state, fit.noise.pixel_px, corners=fit.inliers.corners
+        together, at_once, fit.noise.pixel_px, corners=fit.inliers.corners
     )
     rms = point_rms_m(corrected, parameters)
     history = np.array([linear.point_rms_m, rms])
@@ -158,7 +157,7 @@ def _by_likelihood(
     solution = _solution(corrected_extraction, corrected, linear, refinement, *used)
     parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
     if any(row.kind in PATTERNS for row in data.layout.constants):
-        undone = at_state(together, at_once, state, fit.noise.pixel_px, patterns=True, T_c_k=corrected.T_c_k)
+        undone = at_state(together, at_once, fit.noise.pixel_px, patterns=True, T_c_k=corrected.T_c_k)
         without = residuals_of(*undone, parameters, *used)
         parts["lenses"] = _of_lenses(fit, solution.residuals, without)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
@@ -254,12 +253,12 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     data, everything = inference.data, Inliers.all_of(inference.data)
     state = initial_state(data, start, everything)
     noise = inference.first_noise(np.array([data.claimed_px]))
-    first = Posterior.at(data, state, everything, noise, inference.priors(state))
+    first = Posterior.at(state, everything, noise, inference.priors(state))
     try:
         state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS)[0].state
     except SolveError:
         return False
-    each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)
+    each_m = leg_rms_m(at_state(extraction, state)[1], state.parameters)
     return float(np.median(each_m)) < _HOPELESS_SHARE * extraction.board_distance_m
 
 
@@ -420,9 +419,7 @@ def _different_cameras(
         except (ConfigError, SolveError, np.linalg.LinAlgError):
             return None  # one recording alone does not show all, or lacks what the user constrains
         alone_px = max(alone_px, fit.noise.pixel_px)
-        alone_m = max(
-            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
-        )
+        alone_m = max(alone_m, point_rms_m(at_state(alone, fit.lin.state)[1], fit.lin.state.parameters))
     if together_px < _DIFFERENT * alone_px:
         return None
     distance_m = extraction.board_distance_m

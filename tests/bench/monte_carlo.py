@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.model import Method
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import extractions

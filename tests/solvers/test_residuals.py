@@ -10,8 +10,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
@@ -32,7 +31,7 @@ def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
     all_of, parameters = Inliers.all_of(data), solution.parameters
     state = initial_state(data, parameters, all_of)
-    lin = Posterior.at(data, state, all_of, true, no_priors(data.layout, parameters))
+    lin = Posterior.at(state, all_of, true, no_priors(data.layout, parameters))
     return error_parts(lin, extraction, data.pairs, solution.residuals)
 
 

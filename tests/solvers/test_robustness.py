@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.model import NINE, Board, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import Case
@@ -249,7 +248,7 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     extraction = simulated(noise=noise, robot=robot, constants={"distortion_left_radial_1": 0.016})
     data = dataset_of(extraction)
     truth = Parameters(robot.T_h_c, robot.wheels)
-    corners, _, _ = gross_corners(data, initial_state(data, truth, Inliers.all_of(data)))
+    corners, _, _ = gross_corners(initial_state(data, truth, Inliers.all_of(data)))
     assert not corners.all()
     found = solve(extraction)
     assert not found.outliers
