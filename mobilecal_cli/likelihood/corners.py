@@ -50,9 +50,9 @@ def of_camera(
     Args:
         state: of all stations.
         k: index of the camera.
-        T_c_k: (n, 4, 4) board poses.
+        T_c_k: (n, 4, 4) board poses of some stations.
         stations: which.
-        rates: (C, n, 6) see `State.view_rates`; at rest if None.
+        rates: (C, n, 6) see `State.view_rates`, of these stations; at rest if None.
         effects: K, of direct constants. The derivatives are by delta and by these.
     """
     data, change, stated = state.data, state.camera_change, state.data.cameras.each[k]
@@ -118,17 +118,11 @@ def corner_residuals(
     rates: FloatArray | None = None,
     by_constants: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus detected pixels of some stations' boards at T_c_k, (N, C, M, 2), and their derivatives.
+    """The same of all cameras: (n, C, M, 2), and (n, C, M, 2, Q) derivatives by (delta, direct constants), or by delta.
 
     Args:
-        state: of all stations.
-        T_c_k: (N, 4, 4) of these stations.
-        stations: which.
-        rates: (C, N, 6) see `State.view_rates`, of these stations; at rest if None.
+        state, T_c_k, stations, rates: see `of_camera`.
         by_constants: whether the derivatives by the direct constants are needed.
-
-    Returns:
-        The residuals, and (N, C, M, 2, Q) derivatives by (delta, direct constants), or by delta alone.
     """
     direct = state.data.layout.direct if by_constants else ()
     shape = len(T_c_k), len(state.cameras.each), state.points_k.shape[0], 2
@@ -150,11 +144,7 @@ def columns_of(
 def board_poses(state: State, corners: BoolArray) -> FloatArray:
     """(N, 4, 4) T_c_k with which the cameras and the board of a state show what was detected at each station.
 
-    Measured poses stay.
-
-    Args:
-        state: gives the cameras and the board.
-        corners: (N, C, M) those that count, unless they are too few at a station.
+    Measured poses stay. The corners (N, C, M) are those that count, unless they are too few at a station.
     """
     data, poses, rates = state.data, state.data.T_c_k.copy(), state.view_rates
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
@@ -180,11 +170,9 @@ def fitted_poses(
     """Poses (n, 4, 4) of the board at some stations that fit the corners best, each station by itself.
 
     Args:
-        state: gives the cameras and the board.
+        state, stations, rates: see `of_camera`.
         T_c_k: (n, 4, 4) where to start.
-        stations: which.
         corners: (n, C, M) those that count.
-        rates: see `corner_residuals`.
         robust: whether the pull of a corner fades with its distance (Cauchy's weight, in units of the median).
     """
     for _ in range(_POSE_STEPS):

@@ -114,9 +114,7 @@ class NormalEquations:
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     """Build the normal equations of the measurements and eliminate the stations and the boards.
 
-    Args:
-        lin: where.
-        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+    With damping, each diagonal element grows by this share of itself (Levenberg-Marquardt).
 
     Raises:
         LinAlgError: a singular matrix.
@@ -200,11 +198,8 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
     """Information (P, P) without what rounding made negative.
 
     With corners of a hundredth of a pixel, a direction that the images do not show is what the elimination leaves of
-    numbers that are 10^13 times as large. It has the information of its prior then.
-
-    Args:
-        S: the information.
-        before: (P,) its diagonal before the elimination.
+    numbers that are 10^13 times as large. It has the information of its prior then. `before` is (P,) the diagonal
+    before the elimination.
 
     Raises:
         LinAlgError: values that are too large, at a trial that is lost.
@@ -243,9 +238,8 @@ def _without_own(
     difference of two matrices that agree to all digits where the corners are much better than the joints.
 
     Args:
-        lin: where.
-        damping: see `eliminated`.
-        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+        lin, damping: see `eliminated`.
+        beside: see `station_information`.
 
     Returns:
         (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (N, D)
@@ -265,9 +259,7 @@ def _without_own(
 def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
     """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
 
-    Args:
-        lin: where.
-        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+    `beside` is (N, 6, 6) the covariance of whatever else moves the board in the camera.
     """
     G, (both, A, _) = lin.views.information.copy(), _without_own(lin, beside=beside)
     G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ both[:, :, 6:-1]

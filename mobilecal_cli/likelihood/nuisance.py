@@ -174,14 +174,10 @@ _LENS_TERMS = {
     "tangential_x": "tangential distortion, x",
     "tangential_y": "tangential distortion, y",
 }
+_NARROWER = partial(resized, x=0.5, y=-0.5)
 _SHAPES = (
     ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
-    (
-        "square_aspect",
-        "square_aspect",
-        "width of the squares against their height",
-        partial(resized, x=0.5, y=-0.5),
-    ),
+    ("square_aspect", "square_aspect", "width of the squares against their height", _NARROWER),
     ("board_bend_x", "board_bend", "bend along x", partial(bent, axis=0)),
     ("board_bend_y", "board_bend", "bend along y", partial(bent, axis=1)),
     ("board_twist", "board_bend", "twist", twisted),

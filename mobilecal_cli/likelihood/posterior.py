@@ -165,9 +165,7 @@ def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
 def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
-    Args:
-        lin, normal: an optimum.
-        C: (P, P) covariance of the shared parameters there.
+    C is (P, P) the covariance of the shared parameters.
 
     Raises:
         LinAlgError: a singular matrix.

@@ -157,10 +157,7 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     """What the stops' images show: (C, Q, P + 6 + B) rows, and the information (C, Q, Q) about them.
 
     The rows are derivatives of (delta, direct constants) by the shared parameters, the board and the last base. A
-    stop's own base is what follows from these along the leg, with the noise of the leg.
-
-    Args:
-        lin: see `_with_stops`.
+    stop's own base is what follows from these along the leg, with the noise of the leg. See `_with_stops`.
     """
     views, legs, count, P, B = lin.views, lin.legs, len(lin.data.legs), lin.data.layout.size, STAMP
     errors = np.arange(B)[ERRORS]
@@ -185,11 +182,7 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
 def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...]:
     """The stops that would shrink the worst standard deviation most, best first, one for each turn and drive.
 
-    A height that no motion of this robot shows is left out.
-
-    Args:
-        lin: the optimum.
-        covariance: (P, P) of the shared parameters.
+    A height that no motion of this robot shows is left out. The covariance is (P, P), of the shared parameters.
     """
     if lin.data.posed:
         return ()  # no camera says from where the target would be seen

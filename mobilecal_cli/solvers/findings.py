@@ -93,11 +93,8 @@ def jumps_of(
 
     One that moves neither the result nor the part by what matters at work is none, however sharp the images are.
 
-    And the fit without what a jump explains that moves the result: no evidence against the robot description.
-
-    Args:
-        extraction, fit: the recordings, and their fit.
-        significant: from `Inference.jump`.
+    And the fit without what a jump explains that moves the result: no evidence against the robot description. The
+    `significant` one is from `Inference.jump`.
     """
     if significant is None:
         stretch = longest_stretch(fit)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -60,14 +61,11 @@ class Component:
 def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
     views = lin.views
-    result: dict[str, Component] = {}
+    sums = defaultdict[str, FloatArray](lambda: np.zeros(2))
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
         """Squares of whitened residuals of a level, and how much of each is redundant."""
-        before = result.get(level, Component(0.0, 0.0))
-        result[level] = Component(
-            before.squares + float(squares.sum()), before.redundancy + float(left.sum())
-        )
+        sums[level] += squares.sum(), left.sum()
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
@@ -91,7 +89,7 @@ def components(lin: Posterior) -> dict[str, Component]:
     for level in of_wheels.parts:
         if level != SUPPOSED:
             add(level, *of_wheels.shown(level))
-    return result
+    return {level: Component(*of_level.tolist()) for level, of_level in sums.items()}
 
 
 def _within(lin: Posterior) -> FloatArray:

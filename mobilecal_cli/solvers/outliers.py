@@ -51,9 +51,6 @@ def gross_corners(state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
 
     Cameras whose poses are only described are judged each alone: these poses may be degrees off.
 
-    Args:
-        state: gives the corners, the cameras and the board.
-
     Returns:
         (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """

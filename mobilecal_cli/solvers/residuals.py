@@ -33,6 +33,7 @@ from mobilecal_cli.model import (
     Noise,
     Parameters,
     Residuals,
+    WheelGeometry,
 )
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
@@ -130,13 +131,7 @@ def at_one_time(extraction: Extraction, lin: Posterior) -> tuple[Extraction, Sta
 def at_constants(
     extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
 ) -> tuple[Extraction, MotionPairs]:
-    """The same with constants of an earlier calibration.
-
-    Args:
-        extraction: the measurements.
-        parameters: the nine parameters.
-        constants: name → difference from the stated value.
-    """
+    """The same with parameters and constants (name → difference from the stated value) of an earlier calibration."""
     rig = extraction.rig
     every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
     rows = [row for row in every if constants.get(row.name)]
@@ -149,10 +144,10 @@ def at_constants(
     return at_state(extraction, replace(state, constants=known))
 
 
-def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
+def dead_reckoned(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
     """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
     T_w_v = np.broadcast_to(np.eye(4), pairs.T_v_h.shape).copy()
-    T_vi_vj = base_motion(integrate(pairs.steps, parameters.wheels))
+    T_vi_vj = base_motion(integrate(pairs.steps, wheels))
     for (i, j), T in zip(pairs.legs, T_vi_vj, strict=True):
         T_w_v[j] = T_w_v[i] @ T
     return T_w_v
@@ -168,8 +163,7 @@ def residuals_of(
     """Predict every station's corners in the station before (eq. 18) and compare, in m and in px.
 
     Args:
-        extraction, pairs: the observations and the legs between them.
-        parameters: the prediction's.
+        extraction, pairs, parameters: of the prediction.
         inliers: (L,) legs to compare; all by default.
         rejected: (N, C, M) corners that do not count; none by default.
     """
@@ -189,7 +183,7 @@ def residuals_of(
     apart = np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1)
     variance = np.stack([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in observations])
     good = ~(gross[i] | gross[j])
-    T_w_v = dead_reckoned(pairs, parameters)
+    T_w_v = dead_reckoned(pairs, parameters.wheels)
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.sum(apart, axis=-1, where=good) / np.maximum(good.sum(axis=-1), 1)),
@@ -212,11 +206,7 @@ def triangulated_again(extraction: Extraction, factor: float) -> Extraction:
     """The same with corners triangulated anew and their covariances, of cameras that are not those of the recording.
 
     Gauss-Newton steps from the points as they are, none of which changes a depth by more than half of it; corners that
-    not even two cameras see stay.
-
-    Args:
-        extraction: with these cameras.
-        factor: noise of the corners over the stated one.
+    not even two cameras see stay. The factor is the noise of the corners over the stated one.
     """
     observations, cameras = extraction.observations, extraction.rig.cameras
     points = np.stack([o.points_c for o in observations])
@@ -252,17 +242,11 @@ def triangulated_again(extraction: Extraction, factor: float) -> Extraction:
 def error_parts(
     lin: Posterior, extraction: Extraction, pairs: MotionPairs, residuals: Residuals
 ) -> dict[str, ErrorPart]:
-    """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
+    """Kind of noise ("corners", "joints", "floor", "wheels") → its error.
 
-    Args:
-        lin: the estimate.
-        extraction, pairs: with the estimated constants, see `residuals.at_state`.
-        residuals: of the estimate.
+    Extraction and pairs are those with the estimated constants, see `at_state`.
     """
-    data, noise, parameters = lin.data, lin.noise, lin.state.parameters
-    if not len(residuals.legs):
-        return {}
-    X, (i, j) = parameters.T_h_c, residuals.legs.T
+    data, noise, X, (i, j) = lin.data, lin.noise, lin.state.parameters.T_h_c, residuals.legs.T
     T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
     points_cov = np.stack([o.points_cov for o in extraction.observations])
     by_point = _by_point(extraction.rig.cameras, data, points_c)
@@ -290,7 +274,7 @@ def error_parts(
     by_pose = np.zeros((*lever.shape[:2], 3, 3))
     by_pose[..., 0, 0] = by_pose[..., 1, 1] = 1.0
     by_pose[..., 0, 2], by_pose[..., 1, 2] = -lever[..., 1], lever[..., 0]
-    values, vectors = np.linalg.eigh(_wheel_covariance(data, parameters, residuals, noise))
+    values, vectors = np.linalg.eigh(_wheel_covariance(data, lin.state.parameters.wheels, residuals, noise))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
     squares = {
@@ -316,11 +300,8 @@ def _mean_squares(motion: FloatArray, by_point: FloatArray) -> FloatArray:
     return np.stack([np.sum(each**2, axis=(2, 3)).mean(axis=1) for each in (by_point @ motion, motion)])
 
 
-def _wheel_covariance(
-    data: Dataset, parameters: Parameters, residuals: Residuals, noise: Noise
-) -> FloatArray:
+def _wheel_covariance(data: Dataset, wheels: WheelGeometry, residuals: Residuals, noise: Noise) -> FloatArray:
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
-    wheels = parameters.wheels
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
     covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
     if noise.encoder_rad:

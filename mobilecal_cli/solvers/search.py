@@ -209,7 +209,7 @@ class Search:
     def _scores(self, readings: Readings) -> list[_Score]:
         """A fit of some readings from each start, the best first."""
         full, shown = readings.distinguishes, readings.roams
-        if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
+        if not (shown or readings is self._readings):
             return []
         pairs, nominal = _thinned(readings.pairs), readings.nominal
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())

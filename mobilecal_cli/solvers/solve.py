@@ -71,7 +71,6 @@ _DIFFERENT = 3.0
 def solve(
     extraction: Extraction,
     method: Method = "ml",
-    start_ratios: FloatArray | None = None,
     constraints: Constraints | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Solution:
@@ -82,7 +81,7 @@ def solve(
             observable (see `uncertainty`).
         method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
             (eq. 19 by Levenberg-Marquardt).
-        start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
+
         constraints: fixed parameters, priors and additional parameters, for "ml" only.
         on_step: called before each optimization step, for "ml" only.
 
@@ -95,8 +94,7 @@ def solve(
     asked = constraints.given
     if extraction.motions:
         constraints = constraints.of_planar_sensor()
-    data = dataset_of(extraction)
-    legs = len(data.legs)
+    legs = len(extraction.observations) - len({o.log for o in extraction.observations})
     if legs < FEWEST_LEGS:
         raise SolveError(
             f"{len(extraction.observations)} stations with {legs} legs between them "
@@ -106,11 +104,11 @@ def solve(
     search = Search(extraction)
     try:
         if method == "ml":
-            inference = Inference.of(extraction, constraints, on_step, data)
+            inference = Inference.of(extraction, constraints, on_step)
             constraints.check_shown(inference.data.layout.names)
-            solution = _by_likelihood(extraction, inference, start_ratios, search)
+            solution = _by_likelihood(extraction, inference, search)
         else:
-            solution = _by_points(extraction, data.pairs, method, start_ratios)
+            solution = _by_points(extraction, method)
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
         if refusal is None and isinstance(error, SolveError):
@@ -129,10 +127,8 @@ def _with_request(error: SolveError, asked: Sequence[str]) -> SolveError:
     return SolveError(error.message, f"leave out {', '.join(asked)}, or correct the value; or {error.hint}")
 
 
-def _by_likelihood(
-    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
-) -> Solution:
-    linear, refusal = _linear_start(extraction, inference, start_ratios, search)
+def _by_likelihood(extraction: Extraction, inference: Inference, search: Search) -> Solution:
+    linear, refusal = _linear_start(extraction, inference, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
     jumps, still = jumps_of(extraction, fit, inference.jump(fit))
@@ -196,7 +192,7 @@ def _of_lenses(fit: Fit, residuals: Residuals, without: Residuals) -> ErrorPart:
 
 
 def _linear_start(
-    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
+    extraction: Extraction, inference: Inference, search: Search
 ) -> tuple[LinearEstimate, SolveError | None]:
     """The linear estimate, or one near the nominal values where the linear method cannot tell.
 
@@ -211,7 +207,7 @@ def _linear_start(
     """
     pairs, full = inference.data.pairs, inference.full_motion
     nominal = extraction.rig.nominal.wheels
-    linear = linear_estimate(pairs, nominal, start_ratios) if full else _near_nominal(inference)
+    linear = linear_estimate(pairs, nominal) if full else _near_nominal(inference)
     if full and not linear.parameters.wheels.positive and nominal is not None:
         near = _near_nominal(inference)
         # Of most legs: one with a gross error decides on the mean.
@@ -262,17 +258,12 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     return float(np.median(each_m)) < _HOPELESS_SHARE * extraction.board_distance_m
 
 
-def _by_points(
-    extraction: Extraction,
-    pairs: MotionPairs,
-    method: Literal["linear", "paper", "lm"],
-    start_ratios: FloatArray | None,
-) -> Solution:
-    linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
+def _by_points(extraction: Extraction, method: Literal["linear", "paper", "lm"]) -> Solution:
+    pairs = dataset_of(extraction).pairs
+    linear = linear_estimate(pairs, extraction.rig.nominal.wheels)
     _require_positive(linear.parameters.wheels)
-    refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
-    refinement = refiner(pairs, linear.parameters) if refiner is not None else None
-    return _solution(extraction, pairs, linear, refinement)
+    refine = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
+    return _solution(extraction, pairs, linear, refine and refine(pairs, linear.parameters))
 
 
 def _solution(

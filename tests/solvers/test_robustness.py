@@ -15,13 +15,13 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import gross_corners
 from tests import truth
 from tests.actual import ActualRobot
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import STATION_NOISE, Imperfection, Noise, imperfect_extraction, simulated, slipped
+from tests.fits import maximum_likelihood
 from tests.judging import judge
 from tests.pairs import measured_anew, with_views
 from tests.report.example import made, make_provenance, rows_of
