@@ -138,15 +138,9 @@ class Marginals:
 
     def images(self, stations: IntArray) -> FloatArray:
         """(n, Q, Q) of (delta, direct constants) of some stations."""
-        size = 6 + len(self.direct)
-        out = np.empty((len(stations), size, size))
-        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = (
-            self.views[stations],
-            self.mixed[stations],
-            self.direct,
-        )
-        out[:, 6:, :6] = out[:, :6, 6:].mT
-        return out
+        mixed = self.mixed[stations]
+        direct = np.broadcast_to(self.direct, (len(stations), *self.direct.shape))
+        return np.block([[self.views[stations], mixed], [mixed.mT, direct]])
 
 
 def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:

@@ -50,8 +50,10 @@ def evaluate(
     """
     offsets = dict(offsets_s or {})
     clocks = {f"time_{name}": offset_s for name, offset_s in offsets.items()}
-    extraction, pairs = at_constants(extraction, parameters, {**_without_clocks(constants or {}), **clocks})
-    i, j = pairs.legs.T
+    every = (constants or {}).items()  # clocks belong to a recording
+    own = {name: value for name, value in every if not name.startswith(("time_joints", "time_wheels"))}
+    shown = at_constants(extraction, parameters, own | clocks)
+    pairs, (i, j) = shown.pairs, shown.pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
     apart = se3.inverse(T_ci_cj) @ camera_motion(pairs, parameters)
@@ -60,7 +62,7 @@ def evaluate(
     return Evaluation(
         stations=len(o),
         legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in pairs.legs.tolist()]),
-        reprojection_px=residuals_of(extraction, pairs, parameters).leg_reprojection_px,
+        reprojection_px=residuals_of(shown, parameters).leg_reprojection_px,
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
         driven_m=float(covered[0].sum()),
@@ -69,15 +71,6 @@ def evaluate(
         after=_drift(pairs, T_k_v, parameters.wheels, covered),
         clock_offsets_s=offsets,
     )
-
-
-def _without_clocks(constants: Mapping[str, float]) -> dict[str, float]:
-    """The constants of the robot: clocks belong to a recording."""
-    return {
-        name: value
-        for name, value in constants.items()
-        if not name.startswith(("time_joints", "time_wheels"))
-    }
 
 
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:

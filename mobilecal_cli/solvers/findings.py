@@ -53,9 +53,7 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 
-def scale_of(
-    extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...] = ()
-) -> ScaleCheck | None:
+def scale_of(extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...]) -> ScaleCheck | None:
     """Consistency of square size and stereo baseline; None if no square size is stated or one of them is exact.
 
     The board measured with the baseline as stated, over its stated size: what both estimates together say, without

@@ -107,7 +107,11 @@ def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
             supposed = _supposed(as_stated, fit.lin.state.parameters, wider)
             fit = _without_outliers(as_stated, _first_fit(as_stated, supposed))
     noisy = outliers.too_many(fit.inliers)
-    fit = _with_all(inference, fit, noisy) if noisy else fit
+    if noisy:
+        _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
+        all_of = Inliers.all_of(fit.data)
+        inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
+        fit = _refitted(inference, fit, inliers)
     return replace(inference.estimate_noise(fit, fine=True), noisy=noisy)
 
 
@@ -268,11 +272,3 @@ def _corners_decided(inference: Inference, fit: Fit) -> Fit:
             break
         fit = _refitted(inference, fit, replace(fit.inliers, corners=decided))
     return fit
-
-
-def _with_all(inference: Inference, fit: Fit, noisy: tuple[str, ...]) -> Fit:
-    """A fit of all measurements of some kinds: so many outliers are noise, larger than supposed."""
-    all_of = Inliers.all_of(fit.data)
-    inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
-    _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
-    return _refitted(inference, fit, inliers)

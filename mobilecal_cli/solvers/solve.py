@@ -14,7 +14,6 @@ from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.measurements import MotionPairs
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
@@ -51,7 +50,7 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import at_one_time, at_state, error_parts, residuals_of
+from mobilecal_cli.solvers.residuals import Shown, at_one_time, at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 
@@ -138,23 +137,20 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     scale = scale_of(extraction, still, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = pool_recordings(fit)
-    data, state = fit.data, fit.lin.state
-    parameters = state.parameters
+    data, parameters = fit.data, fit.lin.state.parameters
     _require_positive(parameters.wheels)
     legs = fit.sure_legs if fit.sure_legs.any() else None
     used = legs, data.seen & ~fit.inliers.corners
-    together, at_once = at_one_time(extraction, fit.lin)
-    corrected_extraction, corrected = at_state(
-        together, at_once, fit.noise.pixel_px, corners=fit.inliers.corners
-    )
-    rms = point_rms_m(corrected, parameters)
+    together = at_one_time(fit.lin)
+    corrected = at_state(together, fit.noise.pixel_px, corners=fit.inliers.corners)
+    rms = point_rms_m(corrected.pairs, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    solution = _solution(corrected_extraction, corrected, linear, refinement, *used)
-    parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
+    solution = _solution(extraction, corrected, linear, refinement, *used)
+    parts = error_parts(fit.lin, corrected, solution.residuals)
     if any(row.kind in PATTERNS for row in data.layout.constants):
-        undone = at_state(together, at_once, fit.noise.pixel_px, patterns=True, T_c_k=corrected.T_c_k)
-        without = residuals_of(*undone, parameters, *used)
+        undone = at_state(together, fit.noise.pixel_px, patterns=True, T_c_k=corrected.pairs.T_c_k)
+        without = residuals_of(undone, parameters, *used)
         parts["lenses"] = _of_lenses(fit, solution.residuals, without)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
@@ -254,40 +250,41 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
         state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS)[0].state
     except SolveError:
         return False
-    each_m = leg_rms_m(at_state(extraction, state)[1], state.parameters)
+    each_m = leg_rms_m(at_state(state).pairs, state.parameters)
     return float(np.median(each_m)) < _HOPELESS_SHARE * extraction.board_distance_m
 
 
 def _by_points(extraction: Extraction, method: Literal["linear", "paper", "lm"]) -> Solution:
-    pairs = dataset_of(extraction).pairs
+    data = dataset_of(extraction)
+    pairs = data.pairs
     linear = linear_estimate(pairs, extraction.rig.nominal.wheels)
     _require_positive(linear.parameters.wheels)
     refine = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
-    return _solution(extraction, pairs, linear, refine and refine(pairs, linear.parameters))
+    return _solution(extraction, Shown.as_stated(data), linear, refine and refine(pairs, linear.parameters))
 
 
 def _solution(
     extraction: Extraction,
-    pairs: MotionPairs,
+    shown: Shown,
     linear: LinearEstimate,
     refinement: Refinement | None,
     inliers: BoolArray | None = None,
     rejected: BoolArray | None = None,
 ) -> Solution:
     parameters = (refinement or linear).parameters
-    residuals = residuals_of(extraction, pairs, parameters, inliers, rejected)
+    residuals = residuals_of(shown, parameters, inliers, rejected)
     wheels = parameters.wheels
-    psi = integrate(pairs.steps, wheels).psi_rad
+    psi = integrate(shown.pairs.steps, wheels).psi_rad
     return Solution(
         method="linear" if refinement is None else refinement.method,
         parameters=parameters,
-        cameras=extraction.rig.cameras,
+        cameras=shown.cameras,
         linear=linear,
         refinement=refinement,
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, psi, float(path_m(pairs.steps, wheels).sum())),
+        motion=_motion(extraction, psi, float(path_m(shown.pairs.steps, wheels).sum())),
     )
 
 
@@ -410,7 +407,7 @@ def _different_cameras(
         except (ConfigError, SolveError, np.linalg.LinAlgError):
             return None  # one recording alone does not show all, or lacks what the user constrains
         alone_px = max(alone_px, fit.noise.pixel_px)
-        alone_m = max(alone_m, point_rms_m(at_state(alone, fit.lin.state)[1], fit.lin.state.parameters))
+        alone_m = max(alone_m, point_rms_m(at_state(fit.lin.state).pairs, fit.lin.state.parameters))
     if together_px < _DIFFERENT * alone_px:
         return None
     distance_m = extraction.board_distance_m
