@@ -48,8 +48,7 @@ def nees(
 def no_priors(layout: Layout, anchor: Parameters) -> Priors:
     """No prior: every parameter is free, from the measurements alone."""
     zero = np.zeros(layout.size)
-    scales = layout.prior_sigmas(anchor.wheels)
-    return Priors(layout, anchor, zero, zero, zero > 0, scales, np.zeros((0, len(NINE))), zero > 0, {})
+    return Priors(layout, anchor, zero, zero, zero > 0, np.zeros((0, len(NINE))), zero > 0, {})
 
 
 def predicted(parameters, covariance):

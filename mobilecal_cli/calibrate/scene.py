@@ -46,8 +46,8 @@ def scene_of(
     parameters = parameters_of(robot, extraction, params)
     report = params.with_name("report.json")
     outliers, used_legs = _judged(report) if report.is_file() else ([], None)
-    at_estimate, pairs = at_constants(extraction, parameters, constants)
-    residuals = residuals_of(at_estimate, pairs, parameters)
+    shown = at_constants(extraction, parameters, constants)
+    residuals, pairs = residuals_of(shown, parameters), shown.pairs
     images = _images(extraction, logs) if logs else {}
     cameras = improved_cameras(rig, constants)[0]
     return Scene(

@@ -142,8 +142,10 @@ def between_steps(track: Track, step_rad: float) -> Track:
 
     Such a reading is most accurate at the moment it changes. At any other time it can be wrong by half a step, with the
     same sign until the next change. Where a reading differs from the one before by more steps, both stay as they are:
-    a line between the middles of such changes would round off every change of speed.
+    a line between the middles of such changes would round off every change of speed. A wheel without steps stays.
     """
+    if not step_rad:
+        return track
     offsets, value = (track.time_ns - track.time_ns[0]).astype(np.float64), track.value
     size = np.abs(np.diff(value))
     slow = (size > 0) & (size < _FEW_STEPS * step_rad)

@@ -1,7 +1,8 @@
-"""How each kind of measurement moves the shared parameters: error budget, and a jackknife from the residuals."""
+"""How each kind of measurement moves the shared parameters: error budget, jackknife from the residuals, and bias."""
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,6 +19,9 @@ from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.model import NINE, FloatArray, IntArray
 
 _NO_REDUNDANCY = 1e-6
+#: The constant that stands for the size of the world in the images.
+_SIZE = "square_scale"
+_HEIGHTS = ("floor_m", "sway_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +32,7 @@ class Influence:
         lin: the optimum.
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
-        parts: noise level (see `noise.Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
+        parts: noise level (see `Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
         gradients: gives (n, P, m) gradients of the shared parameters by each unit's residuals, all else eliminated.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.
@@ -82,22 +86,17 @@ class Moved:
 
 def moved(lin: Posterior) -> Moved:
     """Sums over images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
-    covariances: dict[str, FloatArray] = {}
     spread = np.zeros_like(lin.covariance)
+    covariances = defaultdict[str, FloatArray](lambda: np.zeros_like(spread))
     for influence in chain(_of_images(lin), of_errors(lin, lin.state.base[:, ERRORS]), [of_legs(lin)]):
         for level, covariance in influence.covariances.items():
-            covariances[level] = covariances.get(level, 0.0) + covariance
+            covariances[level] += covariance
         spread += influence.spread
     return Moved(covariances, spread)
 
 
 def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
-    """Of joint readings and sway, and of the base blocks' errors: encoder readings, floor and wheel scales, stamps.
-
-    Args:
-        lin: an optimum.
-        errors: (N, K) the base blocks' errors there.
-    """
+    """Of joint readings and sway, and of the base blocks' errors (N, K): encoders, floor, wheel scales, stamps."""
     data, sigma, marginal, processes = lin.data, lin.own_sigmas, lin.marginals, lin.processes
     stations = np.arange(data.stations)
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
@@ -152,25 +151,24 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
-    """Of corners, and of measured poses; some stations at once."""
-    views = lin.views
-    for level, of_kind in (("pixel_px", ~lin.data.posed), ("pose_scale", lin.data.posed)):
-        every = np.flatnonzero(of_kind)
-        for block in blocks_of(len(every)):
-            stations = every[block]
-            root, inverse = roots(views.information[stations])
-            parts = _by_level([level] * root.shape[1])
-            if views.delays:
-                across = lin.noise.pair_s * inverse @ views.information[stations][:, :, [*views.delays]]
-                own = across @ across.mT
-                parts = {level: parts[level] - own, "pair_s": own}
-            yield Influence(
-                lin,
-                (inverse @ views.gradient[stations, :, None])[..., 0],
-                root.mT @ lin.marginals.images(stations) @ root,
-                parts,
-                partial(_of_views, lin, stations, root),
-            )
+    """Of corners, or of measured poses; some stations at once."""
+    views, level = lin.views, lin.data.images_level
+    every = np.arange(lin.data.stations)
+    for block in blocks_of(len(every)):
+        stations, information = every[block], views.information[block]
+        root, inverse = roots(information)
+        parts = _by_level([level] * root.shape[1])
+        if views.delays:
+            across = lin.noise.pair_s * inverse @ information[:, :, [*views.delays]]
+            own = across @ across.mT
+            parts = {level: parts[level] - own, "pair_s": own}
+        yield Influence(
+            lin,
+            (inverse @ views.gradient[stations, :, None])[..., 0],
+            root.mT @ lin.marginals.images(stations) @ root,
+            parts,
+            partial(_of_views, lin, stations, root),
+        )
 
 
 def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:
@@ -205,28 +203,43 @@ def shares(lin: Posterior, by: Moved) -> Mapping[str, FloatArray]:
     """Source → (P, P) share of the covariance of the shared parameters; the shares add up to it.
 
     With C = H^-1 and H the sum of J_s^T W_s J_s over the sources s, C is the sum of C J_s^T W_s J_s C. Joint readings
-    that are outliers and bases that no measurement holds count as a source of their own ("other").
-
-    Args:
-        lin: an optimum.
-        by: see `moved`.
-
-    Returns:
-        Noise levels by name, "nominal" for the priors of the nine parameters, kinds of constants for theirs,
-        "unobservable" for the prior variance of unobservable directions, and "other".
+    that are outliers and bases that no measurement holds count as a source of their own ("other"). The others are noise
+    levels, kinds of constants for their priors, "nominal" for those of the nine parameters, and "unobservable" for the
+    prior variance of unobservable directions.
     """
     C, layout = lin.conditional_covariance, lin.data.layout
-    result: dict[str, FloatArray] = {}
-
-    def add(source: str, share: FloatArray) -> None:
-        source = {SUPPOSED: "wheel_rad_per_sqrt_rad"}.get(source, source)
-        result[source] = result.get(source, 0.0) + share
-
+    result = defaultdict[str, FloatArray](lambda: np.zeros_like(C))
     for level, covariance in by.covariances.items():
-        add(level, covariance)
+        result["wheel_rad_per_sqrt_rad" if level == SUPPOSED else level] += covariance
     for k, kind in enumerate(["nominal"] * len(NINE) + [row.kind for row in layout.constants]):
         if lin.priors.weight[k]:
-            add(kind, lin.priors.weight[k] * np.outer(C[:, k], C[:, k]))
-    add("unobservable", lin.considered @ lin.considered.T)
-    add("other", lin.covariance - sum(result.values()))
+            result[kind] += lin.priors.weight[k] * np.outer(C[:, k], C[:, k])
+    result["unobservable"] += lin.considered @ lin.considered.T
+    result["other"] += lin.covariance - sum(result.values())
     return result
+
+
+def expected_gradient(lin: Posterior) -> FloatArray:
+    """(P,) gradient that half the sum of squares is expected to have at the true parameters.
+
+    If the whole world shrinks, the images stay; what the wheels miss by and the heights of floor and sway
+    shrink, and half their sum of squares falls, whatever the size of the world. The best values of the stations'
+    unknowns make it least. In the likelihood of the other parameters alone, these integrated out, half the logarithm of
+    the determinant of their information makes up for it (Laplace's approximation): its derivative is minus the number
+    of these residuals, less what the unknowns take up. Without noise they are zero, and so is the gradient.
+
+    With 2,000 stations, a square size that is stated to 0.1 % would come out 1.5 of these sigmas too small.
+    """
+    bias = np.zeros(lin.data.layout.size)
+    if _SIZE in lin.data.layout.names:
+        W, left = lin.leg_weight[:, :2], lin.leg_covariance - lin.marginals.legs
+        squares = float(np.einsum("la,lab,lb->", lin.legs.residual[:, :2], W, lin.legs.residual))
+        redundancy = float(np.einsum("lab,lba->", W, left[:, :, :2]))
+        for each in of_errors(lin, lin.state.base[:, ERRORS]):
+            for level in filter(_HEIGHTS.__contains__, each.parts):
+                of_level, free = each.shown(level)
+                squares, redundancy = squares + float(of_level.sum()), redundancy + float(free.sum())
+        # Far from the optimum, rounding is all.
+        redundancy = min(max(redundancy, 0.0), 2.0 * (len(left) + lin.data.stations))
+        bias[lin.data.layout.names.index(_SIZE)] = min(squares, redundancy)
+    return bias

@@ -6,20 +6,18 @@ Constants that change the cameras or the board itself have columns of their own 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
-from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import BoardEffect, CameraChange, CameraEffect, ImageEffect
+from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
 from mobilecal_cli.likelihood.measurements import LEAST_DEPTH_M
-from mobilecal_cli.likelihood.noise import FEWEST_CORNERS
-from mobilecal_cli.likelihood.nuisance import camera_change
-from mobilecal_cli.likelihood.state import State, points_at, view_rates
-from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, IntArray
+from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 
+FEWEST_CORNERS = 4  # of one station, in all images together: fewer do not hold a board pose
 _BLOCK = 25
 #: Gauss-Newton steps of a board pose, and rad and m: the last ones move no corner visibly.
 _POSE_STEPS, _STILL = 12, 1e-6
@@ -39,125 +37,99 @@ def blocks_of(stations: int) -> Iterator[slice]:
     yield from (slice(i, i + _BLOCK) for i in range(0, stations, _BLOCK))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Showing:
-    """What shows the corners at a state.
+def of_camera(
+    state: State,
+    k: int,
+    T_c_k: FloatArray,
+    stations: slice | IntArray,
+    rates: FloatArray | None,
+    effects: Sequence[ImageEffect],
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted minus detected pixels of one camera, (n, M, 2), and (n, M, 2, 6 + K) their derivatives.
 
-    Attributes:
-        data: the stated geometry, and the detected corners.
-        change, rig: what the constants change in the cameras, and the cameras after it.
-        points_k: (M, 3) corners on the board, m.
+    Args:
+        state: of all stations.
+        k: index of the camera.
+        T_c_k: (n, 4, 4) board poses of some stations.
+        stations: which.
+        rates: (C, n, 6) see `State.view_rates`, of these stations; at rest if None.
+        effects: K, of direct constants. The derivatives are by delta and by these.
     """
+    data, change, stated = state.data, state.camera_change, state.data.cameras.each[k]
+    camera, T_c_camera = state.cameras.each[k], state.cameras.T_c_each[k]
+    detected, T_camera_c = data.pixels[stations, k], se3.inverse(T_c_camera)
+    points = se3.act(T_c_k, state.points_k)
+    twist = (np.zeros((len(points), 6)) if rates is None else rates[k])[:, None]
+    velocity = np.cross(twist[..., :3], points) + twist[..., 3:]
+    rows = ((detected[..., 1] + 0.5) / stated.height - 0.5)[..., None]
+    late_s = change.late_s(k, rows)
+    exposed = points + late_s * velocity
+    in_camera = exposed if k == 0 else se3.act(T_camera_c, exposed)
+    # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
+    elsewhere = (in_camera[..., 2] < LEAST_DEPTH_M) & ~data.seen[stations, k]
+    in_camera = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], in_camera)
+    pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), in_camera)
+    shares = change.lens[k]
+    if not (effects or np.any(shares[4:])):
+        shares = shares[:4]  # the waves are not needed
+    terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
+    through = np.eye(2) + by_pixels
+    by_exposed = through @ J_p if k == 0 else through @ J_p @ T_camera_c[:3, :3]
+    by_point = by_exposed
+    if np.any(late_s):  # points at the stamp turn until they are exposed
+        by_point = by_exposed + np.cross(by_exposed, (late_s * twist[..., :3])[..., None, :])
+    J = np.empty((*pixels.shape, 6 + len(effects)))
+    J[..., :3] = np.cross(points[:, :, None], by_point)
+    J[..., 3:6] = by_point
 
-    data: Dataset
-    change: CameraChange
-    rig: CameraRig
-    points_k: FloatArray
-
-    @classmethod
-    def at(cls, data: Dataset, state: State) -> Showing:
-        """That of a state."""
-        change = camera_change(data.cameras, data.layout.constants, state.constants)
-        return cls(data, change, change.apply(data.cameras), points_at(data, state))
-
-    def of_camera(
-        self,
-        k: int,
-        T_c_k: FloatArray,
-        stations: slice | IntArray,
-        rates: FloatArray | None,
-        effects: Sequence[ImageEffect],
-    ) -> tuple[FloatArray, FloatArray]:
-        """Predicted minus detected pixels of one camera, (n, M, 2), and (n, M, 2, 6 + K) their derivatives.
-
-        Args:
-            k: its index.
-            T_c_k: (n, 4, 4) board poses.
-            stations: which.
-            rates: (C, n, 6) see `view_rates`; at rest if None.
-            effects: K, of direct constants. The derivatives are by delta and by these.
-        """
-        change, stated, camera = self.change, self.data.cameras.each[k], self.rig.each[k]
-        detected, T_c_camera = self.data.pixels[stations, k], self.rig.T_c_each[k]
-        points, T_camera_c = se3.act(T_c_k, self.points_k), se3.inverse(T_c_camera)
-        twist = (np.zeros((len(points), 6)) if rates is None else rates[k])[:, None]
-        velocity = np.cross(twist[..., :3], points) + twist[..., 3:]
-        rows = ((detected[..., 1] + 0.5) / stated.height - 0.5)[..., None]
-        late_s = change.late_s(k, rows)
-        exposed = points + late_s * velocity
-        in_camera = exposed if k == 0 else se3.act(T_camera_c, exposed)
-        # A camera without the board may look elsewhere; its corners count for nothing, and stay finite.
-        elsewhere = (in_camera[..., 2] < LEAST_DEPTH_M) & ~self.data.seen[stations, k]
-        in_camera = np.where(elsewhere[..., None], [0.0, 0.0, 1.0], in_camera)
-        pixels, J_p = lens.project_with_jacobian(replace(camera, correction=None), in_camera)
-        shares = change.lens[k]
-        if not (effects or np.any(shares[4:])):
-            shares = shares[:4]  # the waves are not needed
-        terms, by_pixels = lens.lens_terms(stated, stated.K[:2, 2], pixels, shares)
-        through = np.eye(2) + by_pixels
-        by_exposed = through @ J_p if k == 0 else through @ J_p @ T_camera_c[:3, :3]
-        by_point = by_exposed
-        if np.any(late_s):  # points at the stamp turn until they are exposed
-            by_point = by_exposed + np.cross(by_exposed, (late_s * twist[..., :3])[..., None, :])
-        J = np.empty((*pixels.shape, 6 + len(effects)))
-        J[..., :3] = np.cross(points[:, :, None], by_point)
-        J[..., 3:6] = by_point
-
-        # Derivatives by the attributes of `CameraChange`: a camera that moves moves the points the other way.
-        position = T_c_camera[:3, 3]
-        by_change: dict[str, Callable[[], FloatArray]] = {
-            "turn": lambda: (
-                np.cross(by_exposed, (exposed - position)[:, :, None]) @ se3.left_jacobian_so3(change.turn[k])
-            ),
-            "swing": lambda: np.cross(by_exposed, position) @ se3.left_jacobian_so3(change.swing[k]),
-            "length": lambda: by_exposed @ -position[:, None] / (1 + change.length[k]),
-            "shift": lambda: -by_exposed,
-            "focal": lambda: through * ((pixels - camera.K[:2, 2]) / (1 + change.focal[k]))[..., None, :],
-            "principal": lambda: through * stated.width,
-            "lens": lambda: terms,
-            "delay_s": lambda: by_exposed @ velocity[..., None],
-            "readout_s": lambda: by_exposed @ (rows * velocity)[..., None],
-        }
-        for of, by in by_change.items():
-            of_this = {c: e for c, e in enumerate(effects, 6) if isinstance(e, CameraEffect) and e.of == of}
-            if of_this:
-                along = np.zeros((getattr(change, of).shape[1], len(of_this)))
-                for column, effect in enumerate(of_this.values()):
-                    along[: len(effect.along), column] = effect.along
-                J[..., [*of_this]] = by() @ along
-        of_board = {c: e for c, e in enumerate(effects, 6) if isinstance(e, BoardEffect)}
-        if of_board:
-            moved = np.stack([e.displacement(self.data.points_k) for e in of_board.values()], axis=-1)
-            J[..., [*of_board]] = by_point @ T_c_k[:, None, :3, :3] @ moved
-        return np.asarray(pixels + terms @ shares - detected), J
+    # Derivatives by the attributes of `CameraChange`: a camera that moves moves the points the other way.
+    position = T_c_camera[:3, 3]
+    by_change: dict[str, Callable[[], FloatArray]] = {
+        "turn": lambda: (
+            np.cross(by_exposed, (exposed - position)[:, :, None]) @ se3.left_jacobian_so3(change.turn[k])
+        ),
+        "swing": lambda: np.cross(by_exposed, position) @ se3.left_jacobian_so3(change.swing[k]),
+        "length": lambda: by_exposed @ -position[:, None] / (1 + change.length[k]),
+        "shift": lambda: -by_exposed,
+        "focal": lambda: through * ((pixels - camera.K[:2, 2]) / (1 + change.focal[k]))[..., None, :],
+        "principal": lambda: through * stated.width,
+        "lens": lambda: terms,
+        "delay_s": lambda: by_exposed @ velocity[..., None],
+        "readout_s": lambda: by_exposed @ (rows * velocity)[..., None],
+    }
+    for of, by in by_change.items():
+        of_this = {c: e for c, e in enumerate(effects, 6) if isinstance(e, CameraEffect) and e.of == of}
+        if of_this:
+            along = np.zeros((getattr(change, of).shape[1], len(of_this)))
+            for column, effect in enumerate(of_this.values()):
+                along[: len(effect.along), column] = effect.along
+            J[..., [*of_this]] = by() @ along
+    of_board = {c: e for c, e in enumerate(effects, 6) if isinstance(e, BoardEffect)}
+    if of_board:
+        moved = np.stack([e.displacement(data.points_k) for e in of_board.values()], axis=-1)
+        J[..., [*of_board]] = by_point @ T_c_k[:, None, :3, :3] @ moved
+    return np.asarray(pixels + terms @ shares - detected), J
 
 
 def corner_residuals(
-    data: Dataset,
     state: State,
     T_c_k: FloatArray,
     stations: slice | IntArray = slice(None),
     rates: FloatArray | None = None,
     by_constants: bool = True,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted minus detected pixels of some stations' boards at T_c_k, (N, C, M, 2), and their derivatives.
+    """The same of all cameras: (n, C, M, 2), and (n, C, M, 2, Q) derivatives by (delta, direct constants), or by delta.
 
     Args:
-        data, state: all stations.
-        T_c_k: (N, 4, 4) of these stations.
-        stations: which.
-        rates: (C, N, 6) see `view_rates`, of these stations; at rest if None.
+        state, T_c_k, stations, rates: see `of_camera`.
         by_constants: whether the derivatives by the direct constants are needed.
-
-    Returns:
-        The residuals, and (N, C, M, 2, Q) derivatives by (delta, direct constants), or by delta alone.
     """
-    showing, direct = Showing.at(data, state), data.layout.direct if by_constants else ()
-    shape = len(T_c_k), len(data.cameras.each), data.points_k.shape[0], 2
+    direct = state.data.layout.direct if by_constants else ()
+    shape = len(T_c_k), len(state.cameras.each), state.points_k.shape[0], 2
     residual, J = np.empty(shape), np.zeros((*shape, 6 + len(direct)))
     for k in range(shape[1]):
         columns, effects = columns_of(direct, k)
-        residual[:, k], J[:, k][..., columns] = showing.of_camera(k, T_c_k, stations, rates, effects)
+        residual[:, k], J[:, k][..., columns] = of_camera(state, k, T_c_k, stations, rates, effects)
     return residual, J
 
 
@@ -169,20 +141,16 @@ def columns_of(
     return np.array([*range(6), *(column for column, _ in mine)]), [effect for _, effect in mine]
 
 
-def board_poses(data: Dataset, state: State, corners: BoolArray) -> FloatArray:
+def board_poses(state: State, corners: BoolArray) -> FloatArray:
     """(N, 4, 4) T_c_k with which the cameras and the board of a state show what was detected at each station.
 
-    Measured poses stay.
-
-    Args:
-        data, state: all stations.
-        corners: (N, C, M) those that count, unless they are too few at a station.
+    Measured poses stay. The corners (N, C, M) are those that count, unless they are too few at a station.
     """
-    poses, rates = data.T_c_k.copy(), view_rates(data, state)
+    data, poses, rates = state.data, state.data.T_c_k.copy(), state.view_rates
     few = corners.sum(axis=(1, 2)) < FEWEST_CORNERS
     counted = np.where(few[:, None, None], data.seen, corners)
-    for block in blocks_of(0 if data.posed.any() else data.stations):
-        poses[block] = fitted_poses(data, state, poses[block], block, counted[block], rates[:, block])
+    for block in blocks_of(0 if data.posed else data.stations):
+        poses[block] = fitted_poses(state, poses[block], block, counted[block], rates[:, block])
     return poses
 
 
@@ -192,7 +160,6 @@ def median_size(size: FloatArray, corners: BoolArray) -> FloatArray:
 
 
 def fitted_poses(
-    data: Dataset,
     state: State,
     T_c_k: FloatArray,
     stations: slice | IntArray,
@@ -203,16 +170,14 @@ def fitted_poses(
     """Poses (n, 4, 4) of the board at some stations that fit the corners best, each station by itself.
 
     Args:
-        data, state: all stations.
+        state, stations, rates: see `of_camera`.
         T_c_k: (n, 4, 4) where to start.
-        stations: which.
         corners: (n, C, M) those that count.
-        rates: see `corner_residuals`.
         robust: whether the pull of a corner fades with its distance (Cauchy's weight, in units of the median).
     """
     for _ in range(_POSE_STEPS):
-        residual, J = corner_residuals(data, state, T_c_k, stations, rates, by_constants=False)
-        W = data.whitening[stations]
+        residual, J = corner_residuals(state, T_c_k, stations, rates, by_constants=False)
+        W = state.data.whitening[stations]
         residual, J = whitened(W, residual), whitened(W, J)
         root = corners.astype(np.float64)[..., None]
         if robust:

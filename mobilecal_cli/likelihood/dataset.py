@@ -13,6 +13,9 @@ from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, l
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
+#: Kind of measurement that is used or not as a whole → its degrees of freedom: a station's images, a leg's wheels,
+#: and a joint reading.
+DEGREES = {"views": 6, "legs": 3, "readings": 1}
 _LEAST_CLAIM_PX = 0.01  # the camera model is not more exact than this, whatever several images agree on
 #: A component of a measured pose with a larger standard deviation, rad or m, was not measured.
 NOT_MEASURED = 100.0
@@ -46,6 +49,41 @@ class Dataset(Measurements):
         return replace(self, layout=Layout(tuple(constants)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Inliers:
+    """The measurements that are used.
+
+    Attributes:
+        corners: (N, C, M) corners of each image, among those that were detected.
+        views: (N,) stations whose images are used.
+        legs: (L,) legs whose wheels are used.
+        readings: (N, J) joint readings that are used.
+    """
+
+    corners: BoolArray
+    views: BoolArray
+    legs: BoolArray
+    readings: BoolArray
+
+    @classmethod
+    def all_of(cls, data: Dataset) -> Inliers:
+        """Every measurement."""
+        every = (
+            np.ones(shape, dtype=np.bool_) for shape in (data.stations, len(data.legs), data.joints.shape)
+        )
+        return cls(data.seen, *every)
+
+    def same(self, other: Inliers) -> bool:
+        """Whether both are the same measurements."""
+        kinds = ("corners", *DEGREES)
+        return all(np.array_equal(getattr(self, kind), getattr(other, kind)) for kind in kinds)
+
+    @property
+    def used_corners(self) -> BoolArray:
+        """(N, C, M) corners of the stations whose images are used."""
+        return self.corners & self.views[:, None, None]
+
+
 def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Dataset:
     """Gather the measurements of an extraction.
 
@@ -61,21 +99,10 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
     moving = np.array([not o.at_rest for o in observations])
     tracks = extraction.wheels
     if moving.any():  # at rest a reading is as good as its step; in motion its changes are more exact
-        tracks = tuple(
-            WheelTrack(
-                *(
-                    between_steps(w, step) if step else w
-                    for w, step in zip((t.right, t.left), steps, strict=True)
-                )
-            )
-            for t in tracks
-        )
+        tracks = tuple(WheelTrack(*map(between_steps, (t.right, t.left), steps)) for t in tracks)
     units = extraction.rig.chain.joint_units
     joint_noise = [[_noise(track) for track in of_log] for of_log in extraction.joint_tracks]
-    widths_ns = tuple(
-        tuple(_width_ns(noise, unit) for noise, unit in zip(noises, units, strict=True))
-        for noises in joint_noise
-    )
+    widths_ns = tuple(tuple(map(_width_ns, of_log, units)) for of_log in joint_noise)
     motions = None
     if extraction.motions:
         measured = [(m.motion, m.covariance) for m in extraction.motions]
@@ -95,10 +122,11 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         seen=shown,
         whitening=_whitening(observations, claims / usual),
         claimed_px=usual,
+        pixels_cov=np.stack([[view.cov_px2 for view in o.views] for o in observations]),
         pose_weight=np.stack([_pose_weight(o) for o in observations]),
         T_c_k=np.stack([o.T_c_k for o in observations]),
-        T_c_k_cov=np.stack([o.T_c_k_cov for o in observations]),
         points_c=np.stack([o.points_c for o in observations]),
+        points_cov=np.stack([o.points_cov for o in observations]),
         joints=joints,
         joint_tracks=extraction.joint_tracks,
         joint_widths_ns=widths_ns,

@@ -257,7 +257,7 @@ class BoardEffect(ImageEffect):
 
     def offered(self, data: Measurements) -> bool:
         """Only corners show it."""
-        return not data.posed.all()
+        return not data.posed
 
 
 def resized(points_k: FloatArray, x: float, y: float) -> FloatArray:

@@ -36,9 +36,6 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
     With the prior covariance P and the posterior mean m and covariance C of a group, ignoring its stated values
     decreases the cost by m^T (P - C)^-1 m. In units of its prior, P - C has eigenvalues between 0 (the data show
     nothing) and 1. A group whose prior was made wider is tested against the stated one; the others stay as wide.
-
-    Raises:
-        SolveError: a singular matrix.
     """
     layout, C = lin.data.layout, lin.covariance
     usual = np.array([np.inf] * 9 + [row.of_kind.sigma for row in layout.constants])

@@ -20,7 +20,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
 _FEWEST_EACH_SIDE = 2  # stations before and after a change: one alone is an outlier
@@ -82,7 +81,7 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     parts = {"head mount": of_images(delta, views.by_shared[:, :, :6])}
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
-    parts["board"] = of_images(delta, se3.adjoint(board_in_camera(data, lin.state)))
+    parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
     for name, own in _poses(lin).items():
         parts[name] = of_images([6 + k for k in own], np.eye(len(own)))
     shape = [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect)]

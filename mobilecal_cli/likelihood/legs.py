@@ -20,11 +20,12 @@ from mobilecal_cli.likelihood.measurements import (
     heading_of,
     planar_pose,
 )
-from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M, STANDSTILL_M, STANDSTILL_RAD
 from mobilecal_cli.likelihood.processes import Processes, bridge_variance, mean_variance, path_m, rolled_m
-from mobilecal_cli.likelihood.state import State, Step, clock_s, head_at, planar
+from mobilecal_cli.likelihood.state import State, Step, planar
 from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
+SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
+_STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"
 
@@ -55,41 +56,42 @@ class Legs:
         return replace(self, residual=self.residual + change)
 
 
-def _steps(data: Dataset, state: State, processes: Processes) -> Increments:
+def _steps(state: State, processes: Processes) -> Increments:
+    data, clock_s = state.data, state.clock_s("wheels")
     i, j = data.legs.T
     errors = state.base[:, ENCODERS]
     if np.any(state.base[:, STAMP:]):
-        errors = errors + data.wheel_rates(clock_s(data, state, "wheels")) * state.base[:, STAMP:]
-    steps = data.steps(clock_s(data, state, "wheels")).with_ends(-errors[i], errors[j])
-    right, left = (1 + mean_scales(data, state, processes))[steps.leg].T
+        errors = errors + data.wheel_rates(clock_s) * state.base[:, STAMP:]
+    steps = data.steps(clock_s).with_ends(-errors[i], errors[j])
+    right, left = (1 + mean_scales(state, processes))[steps.leg].T
     return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
 
 
-def mean_scales(data: Dataset, state: State, processes: Processes) -> FloatArray:
+def mean_scales(state: State, processes: Processes) -> FloatArray:
     """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
-    i, j = data.legs.T
+    i, j = state.data.legs.T
     return processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
 
 
-def base_legs(data: Dataset, state: State) -> FloatArray:
+def base_legs(state: State) -> FloatArray:
     """(L, 3) x, y (m) and heading (rad) of each leg's second base pose in its first."""
-    i, j = data.legs.T
+    i, j = state.data.legs.T
     apart = state.base[j, BASE] - state.base[i, BASE]
     apart[:, :2] = planar(-state.base[i, 2], apart[:, :2])
     return apart
 
 
-def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
+def linearize_legs(state: State, processes: Processes) -> Legs:
     """Residuals of all legs and their derivatives."""
-    i, j = data.legs.T
-    steps = _steps(data, state, processes)
+    data, (i, j) = state.data, state.data.legs.T
+    steps = _steps(state, processes)
     above = steps.above_mean_rate if data.several_wheels else None
-    slip = sum(value for value, _ in state.present(data.layout, TurnSlip))
+    slip = sum(value for value, _ in state.present(TurnSlip))
     # Effective over mean separation in each step.
     wider = 1.0 if above is None else np.asarray(1 + slip * above)
     arcs = integrate(steps, state.parameters.wheels, wider)
     d_psi, d_t = arcs.by_wheels()
-    between = base_legs(data, state)
+    between = base_legs(state)
     count = len(between)
     first = np.searchsorted(steps.leg, np.arange(count))
     last = np.searchsorted(steps.leg, np.arange(count), side="right") - 1
@@ -99,7 +101,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
     by_end[:, :, BASE] = -se3.rotation_z(between[:, 2])
     by_start[data.first[i], :, BASE] = 0.0
-    scale = 1 + mean_scales(data, state, processes)[:, None]
+    scale = 1 + mean_scales(state, processes)[:, None]
     by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale
     by_end[:, :, ENCODERS] = arcs.sensitivity(last) * scale
     by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
@@ -109,7 +111,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     )
     by_clock = np.zeros((count, 3))
     if data.base_width > STAMP:
-        rates = data.wheel_rates(clock_s(data, state, "wheels"))
+        rates = data.wheel_rates(state.clock_s("wheels"))
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
@@ -125,7 +127,7 @@ def linearize_legs(data: Dataset, state: State, processes: Processes) -> Legs:
     odometry = residual, by_start, by_end, by_shared
     if data.motions is None:
         return Legs(*odometry)
-    sensor = _of_sensor(data, state, data.motions)
+    sensor = _of_sensor(state, data.motions)
     return Legs(*(np.concatenate(both, axis=1) for both in zip(odometry, sensor, strict=True)))
 
 
@@ -135,12 +137,11 @@ def _wrapped(residual: FloatArray) -> FloatArray:
     return residual
 
 
-def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
+def _of_sensor(state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     """Measured minus predicted motion of a planar sensor on the head, which does not move meanwhile."""
-    i = data.legs[:, 0]
-    X, between = state.parameters.T_h_c, base_legs(data, state)
-    T_b = planar_pose(between)
-    T_v_c = head_at(data, state)[i] @ X
+    data, X, i = state.data, state.parameters.T_h_c, state.data.legs[:, 0]
+    T_b = planar_pose(base_legs(state))
+    T_v_c = state.T_v_h[i] @ X
     T = se3.inverse(T_v_c) @ T_b @ T_v_c
     # Rows of a left twist of T that move x, y and heading.
     rows = np.zeros((len(T), 3, 6))
@@ -158,9 +159,10 @@ def _of_sensor(data: Dataset, state: State, motions: SensorMotions) -> tuple[Flo
     return residual, by_start, by_end, by_shared
 
 
-def all_covariances(data: Dataset, wheels: WheelGeometry, noise: Noise) -> Mapping[str, FloatArray]:
+def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     """Noise level → its share of the covariance of the legs' residuals, (L, K, K), for known ends; see `Legs`."""
-    of_wheels = leg_covariances(data.steps(), wheels, noise, ends_known=True)
+    data = state.data
+    of_wheels = leg_covariances(data.steps(), state.parameters.wheels, noise, ends_known=True)
     if data.motions is None:
         return of_wheels
     wide = {name: np.zeros((len(data.legs), 6, 6)) for name in (*of_wheels, "pose_scale")}
@@ -198,8 +200,8 @@ def leg_covariances(
     share = noise.wheel_share * np.sqrt(variance(rolled_m(steps, wheels) / noise.wheel_length_m))
     by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * share[:, None]
     slip = np.zeros_like(root)
-    slip[:, 0, 0] = slip[:, 1, 1] = STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
-    slip[:, 2, 2] = STANDSTILL_RAD**2
+    slip[:, 0, 0] = slip[:, 1, 1] = _STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
+    slip[:, 2, 2] = _STANDSTILL_RAD**2
     return {
         "wheel_rad_per_sqrt_rad": root,
         "wheel_share": by_radii @ by_radii.mT,

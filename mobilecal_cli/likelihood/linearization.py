@@ -11,14 +11,15 @@ from typing import Any, Self
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
-from mobilecal_cli.likelihood.noise import Inliers, joint_sigmas
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
-from mobilecal_cli.likelihood.state import State, Step, board_in_camera, view_rates
+from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, images_of, linearize_views
 from mobilecal_cli.model import EXACT, FloatArray, Noise
+
+FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 
 
 @contextmanager
@@ -35,13 +36,12 @@ def solvable() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False)
 class Linearization:
-    """A data set at a state, with everything that the likelihood depends on.
+    """A state, with everything else that the likelihood depends on.
 
     The legs' covariance, the driven distances and the views' rates depend on the state, but stay constant during an
     optimization: `at` computes them, `after` keeps them.
 
     Attributes:
-        data: the measurements.
         state: a value of every unknown.
         inliers: the measurements that are used.
         noise: standard deviations of the measurements.
@@ -49,11 +49,10 @@ class Linearization:
         leg_covariances: noise level → its share of the covariance of the legs' residuals, (L, K, K), m and rad,
             for known scale errors of the wheels at the stations.
         processes: prior of the base blocks' errors along the way.
-        rates: (C, N, 6) see `view_rates`.
+        rates: (C, N, 6) see `State.view_rates`.
         leg_offset: (L, K) to be added to the legs' residuals, or 0.
     """
 
-    data: Dataset
     state: State
     inliers: Inliers
     noise: Noise
@@ -64,13 +63,16 @@ class Linearization:
     leg_offset: FloatArray | float = 0.0
 
     @classmethod
-    def at(cls, data: Dataset, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Self:
+    def at(cls, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Self:
         """The likelihood at a state, with the legs' covariance and the distances for the wheels of this state."""
-        wheels = state.parameters.wheels
-        covariances = all_covariances(data, wheels, noise)
-        along = processes_of(data, wheels, noise, inliers)
+        covariances, along = all_covariances(state, noise), processes_of(state, noise, inliers)
         wide = priors.widened(noise.wider)
-        return cls(data, state, inliers, noise, wide, covariances, along, view_rates(data, state))
+        return cls(state, inliers, noise, wide, covariances, along, state.view_rates)
+
+    @property
+    def data(self) -> Dataset:
+        """The measurements."""
+        return self.state.data
 
     def changed(
         self,
@@ -92,7 +94,7 @@ class Linearization:
 
     def after(self, step: Step) -> Self:
         """The likelihood after a step of all unknowns."""
-        return self.changed(state=self.state.plus(self.data, step))
+        return self.changed(state=self.state.plus(step))
 
     def under(self, priors: Priors) -> Self:
         """The same point with other priors."""
@@ -104,40 +106,39 @@ class Linearization:
 
         The views' rates stay, as the views do; see `renewed`.
         """
-        wheels, known = self.state.parameters.wheels, {}
+        known = {}
         if "views" in self.__dict__:
-            levels = (("pixel_px", ~self.data.posed), ("pose_scale", self.data.posed))
-            factor = np.asarray(
-                sum(getattr(noise, level) / getattr(self.noise, level) * of for level, of in levels)
-            )
-            before, after = self.noise.pair_s**2, noise.pair_s**2
-            known["views"] = self.views.scaled(factor).with_own_delays(before * factor**2, after)
+            level = self.data.images_level
+            factor = getattr(noise, level) / getattr(self.noise, level)
+            before, after = self.noise.pair_s**2 * factor**2, noise.pair_s**2
+            scaled = self.views.scaled(np.full(self.data.stations, factor))
+            known["views"] = scaled.with_own_delays(before, after)
         same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
             ("legs",) if same_legs else (),
             known,
             noise=noise,
             priors=self.priors.widened(noise.wider),
-            leg_covariances=all_covariances(self.data, wheels, noise),
-            processes=processes_of(self.data, wheels, noise, self.inliers),
+            leg_covariances=all_covariances(self.state, noise),
+            processes=processes_of(self.state, noise, self.inliers),
         )
 
     def renewed(self) -> Self:
         """The same point with the views' rates of its state: the same itself where nothing moves."""
         if not self.data.moving.any():
             return self
-        return self.at(self.data, self.state, self.inliers, self.noise, self.priors)
+        return self.at(self.state, self.inliers, self.noise, self.priors)
 
     def with_inliers(self, inliers: Inliers) -> Self:
         """The same point with other inliers."""
-        along, known = processes_of(self.data, self.state.parameters.wheels, self.noise, inliers), {}
+        along, known = processes_of(self.state, self.noise, inliers), {}
         if "views" in self.__dict__:
             differ = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
             differ |= inliers.views != self.inliers.views
             known["views"] = self.views
             if differ.any():
-                at, T_c_k = np.flatnonzero(differ), board_in_camera(self.data, self.state)
-                images = images_of(self.data, self.state, T_c_k, inliers, self.noise, self.rates, at)
+                at = np.flatnonzero(differ)
+                images = images_of(self.state, inliers, self.noise, self.rates, at)
                 known["views"] = self.views.with_images(at, images)
         return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
 
@@ -154,12 +155,12 @@ class Linearization:
     @cached_property
     def views(self) -> Views:
         """Residuals of the images."""
-        return linearize_views(self.data, self.state, self.inliers, self.noise, self.rates)
+        return linearize_views(self.state, self.inliers, self.noise, self.rates)
 
     @cached_property
     def legs(self) -> Legs:
         """Residuals of the wheels."""
-        legs = linearize_legs(self.data, self.state, self.processes)
+        legs = linearize_legs(self.state, self.processes)
         return replace(legs, residual=legs.residual + self.leg_offset)
 
     @cached_property
@@ -182,7 +183,8 @@ class Linearization:
         """
         data, noise = self.data, self.noise
         sway = np.where(data.drives[:, None], [noise.sway_rad, noise.sway_rad, noise.sway_m], EXACT)
-        return np.concatenate([joint_sigmas(data, self.inliers, noise), sway], axis=1)
+        readings = np.where(self.inliers.readings, data.joint_sigmas(noise), FREE_JOINT)
+        return np.concatenate([readings, sway], axis=1)
 
     @cached_property
     def cost(self) -> float:

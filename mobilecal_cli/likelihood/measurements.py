@@ -17,6 +17,7 @@ from mobilecal_cli.model import (
     FloatArray,
     HeadChain,
     IntArray,
+    Noise,
     Track,
     WheelTrack,
 )
@@ -141,10 +142,11 @@ class Measurements:
         whitening: (N, C, M, 2, 2) lower triangular W with W^T W the inverse of each corner's covariance, in units of
             the noise level: the claims of all stations' usual corners have rms 1.
         claimed_px: rms of these claims, px.
+        pixels_cov: (N, C, M, 2, 2) covariance of each corner as stated, px^2.
         pose_weight: (N, 6, 6) inverse covariance of a measured board pose, left perturbation, as stated; 0 where
             corners were detected.
-        T_c_k, T_c_k_cov: (N, 4, 4) and (N, 6, 6) board pose of each station by itself, left perturbation.
-        points_c: (N, M, 3) triangulated corners, m.
+        T_c_k: (N, 4, 4) board pose of each station by itself.
+        points_c, points_cov: (N, M, 3) and (N, M, 3, 3) triangulated corners, m, and their covariances as stated.
         joints: (N, J) readings.
         joint_tracks: the head's joints over time, one tuple per recording; empty where they are not known.
         joint_widths_ns: intervals over which the motion of each of them is taken; longer for noisy readings.
@@ -168,10 +170,11 @@ class Measurements:
     seen: BoolArray
     whitening: FloatArray
     claimed_px: float
+    pixels_cov: FloatArray
     pose_weight: FloatArray
     T_c_k: FloatArray
-    T_c_k_cov: FloatArray
     points_c: FloatArray
+    points_cov: FloatArray
     joints: FloatArray
     joint_tracks: tuple[tuple[Track, ...], ...]
     joint_widths_ns: tuple[tuple[int, ...], ...]
@@ -197,10 +200,15 @@ class Measurements:
         """Number of recordings, also of those without stations."""
         return len(self.tracks)
 
+    @cached_property
+    def posed(self) -> bool:
+        """Whether the board's poses were measured, not its corners."""
+        return not self.seen.any()
+
     @property
-    def posed(self) -> BoolArray:
-        """(N,) stations whose board pose was measured, not its corners."""
-        return np.asarray(~self.seen.any(axis=(1, 2)))
+    def images_level(self) -> str:
+        """Noise level of the images, or of measured poses."""
+        return "pose_scale" if self.posed else "pixel_px"
 
     @property
     def base_width(self) -> int:
@@ -216,6 +224,10 @@ class Measurements:
     def joint_units(self) -> FloatArray:
         """(J,) what one unit of joint noise is for each joint: 1 rad of a revolute, 0.1 m of a prismatic one."""
         return np.array(self.chain.joint_units)
+
+    def joint_sigmas(self, noise: Noise) -> FloatArray:
+        """(N, J) sigma of each reading, rad or m."""
+        return np.hypot(noise.joint_rad * self.joint_units, self.joints_between)
 
     @property
     def encoder_shares(self) -> FloatArray:
@@ -304,8 +316,9 @@ BY_STATION = (
     "whitening",
     "pose_weight",
     "T_c_k",
-    "T_c_k_cov",
+    "pixels_cov",
     "points_c",
+    "points_cov",
     "joints",
     "moving",
     "approach_direction",

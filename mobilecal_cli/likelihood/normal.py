@@ -16,9 +16,11 @@ from mobilecal_cli.likelihood.chain import banded, chain_covariance
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
-from mobilecal_cli.likelihood.noise import FREE_BASE, FREE_BOARD
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray, IntArray
+
+_FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
+_FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,9 +114,7 @@ class NormalEquations:
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     """Build the normal equations of the measurements and eliminate the stations and the boards.
 
-    Args:
-        lin: where.
-        damping: each diagonal element grows by this share of itself (Levenberg-Marquardt).
+    With damping, each diagonal element grows by this share of itself (Levenberg-Marquardt).
 
     Raises:
         LinAlgError: a singular matrix.
@@ -144,7 +144,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     h[views.direct] += of_direct.sum(axis=0) - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
     hK = _by_log(data, Kt @ gradient[..., None])
-    HK += np.eye(6) / FREE_BOARD**2  # a board that no used image shows stays where it is
+    HK += np.eye(6) / _FREE_BOARD**2  # a board that no used image shows stays where it is
 
     # Legs.
     off = np.zeros((count, B, B))
@@ -198,11 +198,8 @@ def _none_negative(S: FloatArray, before: FloatArray) -> FloatArray:
     """Information (P, P) without what rounding made negative.
 
     With corners of a hundredth of a pixel, a direction that the images do not show is what the elimination leaves of
-    numbers that are 10^13 times as large. It has the information of its prior then.
-
-    Args:
-        S: the information.
-        before: (P,) its diagonal before the elimination.
+    numbers that are 10^13 times as large. It has the information of its prior then. `before` is (P,) the diagonal
+    before the elimination.
 
     Raises:
         LinAlgError: values that are too large, at a trial that is lost.
@@ -241,9 +238,8 @@ def _without_own(
     difference of two matrices that agree to all digits where the corners are much better than the joints.
 
     Args:
-        lin: where.
-        damping: see `eliminated`.
-        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+        lin, damping: see `eliminated`.
+        beside: see `station_information`.
 
     Returns:
         (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (N, D)
@@ -263,9 +259,7 @@ def _without_own(
 def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
     """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
 
-    Args:
-        lin: where.
-        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
+    `beside` is (N, 6, 6) the covariance of whatever else moves the board in the camera.
     """
     G, (both, A, _) = lin.views.information.copy(), _without_own(lin, beside=beside)
     G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ both[:, :, 6:-1]
@@ -304,4 +298,4 @@ def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArr
     D[np.ix_(first, gauge, gauge)] += np.eye(3)
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
-    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / FREE_BASE**2
+    D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / _FREE_BASE**2

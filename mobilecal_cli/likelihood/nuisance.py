@@ -7,7 +7,7 @@ row names what its constant changes, an effect (see `effects`). The rows of the 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, Literal, TypeVar
@@ -174,14 +174,10 @@ _LENS_TERMS = {
     "tangential_x": "tangential distortion, x",
     "tangential_y": "tangential distortion, y",
 }
+_NARROWER = partial(resized, x=0.5, y=-0.5)
 _SHAPES = (
     ("square_scale", "square_size", "size of the squares", partial(resized, x=1.0, y=1.0)),
-    (
-        "square_aspect",
-        "square_aspect",
-        "width of the squares against their height",
-        partial(resized, x=0.5, y=-0.5),
-    ),
+    ("square_aspect", "square_aspect", "width of the squares against their height", _NARROWER),
     ("board_bend_x", "board_bend", "bend along x", partial(bent, axis=0)),
     ("board_bend_y", "board_bend", "bend along y", partial(bent, axis=1)),
     ("board_twist", "board_bend", "twist", twisted),
@@ -391,11 +387,6 @@ def with_priors(rows: Iterable[Constant], sigmas: Mapping[str, float]) -> Iterat
         if sigma > 0:
             wide = FREE * row.sigma if math.isinf(sigma) else sigma
             yield replace(row, sigma=wide)
-
-
-def names_of(requested: Collection[str], rows: Iterable[Constant]) -> tuple[str, ...]:
-    """Names of the rows that some names or kinds stand for."""
-    return tuple(row.name for row in rows if row.name in requested or row.kind in requested)
 
 
 _E = TypeVar("_E", bound=Effect)

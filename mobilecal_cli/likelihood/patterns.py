@@ -17,8 +17,8 @@ direction w of c is understated; with the pattern ``H_ee^-1 H_ec w``, ``w^T D`` 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import block_diag, eigh
@@ -52,13 +52,13 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
         data: cameras and board as stated, and each station's board pose.
         rows: the other constants that are estimated.
     """
-    if data.posed.all():
+    if data.posed:
         return
     lenses = list(_of_lenses(data))
     yield from lenses
-    images = _Images.of(data, [*rows, *lenses])  # waves and displaced corners may look alike
     sigmas = np.tile([1.0, 1.0, _ACROSS], data.points_k.shape[0])
-    for number, mode in enumerate(_modes(*images.informations(*images.by_places(sigmas))), 1):
+    # Waves and displaced corners may look alike.
+    for number, mode in enumerate(_modes(*_informations(data, [*rows, *lenses], sigmas)), 1):
         effect = BoardEffect(partial(_displaced, pattern=(mode * sigmas).reshape(-1, 3)))
         meaning = f"places of the corners, pattern {number}"
         yield Constant(f"{_CORNERS}_{number}", _CORNERS, "board", meaning, effect, kind(_CORNERS).sigma)
@@ -95,87 +95,59 @@ def _modes(H_cc: FloatArray, H_ce: FloatArray, H_ee: FloatArray) -> FloatArray:
     return modes
 
 
-@dataclass(frozen=True, eq=False)
-class _Images:
-    """What the images of n stations say of the constants c and of their board poses (delta), for known errors e.
+def _informations(
+    data: Dataset, rows: Sequence[Constant], sigmas: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """``H_cc``, ``H_ce`` and ``H_ee`` of constants and camera pose c, and of the places of corners e.
 
-    Attributes:
-        data: these stations.
-        each: stations that one of these stands for.
-        J: (n, C, M, 2, 6 + c) derivatives of the corners by (delta, constants), in units of their noise.
-        known: (c,) information of the priors about the constants.
+    Args:
+        data: cameras and board as stated, and each station's board pose.
+        rows: all constants.
+        sigmas: (3 M,) of the places, in sigmas of the kind.
     """
+    in_images = [row for row in rows if isinstance(row.effect, ImageEffect)]
+    wider = np.array([1.0 if row.kind in PATTERNS else _WIDER for row in in_images])
+    known = (wider * [row.sigma for row in in_images]) ** -2
+    every = slice(None, None, max(1, data.stations // _MOST_STATIONS))
+    some = replace(data, **{name: getattr(data, name)[every] for name in BY_STATION})
+    T, each = some.T_c_k, data.stations / some.stations  # stations that one of these stands for
+    anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
+    state = State.without_errors(some.with_constants(in_images), *anywhere, np.zeros((some.stations, 3)))
+    J = whitened(some.whitening, corner_residuals(state, T)[1]) * np.sqrt(each)
+    J /= min(data.claimed_px, _MOST_PX)
+    J[~some.seen] = 0.0
+    # About (delta, constants); shared with the places of the board's corners; and about these.
+    G = np.asarray(np.einsum("ncmxa,ncmxb->nab", J, J, optimize=True))
+    scale = kind(_CORNERS).sigma * sigmas
+    by_corner = J[..., 3:6] @ T[:, None, None, :3, :3]
+    shared = np.einsum("ncmxa,ncmxq->namq", J, by_corner, optimize=True)
+    shared = shared.reshape(*shared.shape[:2], -1) * scale
+    of_corners = np.einsum("ncmxq,ncmxr->mqr", by_corner, by_corner, optimize=True)
+    among = block_diag(*of_corners) * np.outer(scale, scale)
 
-    data: Dataset
-    each: float
-    J: FloatArray
-    known: FloatArray
+    # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
+    _, recording = np.unique(some.log, return_inverse=True)
+    of_board = np.einsum("nl,nab->nalb", np.eye(recording.max() + 1)[recording], se3.adjoint(T))
+    moved = np.concatenate(
+        [np.broadcast_to(np.eye(6), (len(T), 6, 6)), of_board.reshape(len(T), 6, -1)], axis=2
+    )
+    tie = each * np.diag(_TIED**-2)
+    with_pose = np.concatenate([G[:, :6, 6:], -tie @ moved, shared[:, :6]], axis=2)
 
-    @classmethod
-    def of(cls, data: Dataset, rows: Sequence[Constant]) -> _Images:
-        """Those of cameras and board as stated; rows: of all constants."""
-        in_images = [row for row in rows if isinstance(row.effect, ImageEffect)]
-        every = slice(None, None, max(1, data.stations // _MOST_STATIONS))
-        some = replace(data, **{name: getattr(data, name)[every] for name in BY_STATION})
-        plain, each = some.with_constants(in_images), data.stations / some.stations
-        anywhere = Parameters(np.eye(4), WheelGeometry(1.0, 1.0, 1.0)), np.eye(4)[None]
-        state = State.without_errors(plain, *anywhere, np.zeros((some.stations, 3)))
-        J = whitened(some.whitening, corner_residuals(plain, state, some.T_c_k)[1])
-        J *= np.sqrt(each) / min(data.claimed_px, _MOST_PX)
-        J[~some.seen] = 0.0
-        wider = [1.0 if row.kind in PATTERNS else _WIDER for row in in_images]
-        return cls(some, each, J, (np.array(wider) * [row.sigma for row in in_images]) ** -2)
-
-    @cached_property
-    def G(self) -> FloatArray:
-        """(n, 6 + c, 6 + c) information about (delta, constants)."""
-        return np.asarray(np.einsum("ncmxa,ncmxb->nab", self.J, self.J, optimize=True))
-
-    def by_places(self, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Information (n, 6 + c, 3 M) shared with the places of the board's corners, and (3 M, 3 M) about these.
-
-        Args:
-            sigmas: (3 M,) of the places, in sigmas of the kind.
-        """
-        scale = kind(_CORNERS).sigma * sigmas
-        by_corner = self.J[..., 3:6] @ self.data.T_c_k[:, None, None, :3, :3]
-        shared = np.einsum("ncmxa,ncmxq->namq", self.J, by_corner, optimize=True)
-        of_corners = np.einsum("ncmxq,ncmxr->mqr", by_corner, by_corner, optimize=True)
-        shared = shared.reshape(*shared.shape[:2], -1) * scale
-        return shared, block_diag(*of_corners) * np.outer(scale, scale)
-
-    def informations(
-        self, shared: FloatArray, among: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """``H_cc``, ``H_ce`` and ``H_ee``; c are the constants and the camera's pose.
-
-        Args:
-            shared, among: from `by_places`.
-        """
-        T, G = self.data.T_c_k, self.G
-        # A board pose is tied to what joints, wheels and floor say of it, up to the poses of camera and board.
-        _, recording = np.unique(self.data.log, return_inverse=True)
-        of_board = np.einsum("nl,nab->nalb", np.eye(recording.max() + 1)[recording], se3.adjoint(T))
-        moved = np.concatenate(
-            [np.broadcast_to(np.eye(6), (len(T), 6, 6)), of_board.reshape(len(T), 6, -1)], axis=2
-        )
-        tie = self.each * np.diag(_TIED**-2)
-        with_pose = np.concatenate([G[:, :6, 6:], -tie @ moved, shared[:, :6]], axis=2)
-
-        sizes = (len(self.known), 6, moved.shape[2] - 6, len(among))
-        constants, camera, board, errors = (
-            slice(end - size, end) for size, end in zip(sizes, np.cumsum(sizes), strict=True)
-        )
-        poses = slice(camera.start, board.stop)
-        H = np.zeros((sum(sizes), sum(sizes)))
-        H[constants, constants] = G[:, 6:, 6:].sum(axis=0) + np.diag(self.known)
-        H[constants, errors] = shared[:, 6:].sum(axis=0)
-        H[errors, constants] = H[constants, errors].T
-        H[poses, poses] = np.sum(moved.mT @ tie @ moved, axis=0)
-        H[poses, poses] += np.diag(np.tile(_ANYWHERE**-2, moved.shape[2] // 6))
-        H[errors, errors] = np.eye(len(among)) + among
-        of_pose = np.linalg.inv(G[:, :6, :6] + tie)
-        H -= np.einsum("nax,nab,nby->xy", with_pose, of_pose, with_pose, optimize=True)
-        H -= H[:, board] @ np.linalg.solve(H[board, board], H[board])
-        c = np.r_[constants, camera]
-        return H[np.ix_(c, c)], H[c, errors], H[errors, errors]
+    sizes = (len(known), 6, moved.shape[2] - 6, len(among))
+    constants, camera, board, errors = (
+        slice(end - size, end) for size, end in zip(sizes, np.cumsum(sizes), strict=True)
+    )
+    poses = slice(camera.start, board.stop)
+    H = np.zeros((sum(sizes), sum(sizes)))
+    H[constants, constants] = G[:, 6:, 6:].sum(axis=0) + np.diag(known)
+    H[constants, errors] = shared[:, 6:].sum(axis=0)
+    H[errors, constants] = H[constants, errors].T
+    H[poses, poses] = np.sum(moved.mT @ tie @ moved, axis=0)
+    H[poses, poses] += np.diag(np.tile(_ANYWHERE**-2, moved.shape[2] // 6))
+    H[errors, errors] = np.eye(len(among)) + among
+    of_pose = np.linalg.inv(G[:, :6, :6] + tie)
+    H -= np.einsum("nax,nab,nby->xy", with_pose, of_pose, with_pose, optimize=True)
+    H -= H[:, board] @ np.linalg.solve(H[board, board], H[board])
+    c = np.r_[constants, camera]
+    return H[np.ix_(c, c)], H[c, errors], H[errors, errors]

@@ -84,7 +84,7 @@ class Posterior(Linearization):
             "normal": self.normal.after(step.shared),
             "conditional_covariance": self.conditional_covariance,
         }
-        return self.changed(known=known, state=self.state.plus(self.data, step))
+        return self.changed(known=known, state=self.state.plus(step))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,15 +138,9 @@ class Marginals:
 
     def images(self, stations: IntArray) -> FloatArray:
         """(n, Q, Q) of (delta, direct constants) of some stations."""
-        size = 6 + len(self.direct)
-        out = np.empty((len(stations), size, size))
-        out[:, :6, :6], out[:, :6, 6:], out[:, 6:, 6:] = (
-            self.views[stations],
-            self.mixed[stations],
-            self.direct,
-        )
-        out[:, 6:, :6] = out[:, :6, 6:].mT
-        return out
+        mixed = self.mixed[stations]
+        direct = np.broadcast_to(self.direct, (len(stations), *self.direct.shape))
+        return np.block([[self.views[stations], mixed], [mixed.mT, direct]])
 
 
 def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:
@@ -165,9 +159,7 @@ def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
 def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
-    Args:
-        lin, normal: an optimum.
-        C: (P, P) covariance of the shared parameters there.
+    C is (P, P) the covariance of the shared parameters.
 
     Raises:
         LinAlgError: a singular matrix.

@@ -26,13 +26,13 @@ class Priors:
         mean: (P,) expected displacement.
         stated_weight: (P,) inverse variance as stated, 0 for no prior.
         fixed: (P,) columns with an exactly known displacement, `mean`.
-        scales: (P,) prior sigmas of nominal values: units in which directions are orthonormal.
+
         unobservable: (K, 9) directions of the nine that the measurements do not show, orthonormal in units of
             `scales`. The displacement keeps its mean along them, and its prior variance.
         alike: (P,) constants whose priors are made wider with those of their kind, see `wider`.
         wider: kind of constants → how many times as wide as stated their priors are.
         bias: (P,) gradient that half the sum of squares is expected to have at the truth, see
-            `shrinking.expected_gradient`.
+            `budget.expected_gradient`.
     """
 
     layout: Layout
@@ -40,7 +40,6 @@ class Priors:
     mean: FloatArray
     stated_weight: FloatArray
     fixed: BoolArray
-    scales: FloatArray
     unobservable: FloatArray
     alike: BoolArray
     wider: Mapping[str, float]
@@ -49,6 +48,11 @@ class Priors:
     def widened(self, wider: Mapping[str, float]) -> Priors:
         """The same, so many times as wide as stated."""
         return replace(self, wider=wider)
+
+    @cached_property
+    def scales(self) -> FloatArray:
+        """(P,) prior sigmas of nominal values: units in which directions are orthonormal."""
+        return self.layout.prior_sigmas(self.anchor.wheels)
 
     @cached_property
     def factors(self) -> FloatArray:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from mobilecal_cli.kinematics import Increments
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.measurements import ENCODERS, ERRORS, FLOOR, SCALES
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import EXACT, FloatArray, Noise, WheelGeometry
 
 #: Noise level of each error, in the order of `ERRORS`.
@@ -68,11 +68,11 @@ def path_m(steps: Increments, wheels: WheelGeometry) -> FloatArray:
     return steps.total(np.abs(twice_m) / 2)
 
 
-def processes_of(data: Dataset, wheels: WheelGeometry, noise: Noise, inliers: Inliers) -> Processes:
+def processes_of(state: State, noise: Noise, inliers: Inliers) -> Processes:
     """The processes along the legs. A leg that is no inlier joins nothing: the floor behind it is another one."""
-    j, width = data.legs[:, 1], data.base_width
+    data, j, width = state.data, state.data.legs[:, 1], state.data.base_width
     levels = LEVELS[: width - ERRORS.start]
-    rolled = rolled_m(data.steps(), wheels)
+    rolled = rolled_m(data.steps(), state.parameters.wheels)
     distance, between = np.zeros((2, data.stations, width))
     distance[j, FLOOR], distance[j, SCALES] = rolled.mean(axis=1, keepdims=True), rolled
     unit = np.ones(width)

@@ -9,11 +9,10 @@ import numpy as np
 from scipy.special import fdtri
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.linearization import FREE_JOINT
 from mobilecal_cli.likelihood.measurements import JOINTS
-from mobilecal_cli.likelihood.noise import FREE_JOINT, Inliers, joint_sigmas
 from mobilecal_cli.likelihood.normal import roots
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
-from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.likelihood.views import Views
 from mobilecal_cli.model import BoolArray, FloatArray
 
@@ -65,7 +64,7 @@ class ResidualTests:
     def readings(self) -> FloatArray:
         """(N, J) of each joint reading, one degree of freedom."""
         lin = self._lin
-        sigma = joint_sigmas(lin.data, Inliers.all_of(lin.data), lin.noise)
+        sigma = lin.data.joint_sigmas(lin.noise)
         share = np.diagonal(lin.marginals.own, axis1=1, axis2=2)[:, JOINTS] / sigma**2
         left = np.where(lin.inliers.readings, 1 - share, 1 + share)
         usable = left > _NO_REDUNDANCY
@@ -91,7 +90,7 @@ class ResidualTests:
         lin, views = self._lin, self._all_views
         inverse = np.linalg.pinv(views.information[:, :6, :6], hermitian=True)
         off = np.einsum("nab,nb->na", inverse, views.gradient[:, :6])
-        middle = se3.act(board_in_camera(lin.data, lin.state), lin.data.points_k.mean(axis=0)[None])[:, 0]
+        middle = se3.act(lin.state.T_c_k, lin.data.points_k.mean(axis=0)[None])[:, 0]
         shift = off[:, 3:] + np.cross(off[:, :3], middle)
         return _small(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(shift, axis=1))
 

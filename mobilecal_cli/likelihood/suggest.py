@@ -10,13 +10,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import station_information
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import State, base_at, cameras_at, head_at
-from mobilecal_cli.model import NINE, BoolArray, CameraRig, FloatArray, Suggestion, WheelTrack
+from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.model import NINE, BoolArray, FloatArray, Suggestion, WheelTrack
 
 #: Accuracy that a robot needs, rad, m, and of the wheels themselves: the least certain parameter is the worst of it.
 NEEDED = np.full(9, 0.003)
@@ -42,25 +41,24 @@ def _bases(state: State, ways: FloatArray) -> FloatArray:
     return np.stack([x + drive * np.cos(along), y + drive * np.sin(along), along + face], axis=1)
 
 
-def _boards(data: Dataset, state: State, ways: FloatArray) -> FloatArray:
+def _boards(state: State, ways: FloatArray) -> FloatArray:
     """(C, 4, 4) the board in the base on a flat floor, at the end of ways."""
-    return np.asarray(se3.inverse(planar_pose(_bases(state, ways))) @ state.T_w_k[data.log[-1]])
+    return np.asarray(se3.inverse(planar_pose(_bases(state, ways))) @ state.T_w_k[state.data.log[-1]])
 
 
-def _aimed(
-    data: Dataset, state: State, ways: FloatArray, rays_c: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _aimed(state: State, ways: FloatArray, rays_c: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Ways (C, 3) and joints (C, J) that bring the board's middle as near as they can to rays (C, 3) of a camera.
 
     Where no joint pans, the base turns after its drive.
     """
-    ways, joints = ways.copy(), np.repeat(data.joints[-1:], len(ways), axis=0)
+    data, ways = state.data, ways.copy()
+    joints = np.repeat(data.joints[-1:], len(ways), axis=0)
     X, turns = state.parameters.T_h_c, 0 if data.chain.pan else 1
     middle_k = data.points_k.mean(axis=0)
     for _ in range(_AIM_STEPS):
         frames = JointFrames.at(data.chain, joints)
         T_v_c = frames.T_v_h @ X
-        middle = se3.act(_boards(data, state, ways), middle_k[None])
+        middle = se3.act(_boards(state, ways), middle_k[None])
         sight = middle[:, 0] - T_v_c[:, :3, 3]
         distance = np.linalg.norm(sight, axis=1)[:, None]
         sight /= distance
@@ -78,8 +76,10 @@ def _aimed(
     return ways, joints
 
 
-def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: FloatArray) -> BoolArray:
+def _seen_whole(state: State, T_c_k: FloatArray) -> BoolArray:
     """(C,) whether the cameras that usually show the board see all of it well."""
+    data, rig = state.data, state.cameras
+    distances = np.linalg.norm(state.T_c_k[:, :3, 3], axis=1)
     points_c = se3.act(T_c_k, data.points_k)
     reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
     middle = points_c.mean(axis=1)
@@ -97,27 +97,25 @@ def _seen_whole(data: Dataset, T_c_k: FloatArray, rig: CameraRig, distances: Flo
     return np.asarray(fine)
 
 
-def _reachable(data: Dataset, state: State) -> tuple[FloatArray, FloatArray]:
+def _reachable(state: State) -> tuple[FloatArray, FloatArray]:
     """Ways (C, 3) from the last station, and joints (C, J), from which the whole board is seen."""
-    rig, X = cameras_at(data, state), state.parameters.T_h_c
-    T_w_c = base_at(data, state) @ head_at(data, state) @ X
-    distances = np.linalg.norm((se3.inverse(T_w_c) @ state.T_w_k[data.log])[:, :3, 3], axis=1)
+    data, rig, X = state.data, state.cameras, state.parameters.T_h_c
     every = [
         (np.radians(turn), drive, 0.0, *look) for turn in _TURNS_DEG for drive in _DRIVES_M for look in _LOOKS
     ]
     ways, looks = np.split(np.array(every), [3], axis=1)
-    away_m = _boards(data, state, ways)[:, :3, 3] - (head_pose(data.chain, data.joints[-1]) @ X)[:3, 3]
+    away_m = _boards(state, ways)[:, :3, 3] - (head_pose(data.chain, data.joints[-1]) @ X)[:3, 3]
     board_px = rig.first.K[0, 0] * np.ptp(data.points_k, axis=0)[:2] / np.linalg.norm(away_m, axis=1)[:, None]
     size_px = np.array([rig.first.width, rig.first.height])
     free_px = np.maximum(size_px - board_px, 0.0) / 2
     flat, _ = undistorted(rig.first, size_px / 2 + looks * free_px)
     rays = np.concatenate([flat, np.ones((len(flat), 1))], axis=1)
-    ways, joints = _aimed(data, state, ways, rays / np.linalg.norm(rays, axis=1, keepdims=True))
+    ways, joints = _aimed(state, ways, rays / np.linalg.norm(rays, axis=1, keepdims=True))
     low, high = data.joints.min(axis=0) - _REACH_RAD, data.joints.max(axis=0) + _REACH_RAD
     within = np.all((joints > low) & (joints < high), axis=1)
     ways, joints = ways[within], joints[within]
-    T_c_k = se3.inverse(head_pose(data.chain, joints) @ X) @ _boards(data, state, ways)
-    seen = _seen_whole(data, T_c_k, rig, distances)
+    T_c_k = se3.inverse(head_pose(data.chain, joints) @ X) @ _boards(state, ways)
+    seen = _seen_whole(state, T_c_k)
     return ways[seen], joints[seen]
 
 
@@ -152,17 +150,14 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     base = np.concatenate([state.base[[-1, -1], BASE], _bases(state, ways)])
     there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
-    return Posterior.at(wide, there, Inliers.all_of(wide), lin.noise, lin.priors)
+    return Posterior.at(there, Inliers.all_of(wide), lin.noise, lin.priors)
 
 
 def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     """What the stops' images show: (C, Q, P + 6 + B) rows, and the information (C, Q, Q) about them.
 
     The rows are derivatives of (delta, direct constants) by the shared parameters, the board and the last base. A
-    stop's own base is what follows from these along the leg, with the noise of the leg.
-
-    Args:
-        lin: see `_with_stops`.
+    stop's own base is what follows from these along the leg, with the noise of the leg. See `_with_stops`.
     """
     views, legs, count, P, B = lin.views, lin.legs, len(lin.data.legs), lin.data.layout.size, STAMP
     errors = np.arange(B)[ERRORS]
@@ -187,13 +182,9 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
 def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...]:
     """The stops that would shrink the worst standard deviation most, best first, one for each turn and drive.
 
-    A height that no motion of this robot shows is left out.
-
-    Args:
-        lin: the optimum.
-        covariance: (P, P) of the shared parameters.
+    A height that no motion of this robot shows is left out. The covariance is (P, P), of the shared parameters.
     """
-    if lin.data.posed.any():
+    if lin.data.posed:
         return ()  # no camera says from where the target would be seen
     normal, wheels, last = lin.normal, lin.state.parameters.wheels.vector, int(lin.data.log[-1])
     # Shared parameters, last board and last base block; at a stop, the stamp's error has no effect.
@@ -211,7 +202,7 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     worst = int(np.argmax(now / needed))
     if not now[worst] > 0:
         return ()  # all nine are fixed
-    ways, joints = _reachable(lin.data, lin.state)
+    ways, joints = _reachable(lin.state)
     A, G = _shown(_with_stops(lin, ways, joints))
     across = A @ joint
     nine, spread = across[:, :, :9], across @ A.mT

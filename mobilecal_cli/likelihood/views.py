@@ -12,22 +12,11 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import JointFrames
-from mobilecal_cli.likelihood.corners import Showing, blocks_of, columns_of, whitened
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.corners import blocks_of, columns_of, of_camera, whitened
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect, ChainEffect, Clock, FloorEffect, JointReading
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
-from mobilecal_cli.likelihood.noise import Inliers
-from mobilecal_cli.likelihood.state import (
-    State,
-    Step,
-    board_in_camera,
-    chain_change,
-    clock_s,
-    joints_at,
-    stance_at,
-    standing,
-)
+from mobilecal_cli.likelihood.state import State, Step, standing
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
 
@@ -78,8 +67,8 @@ class Images:
             pull=weight[:, None] * self.pull,
         )
 
-    def with_own_delays(self, before: FloatArray | float, after: float) -> Self:
-        """The same if delays of further cameras vary from image to image by another variance, s^2; before: also (N,).
+    def with_own_delays(self, before: float, after: float) -> Self:
+        """The same if delays of further cameras vary from image to image by another variance, s^2.
 
         Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
         delay d, and v the variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
@@ -134,35 +123,29 @@ class Views(Images):
         return self.shifted(shift)
 
 
-def _pose_columns(
-    data: Dataset, state: State, T_c_k: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    X, layout = state.parameters.T_h_c, data.layout
-    count, joints = data.joints.shape
-    change, positions = chain_change(data, state), joints_at(data, state)
-    chain = change.apply(data.chain)
-    frames = JointFrames.at(chain, positions)
+def _pose_columns(state: State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    data, X, frames, stance = state.data, state.parameters.T_h_c, state.frames, state.stance
+    layout, (count, joints) = data.layout, data.joints.shape
     T_v_c = frames.T_v_h @ X
-    stance = stance_at(data, state)
     Ad_c_floor, Ad_c_v = se3.adjoint(se3.inverse(np.stack([standing(stance) @ T_v_c, T_v_c])))
     by_base = np.zeros((count, 6, data.base_width))
     by_base[..., 0], by_base[..., 1], by_base[..., 2] = (-Ad_c_floor[:, :, k] for k in (3, 4, 2))
     by_own = np.empty((count, 6, data.own_width))
     by_own[..., :joints] = -Ad_c_v @ frames.by_joints()
     by_own[..., joints:] = -Ad_c_floor @ _stance_twists(stance)
-    for value, effect in state.present(layout, FloorEffect):
+    for value, effect in state.present(FloorEffect):
         by_base[..., BASE] += by_own[..., joints:] @ (value * effect.stance_by_base(data, state.base))
     by_base[data.first] = 0.0  # the world is the base at its first station
     by_base[..., FLOOR] = by_own[..., joints:]
     if data.base_width > STAMP:
-        rates = data.joint_rates(clock_s(data, state, "joints"))
+        rates = data.joint_rates(state.clock_s("joints"))
         by_base[..., STAMP] = (by_own[..., :joints] @ rates[..., None])[..., 0]
 
     by_shared = np.zeros((count, 6, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T
     of_chain = layout.of(ChainEffect)
     if of_chain:
-        twists = np.stack([effect.twist(frames, change) for _, _, effect in of_chain], axis=2)
+        twists = np.stack([effect.twist(frames, state.chain_change) for _, _, effect in of_chain], axis=2)
         by_shared[..., [column for column, _, _ in of_chain]] = -Ad_c_v @ twists
     for column, _, joint in layout.of(JointReading):
         by_shared[..., column] = (by_own[..., :joints] @ joint.rate(data)[:, :, None])[..., 0]
@@ -172,7 +155,7 @@ def _pose_columns(
     for column, _, floor in layout.of(FloorEffect):
         stance = floor.stance(data, state.base)
         by_shared[..., column] = (by_own[..., joints:] @ stance[..., None])[..., 0]
-    return by_base, by_own, se3.adjoint(T_c_k), by_shared
+    return by_base, by_own, se3.adjoint(state.T_c_k), by_shared
 
 
 def _stance_twists(stance: FloatArray) -> FloatArray:
@@ -184,28 +167,20 @@ def _stance_twists(stance: FloatArray) -> FloatArray:
     return twists
 
 
-def linearize_views(data: Dataset, state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
-    """Residuals and information of all stations' images; rates: (C, N, 6) see `view_rates`."""
-    T_c_k = board_in_camera(data, state)
-    i = images_of(data, state, T_c_k, inliers, noise, rates, np.arange(data.stations))
+def linearize_views(state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
+    """Residuals and information of all stations' images; rates: (C, N, 6) see `State.view_rates`."""
+    data = state.data
+    i = images_of(state, inliers, noise, rates, np.arange(data.stations))
     direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
     images = i.information, i.gradient, i.cost, i.delays, i.across, i.pull
-    return Views(*images, *_pose_columns(data, state, T_c_k), data.log, direct)
+    return Views(*images, *_pose_columns(state), data.log, direct)
 
 
-def images_of(
-    data: Dataset,
-    state: State,
-    T_c_k: FloatArray,
-    inliers: Inliers,
-    noise: Noise,
-    rates: FloatArray,
-    stations: IntArray,
-) -> Images:
-    """Residuals of some stations' images, or of measured poses; T_c_k: of all stations, (N, 4, 4)."""
-    if data.posed.any():
-        return _measured_poses(data, T_c_k, inliers, noise, stations)
-    showing, direct = Showing.at(data, state), data.layout.direct
+def images_of(state: State, inliers: Inliers, noise: Noise, rates: FloatArray, stations: IntArray) -> Images:
+    """Residuals of some stations' images, or of measured poses."""
+    data, direct = state.data, state.data.layout.direct
+    if data.posed:
+        return _measured_poses(state, inliers, noise, stations)
     Q = 6 + len(direct)
     information, gradient, cost = (np.zeros((len(stations), *shape)) for shape in ((Q, Q), (Q,), ()))
     for block in blocks_of(len(stations)):
@@ -214,7 +189,7 @@ def images_of(
         W = data.whitening[mine] * weight[..., None, None]
         for k in range(len(data.cameras.each)):
             columns, effects = columns_of(direct, k)
-            residual, J = showing.of_camera(k, T_c_k[mine], mine, rates[:, mine], effects)
+            residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
             A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
             r = whitened(W[:, k], residual).reshape(len(mine), -1)
             information[block, columns[:, None], columns] += A.mT @ A
@@ -229,14 +204,12 @@ def images_of(
     return together.with_own_delays(0.0, noise.pair_s**2)
 
 
-def _measured_poses(
-    data: Dataset, T_c_k: FloatArray, inliers: Inliers, noise: Noise, stations: IntArray
-) -> Images:
+def _measured_poses(state: State, inliers: Inliers, noise: Noise, stations: IntArray) -> Images:
     """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
-    off = se3.log(T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
+    off = se3.log(state.T_c_k[stations] @ se3.inverse(state.data.T_c_k[stations]))
     by_delta = _by_left_twist(off)
     used = inliers.views[stations] / noise.pose_scale**2
-    weight = data.pose_weight[stations] * used[:, None, None]
+    weight = state.data.pose_weight[stations] * used[:, None, None]
     pull = (weight @ off[..., None])[..., 0]
     information = by_delta.mT @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)

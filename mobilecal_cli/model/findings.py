@@ -108,7 +108,7 @@ class Budget(ReadOnly):
     """What the variances come from. The shares of each column add up to 1.
 
     Attributes:
-        sources: noise levels (see `likelihood.noise.Noise`), kinds of constants (see `likelihood.nuisance.KINDS`), and
+        sources: noise levels (see `Noise`), kinds of constants (see `likelihood.nuisance.KINDS`), and
             "nominal", "user priors", "unobservable", "other".
         nine: (S, 9) shares of the nine parameters, 0 for fixed ones.
         at_work: field of `AtWork` → (S,) shares.

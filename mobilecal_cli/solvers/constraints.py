@@ -23,6 +23,12 @@ _KIND_GROUPS = {
     "board": ("square_size", "square_aspect", "board_bend", "board_shear", "board_corners"),
     "head": ("joint_zero", "joint_scale", "joint_axis", "joint_position", "backlash"),
 }
+#: Option → names that it takes beside those of constants, and groups of names.
+_OPTIONS: Mapping[str, tuple[tuple[str, ...], Mapping[str, tuple[str, ...]]]] = {
+    "--fix": (NINE, _GROUPS),
+    "--prior": (NINE, {}),
+    "--estimate": (_KINDS, _KIND_GROUPS),
+}
 #: A constant is at most so many of its default prior sigmas from its stated value: more is another quantity or unit.
 _MOST_SIGMAS = 20.0
 _MOST = {"readout": 0.1}  # s: unknown for most cameras, and stated as 0 then
@@ -69,7 +75,7 @@ class Constraints:
             ConfigError: an unknown name, or a value that is relative to a nominal value that is not known.
         """
         for flag, names in self._by_flag():
-            known = [*(_KINDS if flag == "--estimate" else NINE), *constants]
+            known = [*_OPTIONS[flag][0], *constants]
             for name in names:
                 if name not in known:
                     raise _unknown(flag, name, known)
@@ -137,12 +143,10 @@ def _unknown(flag: str, name: str, known: Sequence[str]) -> ConfigError:
     near = difflib.get_close_matches(name, [*known, *_OFTEN], 1)
     if near:
         return ConfigError(message, f"did you mean {near[0]}?")
-    kinds = (
-        f"kinds: {', '.join((*_KIND_GROUPS, *_KINDS))}; "
-        if flag == "--estimate"
-        else f"parameters: {', '.join(NINE)}; "
-    )
-    return ConfigError(message, f"{kinds}docs/reference/rig-yaml.md lists all constants")
+    names = f"kinds: {', '.join((*_KIND_GROUPS, *_KINDS))}"
+    if flag != "--estimate":
+        names = f"parameters: {', '.join(NINE)}"
+    return ConfigError(message, f"{names}; docs/reference/rig-yaml.md lists all constants")
 
 
 def constraints_of(fix: Sequence[str], prior: Sequence[str], estimate: Sequence[str]) -> Constraints:
@@ -197,56 +201,51 @@ def checked_constraints(
     prior: Iterable[tuple[str, tuple[float, float]]],
     estimate: Iterable[str],
 ) -> Constraints:
-    """Constraints from values; groups are replaced by their members.
-
-    Args:
-        fix: parameters, groups of them or constants, each with its value, or None for the nominal one.
-        prior: parameters or constants, each with its value and standard deviation.
-        estimate: constants, kinds of constants or groups of kinds.
+    """Constraints from names with their values, see `constraints_of`; groups are replaced by their members.
 
     Raises:
         ConfigError: an unknown name, a name given twice, or a value that is no number or out of range.
     """
-    rows = [row.name for row in nuisance.CONSTANTS]
     fixed: dict[str, float | None] = {}
     for name, value in fix:
-        _check_name("--fix", name, [*NINE, *_GROUPS, *rows])
+        members = _members("--fix", name)
         if value is not None and name in _GROUPS:
             raise ConfigError(
                 f"--fix {name}={value}: {name} is a group of parameters and takes no value",
                 f"omit the value, or fix one of {', '.join(_GROUPS[name])}",
             )
         exact = None if value is None else _in_range("--fix", name, value)
-        for member in _GROUPS.get(name, (name,)):
+        for member in members:
             _check_new("--fix", member, fixed)
             fixed[member] = exact
     priors: dict[str, tuple[float, float]] = {}
     for name, (mean, sigma) in prior:
-        _check_name("--prior", name, [*NINE, *rows])
+        _members("--prior", name)
         _check_new("--prior", name, fixed, priors)
-        priors[name] = (
-            _in_range("--prior", name, mean),
-            ranges.SIGMA.check(f"--prior {name}: standard deviation", sigma),
-        )
+        mean = _in_range("--prior", name, mean)
+        priors[name] = mean, ranges.SIGMA.check(f"--prior {name}: standard deviation", sigma)
     constants: list[str] = []
     for name in estimate:
-        for member in _KIND_GROUPS.get(name, (name,)):
-            _check_name("--estimate", member, [*_KIND_GROUPS, *_KINDS, *rows])
+        for member in _members("--estimate", name):
             _check_new("--estimate", member, fixed, priors)
             constants.append(member)
     return Constraints(fixed, priors, tuple(dict.fromkeys(constants)))
 
 
-def _check_name(flag: str, name: str, known: Sequence[str]) -> None:
-    if name not in known and _kind_of_the_robot(name) is None:
-        raise _unknown(flag, name, known)
+def _members(flag: str, name: str) -> tuple[str, ...]:
+    """The parameters, constants or kinds that a name stands for."""
+    own, groups = _OPTIONS[flag]
+    if name not in (*own, *groups) and _kind_of(name) is None:
+        raise _unknown(flag, name, [*own, *groups, *(row.name for row in nuisance.CONSTANTS)])
+    return groups.get(name, (name,))
 
 
-def _kind_of_the_robot(name: str) -> str | None:
-    """The kind of a constant that depends on the robot, by its name, which is checked when the robot is known."""
+def _kind_of(name: str) -> str | None:
+    """The kind of a constant, by its name; one that depends on the robot is checked when the robot is known."""
+    named = [row.kind for row in nuisance.CONSTANTS if row.name == name]
+    matching = [kind.name for kind in nuisance.KINDS if kind.names and re.fullmatch(kind.names, name)]
     # The last that matches: `focal_aspect_left` is no focal length.
-    kinds = (kind for kind in reversed(nuisance.KINDS) if kind.names and re.fullmatch(kind.names, name))
-    return next((kind.name for kind in kinds), None)
+    return next(iter(named + matching[::-1]), None)
 
 
 def _in_range(flag: str, name: str, value: float) -> float:
@@ -257,8 +256,7 @@ def _in_range(flag: str, name: str, value: float) -> float:
     """
     if name in NINE:
         return ranges.of_parameter(name).check(f"{flag} {name}", value)
-    named = (row.kind for row in nuisance.CONSTANTS if row.name == name)
-    kind = nuisance.kind(next(named, None) or _kind_of_the_robot(name) or "")
+    kind = nuisance.kind(_kind_of(name) or "")
     share = kind.unit == "1"
     unit = ("of the image width" if kind.shown_unit != "%" else "of the stated value") if share else kind.unit
     most = _MOST.get(kind.name, _MOST_SIGMAS * kind.sigma)

@@ -50,33 +50,27 @@ def evaluate(
     """
     offsets = dict(offsets_s or {})
     clocks = {f"time_{name}": offset_s for name, offset_s in offsets.items()}
-    extraction, pairs = at_constants(extraction, parameters, {**_without_clocks(constants or {}), **clocks})
-    i, j = pairs.legs.T
+    every = (constants or {}).items()  # clocks belong to a recording
+    own = {name: value for name, value in every if not name.startswith(("time_joints", "time_wheels"))}
+    shown = at_constants(extraction, parameters, own | clocks)
+    pairs, (i, j) = shown.pairs, shown.pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
     apart = se3.inverse(T_ci_cj) @ camera_motion(pairs, parameters)
-    covered = _seen(pairs, parameters) if reference is None else _covered(pairs, reference)
+    T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
+    covered = _seen(pairs, T_k_v) if reference is None else _covered(pairs, reference)
     return Evaluation(
         stations=len(o),
         legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in pairs.legs.tolist()]),
-        reprojection_px=residuals_of(extraction, pairs, parameters).leg_reprojection_px,
+        reprojection_px=residuals_of(shown, parameters).leg_reprojection_px,
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
         driven_m=float(covered[0].sum()),
         turned_rad=float(covered[1].sum()),
-        before=_drift(pairs, parameters, before, covered) if before is not None else None,
-        after=_drift(pairs, parameters, parameters.wheels, covered),
+        before=_drift(pairs, T_k_v, before, covered) if before is not None else None,
+        after=_drift(pairs, T_k_v, parameters.wheels, covered),
         clock_offsets_s=offsets,
     )
-
-
-def _without_clocks(constants: Mapping[str, float]) -> dict[str, float]:
-    """The constants of the robot: clocks belong to a recording."""
-    return {
-        name: value
-        for name, value in constants.items()
-        if not name.startswith(("time_joints", "time_wheels"))
-    }
 
 
 def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray]:
@@ -86,9 +80,8 @@ def _covered(pairs: MotionPairs, wheels: WheelGeometry) -> tuple[FloatArray, Flo
     return path_m(steps, wheels), steps.total(np.abs(right_m - left_m) / wheels.separation_m)
 
 
-def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
+def _seen(pairs: MotionPairs, T_k_v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(L,) distance, m, and (L,) rotation below a half turn, rad, of the base over each leg, as the board shows."""
-    T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     i, j = pairs.legs.T
     moved = se3.inverse(T_k_v[i]) @ T_k_v[j]
     return np.linalg.norm(moved[:, :2, 3], axis=-1), np.abs(heading_of(moved))
@@ -96,16 +89,15 @@ def _seen(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, Float
 
 def _drift(
     pairs: MotionPairs,
-    parameters: Parameters,
+    T_k_v: FloatArray,
     wheels: WheelGeometry,
     covered: tuple[FloatArray, FloatArray],
 ) -> Drift:
-    """Error of dead reckoning with some wheels against the base poses that the board gives.
+    """Error of dead reckoning with some wheels against the base poses (N, 4, 4) that the board gives.
 
     It is divided by path and rotation (`covered`), which do not depend on these wheels, so that drifts can be compared.
     """
-    reckoned = dead_reckoned(pairs, Parameters(parameters.T_h_c, wheels))
-    T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
+    reckoned = dead_reckoned(pairs, wheels)
     path, turned = covered
     place_m, heading_rad, covered_m, turned_rad = [], [], [], []
     for legs in (np.flatnonzero(pairs.chain == first) for first in np.unique(pairs.chain)):

@@ -14,7 +14,6 @@ from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
-from mobilecal_cli.likelihood.state import board_in_camera
 from mobilecal_cli.model import (
     CONTRADICTION_SIGMAS,
     MATERIAL_SIGMAS,
@@ -54,9 +53,7 @@ def contradictions_of(fit: Fit) -> tuple[Evidence, ...]:
     return tuple(e for e in ranked if e.sigmas > CONTRADICTION_SIGMAS)
 
 
-def scale_of(
-    extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...] = ()
-) -> ScaleCheck | None:
+def scale_of(extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, ...]) -> ScaleCheck | None:
     """Consistency of square size and stereo baseline; None if no square size is stated or one of them is exact.
 
     The board measured with the baseline as stated, over its stated size: what both estimates together say, without
@@ -94,11 +91,8 @@ def jumps_of(
 
     One that moves neither the result nor the part by what matters at work is none, however sharp the images are.
 
-    And the fit without what a jump explains that moves the result: no evidence against the robot description.
-
-    Args:
-        extraction, fit: the recordings, and their fit.
-        significant: from `Inference.jump`.
+    And the fit without what a jump explains that moves the result: no evidence against the robot description. The
+    `significant` one is from `Inference.jump`.
     """
     if significant is None:
         stretch = longest_stretch(fit)
@@ -187,7 +181,7 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"differ by {by}. The odometry of this leg is excluded."
         )
         add("slip", (i, j), text)
-    expected = board_in_camera(fit.data, state)
+    expected = state.T_c_k
     for i in np.flatnonzero(~inliers.views).tolist():
         off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
         shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3

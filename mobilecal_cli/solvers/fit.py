@@ -12,14 +12,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.likelihood.budget import Moved, moved, shares
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import camera_change
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.predict import STEP, camera_covariance, expected, weights_at
 from mobilecal_cli.likelihood.residual_tests import ResidualTests
-from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import (
     BetweenLogs,
     BoolArray,
@@ -214,7 +212,7 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
     J = np.eye(9, data.layout.size)
     if data.cameras.reference == data.cameras.names[0]:
         return J
-    R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], cameras_at(data, state).T_c_reference
+    R_h_c, T_c_reference = state.parameters.T_h_c[:3, :3], state.cameras.T_c_reference
     J[3:6, :3] = -se3.skew(R_h_c @ T_c_reference[:3, 3])
     for k, name, _ in data.layout.of(CameraEffect):
         moved = {**state.constants, name: state.value(name) + STEP}

@@ -21,7 +21,6 @@ from mobilecal_cli.model import (
     BoolArray,
     FloatArray,
     IntArray,
-    Parameters,
     Rig,
     Track,
     WheelGeometry,
@@ -353,7 +352,7 @@ def _joint_as_seen(readings: Readings, column: int) -> Readings:
     joints, wheels, X = readings.joints.copy(), readings.nominal.wheels, readings.nominal.T_h_c
     if X is None or wheels is None:
         return readings.of(slice(0))
-    T_w_v = dead_reckoned(readings.pairs, Parameters(X, wheels))
+    T_w_v = dead_reckoned(readings.pairs, wheels)
 
     def head(angles: FloatArray) -> FloatArray:
         joints[:, column] = angles
@@ -388,11 +387,7 @@ def _as_seen(
 ) -> FloatArray:
     """The free part (F,) with which the board stays at its place, and the head-eye transform near its nominal one.
 
-    Args:
-        readings: of one recording.
-        X: nominal T_h_c.
-        head: free part (F,) → T_w_h (N, 4, 4).
-        start: (F,) free part to start from.
+    X is the nominal T_h_c; `head` gives T_w_h (N, 4, 4) by the free part.
     """
     scale_m = _SPREAD * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
     corners_k = np.broadcast_to(readings.corners_k, (len(readings.T_c_k), 4, 3))

@@ -11,15 +11,14 @@ import numpy as np
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, unseen_height
 from mobilecal_cli.likelihood import jumps, nuisance
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.budget import expected_gradient
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
-from mobilecal_cli.likelihood.shrinking import expected_gradient
-from mobilecal_cli.likelihood.state import State, cameras_at
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
@@ -55,34 +54,19 @@ _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 #: Noise levels that a jump may make large: those of the processes, and others.
 _CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
+#: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
+_COARSE, _FINE, _HELD = 0.1, 0.015, 2.0
+_QUICK = 1e-3  # `optimize`'s `near` of long recordings, while outliers are searched for
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
-@dataclass(frozen=True, slots=True)
-class Tolerances:
-    """Accuracy of a fit.
-
-    Attributes:
-        levels: relative tolerance of the noise levels that are found to first order; after a fit, `_HELD` times it.
-        near: end of an optimization, see `optimize`.
-    """
-
-    levels: float
-    near: float
-
-
-_COARSE, _QUICK = Tolerances(0.1, NEAR), Tolerances(0.1, 1e-3)
-FINE = Tolerances(0.015, NEAR)
-_HELD = 2.0
-
-
-def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset) -> Dataset:
+def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
     """The measurements, with all constants that they can show under the priors of rig.yaml and of the user.
 
     Raises:
         ConfigError: see `Constraints.check`.
     """
-    rig = extraction.rig
+    data, rig = dataset_of(extraction), extraction.rig
     described = nuisance.table(rig.cameras, rig.chain)
     clocks = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
     floors = nuisance.floors_of(np.unique(data.log).tolist())
@@ -91,7 +75,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints, data: Dataset)
     sigmas = dict(rig.prior_sigmas)
     if extraction.board.square_m is None:
         sigmas["square_scale"] = NO_SQUARE
-    sigmas |= dict.fromkeys(nuisance.names_of(constraints.constants, rows), math.inf)
+    sigmas |= {row.name: math.inf for row in rows if {row.name, row.kind} & {*constraints.constants}}
     sigmas |= {name: sigma for name, (_, sigma) in constraints.priors.items()}
     sigmas |= dict.fromkeys(constraints.fixed, math.inf)
     offered = (row for row in rows if row.effect.offered(data))
@@ -109,7 +93,7 @@ class Inference:
         nominal: where the linear method starts from.
         levels: noise levels that rig.yaml states.
         guess: noise levels before the residuals are known.
-        coarse: tolerances while outliers are searched for.
+        near: end of an optimization, see `optimize`, while outliers are searched for.
         scales_stay: the priors of each kind of constants keep their scale.
         on_step: called before each step of an optimization.
     """
@@ -120,7 +104,7 @@ class Inference:
     nominal: InitialPrior
     levels: Mapping[str, float]
     guess: Noise
-    coarse: Tolerances
+    near: float
     scales_stay: bool
     on_step: Callable[[], None]
 
@@ -130,14 +114,13 @@ class Inference:
         extraction: Extraction,
         constraints: Constraints,
         on_step: Callable[[], None] = lambda: None,
-        data: Dataset | None = None,
     ) -> Inference:
-        """That of an extraction; `data` has its measurements, if they were gathered before.
+        """That of an extraction.
 
         Raises:
             ConfigError: a constraint that this robot cannot have.
         """
-        data = dataset_for(extraction, constraints, data or dataset_of(extraction))
+        data = dataset_for(extraction, constraints)
         head_eye_fixed = all(name in constraints.fixed for name in NINE[:6])
         encoder_rad = float(data.encoder_step_rad.max()) * UNIFORM
         return cls(
@@ -147,7 +130,7 @@ class Inference:
             nominal=nominal_of(extraction.rig, head_eye_fixed),
             levels=extraction.rig.noise,
             guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
-            coarse=_QUICK if data.stations >= outliers.LONG_RECORDING else _COARSE,
+            near=_QUICK if data.stations >= outliers.LONG_RECORDING else NEAR,
             scales_stay=False,
             on_step=on_step,
         )
@@ -199,13 +182,13 @@ class Inference:
             unobservable: (K, 9) directions that keep their prior.
         """
         layout, anchor = self.data.layout, self._anchor(state.parameters)
-        scales = layout.prior_sigmas(anchor.wheels)
-        stated, cameras = self.data.cameras.T_c_reference, cameras_at(self.data, state)
+
+        stated = self.data.cameras.T_c_reference
         meant = anchor.seen_from(stated)
-        seen = state.parameters.seen_from(cameras.T_c_reference)
+        seen = state.parameters.seen_from(state.cameras.T_c_reference)
         apart = seen.minus(meant) - state.parameters.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
-        mean, weight = np.zeros(layout.size), scales**-2
+        mean, weight = np.zeros(layout.size), layout.prior_sigmas(anchor.wheels) ** -2
         weight[:6] *= self.nominal.T_h_c is not None
         weight[6:9] *= self.nominal.wheels is not None
         for name, (value, sigma) in self.constraints.priors.items():
@@ -222,7 +205,7 @@ class Inference:
             for row in layout.constants
         ]
         kept = np.zeros((0, len(NINE))) if unobservable is None else unobservable
-        return Priors(layout, anchor, mean, weight, fixed, scales, kept, np.array(alike), {})
+        return Priors(layout, anchor, mean, weight, fixed, kept, np.array(alike), {})
 
     def _require_nominal(self, unobservable: FloatArray) -> None:
         """Refuse to keep the prior of a parameter that has none.
@@ -258,15 +241,9 @@ class Inference:
         return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
 
     def fit(self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS) -> Fit:
-        """Optimize coarsely. Unobservable directions keep their prior; repeated until these do not change.
-
-        Args:
-            state: where to start.
-            inliers, noise: the measurements that are used, and their noise.
-            most_steps: of one optimization.
-        """
-        start = Posterior.at(self.data, state, inliers, noise, self.priors(state))
-        return self._fit_from(start, self.coarse.near, most_steps)
+        """Optimize coarsely. Unobservable directions keep their prior; repeated until these do not change."""
+        start = Posterior.at(state, inliers, noise, self.priors(state))
+        return self._fit_from(start, self.near, most_steps)
 
     def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
@@ -285,8 +262,8 @@ class Inference:
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
         """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
-        start = Posterior.at(self.data, fit.lin.state, inliers, fit.noise, fit.lin.priors)
-        lin, costs = optimize(start, self.coarse.near, self.on_step)
+        start = Posterior.at(fit.lin.state, inliers, fit.noise, fit.lin.priors)
+        lin, costs = optimize(start, self.near, self.on_step)
         return replace(fit, lin=lin, costs=costs, components=components(lin))
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -296,19 +273,19 @@ class Inference:
             SolveError: a singular matrix.
         """
         lin = to_first_order(fit.lin.with_inliers(inliers))
-        lin, _ = self._levels_near(lin, self.coarse.levels)
+        lin, _ = self._levels_near(lin)
         return replace(fit, lin=lin, components=components(lin))
 
-    def estimate_noise(self, fit: Fit, tolerances: Tolerances | None = None) -> Fit:
-        """Estimate noise levels and parameters in turn until the levels converge; `coarse` by default."""
-        tolerances = tolerances or self.coarse
-        fitted = self.coarse.near <= tolerances.near
+    def estimate_noise(self, fit: Fit, fine: bool = False) -> Fit:
+        """Estimate noise levels and parameters in turn until the levels converge."""
+        tolerance, near = (_FINE, NEAR) if fine else (_COARSE, self.near)
+        fitted = self.near <= near
         for _ in range(_NOISE_FITS):
-            noise = self._levels_near(fit.lin, tolerances.levels)[1]
-            if fitted and converged(fit.noise, noise, _HELD * tolerances.levels):
+            noise = self._levels_near(fit.lin, tolerance)[1]
+            if fitted and converged(fit.noise, noise, _HELD * tolerance):
                 break
             lin = fit.lin.with_noise(noise).renewed()
-            fit = self._fit_from(lin.under(self.priors(lin.state)), tolerances.near)
+            fit = self._fit_from(lin.under(self.priors(lin.state)), near)
             fitted = True
         return fit
 
@@ -345,7 +322,7 @@ class Inference:
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
-            lin, _ = self._levels_near(lin, self.coarse.levels, frozenset(LENGTHS.values()))
+            lin, _ = self._levels_near(lin, kept=frozenset(LENGTHS.values()))
             jump = jumps.again(lin, ranked[0])
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
@@ -394,7 +371,7 @@ class Inference:
         return (jump, without) if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
 
     def _levels_near(
-        self, lin: Posterior, tolerance: float, kept: frozenset[str] = frozenset()
+        self, lin: Posterior, tolerance: float = _COARSE, kept: frozenset[str] = frozenset()
     ) -> tuple[Posterior, Noise]:
         """Noise levels that agree with the residuals, which follow the parameters to first order.
 

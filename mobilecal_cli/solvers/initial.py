@@ -18,9 +18,8 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, integrate
-from mobilecal_cli.likelihood.dataset import Dataset
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.state import State, planar
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
 from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of

@@ -9,13 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import DEGREES, Inliers
+from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.model import Extraction, IntArray, Parameters
+from mobilecal_cli.model import IntArray, Parameters
 from mobilecal_cli.solvers import outliers
-from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.fit import Fit
-from mobilecal_cli.solvers.inference import FINE, Inference
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from mobilecal_cli.solvers.robust import agreeing
 
@@ -26,23 +25,6 @@ _MOST_DECISIONS = 60
 _CORNER_ROUNDS = 4
 #: Scale of priors beyond which the outliers are decided again.
 _CLEARLY_WIDER = 1.5
-
-
-def maximum_likelihood(
-    extraction: Extraction, constraints: Constraints | None = None, start: Parameters | None = None
-) -> Fit:
-    """Solve for all parameters by maximum likelihood.
-
-    Args:
-        extraction: at least four observations.
-        constraints: fixed parameters, priors, and constants to estimate.
-        start: where to start; the linear solution by default.
-
-    Raises:
-        ConfigError: a constraint that this robot cannot have.
-        SolveError: not converged, or an unobservable parameter without a nominal value.
-    """
-    return robust_fit(Inference.of(extraction, constraints or Constraints()), start)
 
 
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
@@ -56,7 +38,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     the one under the stated priors: the jump explains the misfit, not the description.
 
     Raises:
-        SolveError: see `maximum_likelihood`.
+        SolveError: not converged, or an unobservable parameter without a nominal value.
     """
     supposed = _supposed(inference, start or inference.initial(), {})
     first, as_stated = _first_fit(inference, supposed), replace(inference, scales_stay=True)
@@ -75,7 +57,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     except SolveError:
         if as_stated.jump(fit) is None:
             raise
-        return as_stated.estimate_noise(fit, FINE)
+        return as_stated.estimate_noise(fit, fine=True)
 
 
 def _change(first: Fit) -> SolveError | None:
@@ -95,29 +77,17 @@ def _change(first: Fit) -> SolveError | None:
 
 
 def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:
-    """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described.
-
-    Args:
-        inference: where.
-        as_stated: the same, in which the scales stay.
-        first: of all measurements.
-    """
+    """The fit of all measurements with the scales of the priors; None where one is an outlier, also as described."""
     try:
         fit = _corners_decided(inference, inference.estimate_noise(first))
         if not fit.inliers.views.all() or any(_suspects(inference, fit)):
             return None
-        if any(_suspects(as_stated, _as_stated(as_stated, fit))):
+        stated = fit.lin.with_noise(replace(fit.noise, wider={}))
+        if any(_suspects(as_stated, as_stated.refit_near(replace(fit, lin=stated), fit.inliers))):
             return None
-        return inference.estimate_noise(fit, FINE)
+        return inference.estimate_noise(fit, fine=True)
     except (SolveError, np.linalg.LinAlgError):
         return None
-
-
-def _as_stated(as_stated: Inference, fit: Fit) -> Fit:
-    """A fit under the stated priors, to first order."""
-    return as_stated.refit_near(
-        replace(fit, lin=fit.lin.with_noise(replace(fit.noise, wider={}))), fit.inliers
-    )
 
 
 def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
@@ -137,8 +107,12 @@ def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
             supposed = _supposed(as_stated, fit.lin.state.parameters, wider)
             fit = _without_outliers(as_stated, _first_fit(as_stated, supposed))
     noisy = outliers.too_many(fit.inliers)
-    fit = _with_all(inference, fit, noisy) if noisy else fit
-    return replace(inference.estimate_noise(fit, FINE), noisy=noisy)
+    if noisy:
+        _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
+        all_of = Inliers.all_of(fit.data)
+        inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
+        fit = _refitted(inference, fit, inliers)
+    return replace(inference.estimate_noise(fit, fine=True), noisy=noisy)
 
 
 def _swapped(inference: Inference, fit: Fit) -> Fit | None:
@@ -213,20 +187,17 @@ def _supposed(
 ) -> Posterior:
     """A first point, with supposed noise levels and without corners and boards that do not fit the board's shape.
 
-    Args:
-        inference, initial: where.
-        wider: scales of the priors.
-        legs: those by which base poses follow from one another, all by default. Between the others, images place them.
+    Base poses follow from one another by some legs, all by default. Between the others, images place them.
     """
     everything = Inliers.all_of(inference.data)
     driven = np.ones_like(everything.legs)
     if legs is not None:
         driven = np.isin(np.arange(len(driven)), legs)
     state = initial_state(inference.data, initial, replace(everything, legs=driven))
-    corners, boards, own_px = outliers.gross_corners(inference.data, state)
+    corners, boards, own_px = outliers.gross_corners(state)
     noise = replace(inference.first_noise(own_px), wider=wider)
     inliers = replace(everything, corners=corners, views=boards)
-    return Posterior.at(inference.data, state, inliers, noise, inference.priors(state))
+    return Posterior.at(state, inliers, noise, inference.priors(state))
 
 
 def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
@@ -293,7 +264,7 @@ def _corners_decided(inference: Inference, fit: Fit) -> Fit:
     that does not fit as a whole is left to the tests of stations.
     """
     for _ in range(_CORNER_ROUNDS):
-        corners, boards, _ = outliers.gross_corners(fit.data, fit.lin.state)
+        corners, boards, _ = outliers.gross_corners(fit.lin.state)
         used = fit.inliers.corners
         corners &= used.any(axis=2, keepdims=True)
         decided = np.where(boards[:, None, None], corners, used | corners)
@@ -301,11 +272,3 @@ def _corners_decided(inference: Inference, fit: Fit) -> Fit:
             break
         fit = _refitted(inference, fit, replace(fit.inliers, corners=decided))
     return fit
-
-
-def _with_all(inference: Inference, fit: Fit, noisy: tuple[str, ...]) -> Fit:
-    """A fit of all measurements of some kinds: so many outliers are noise, larger than supposed."""
-    all_of = Inliers.all_of(fit.data)
-    inliers = replace(fit.inliers, **{kind: getattr(all_of, kind) for kind in noisy})
-    _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
-    return _refitted(inference, fit, inliers)

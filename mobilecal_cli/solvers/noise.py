@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -59,29 +60,24 @@ class Component:
 
 def components(lin: Posterior) -> dict[str, Component]:
     """Sums of squares and redundancies of each kind of noise at an optimum (Foerstner's estimate)."""
-    views, posed = lin.views, lin.data.posed
-    taken = lin.marginals.leverage(views.information)
-    result: dict[str, Component] = {}
+    views = lin.views
+    sums = defaultdict[str, FloatArray](lambda: np.zeros(2))
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
         """Squares of whitened residuals of a level, and how much of each is redundant."""
-        before = result.get(level, Component(0.0, 0.0))
-        result[level] = Component(
-            before.squares + float(squares.sum()), before.redundancy + float(left.sum())
-        )
+        sums[level] += squares.sum(), left.sum()
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
-    counts = 2 * lin.inliers.used_corners.sum(axis=(1, 2)), measured * lin.inliers.views
-    squares, left = views.cost.copy(), np.array(counts) - taken
+    corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
+    squares, left = views.cost, np.where(lin.inliers.views, corners + measured, 0)
+    left = left - lin.marginals.leverage(views.information)
     for delay in views.delays:
         across, variance = views.information[:, :, delay], lin.noise.pair_s**2
         own = variance * views.gradient[:, delay] ** 2
         free = variance * (across[:, delay] - lin.marginals.variance_along(across))
         add("pair_s", own, free)
         squares, left = squares - own, left - free
-    for level, of, redundant in zip(("pixel_px", "pose_scale"), (~posed, posed), left, strict=True):
-        if of.any():
-            add(level, squares[of], redundant[of])
+    add(lin.data.images_level, squares, left)
 
     means = int(lin.data.log.max())
     for each in of_errors(lin, _within(lin)):
@@ -93,7 +89,7 @@ def components(lin: Posterior) -> dict[str, Component]:
     for level in of_wheels.parts:
         if level != SUPPOSED:
             add(level, *of_wheels.shown(level))
-    return result
+    return {level: Component(*of_level.tolist()) for level, of_level in sums.items()}
 
 
 def _within(lin: Posterior) -> FloatArray:

@@ -88,8 +88,7 @@ def optimize(
     lin = start
     shift = lin.priors.step_to_mean(lin.state)
     if np.any(shift):
-        state = lin.state.plus(lin.data, Step.of_shared(lin.data, shift))
-        lin = Posterior.at(lin.data, state, lin.inliers, lin.noise, lin.priors)
+        lin = Posterior.at(lin.state.plus_shared(shift), lin.inliers, lin.noise, lin.priors)
     damping, growth, history, converged = 0.0, _GROWTH, [lin.cost], False
     for trials in range(most_steps + 1):
         on_step()

@@ -8,9 +8,15 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtri
 
-from mobilecal_cli.likelihood.corners import blocks_of, corner_residuals, fitted_poses, median_size, whitened
-from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.noise import DEGREES, FEWEST_CORNERS, Inliers
+from mobilecal_cli.likelihood.corners import (
+    FEWEST_CORNERS,
+    blocks_of,
+    corner_residuals,
+    fitted_poses,
+    median_size,
+    whitened,
+)
+from mobilecal_cli.likelihood.dataset import DEGREES, Dataset, Inliers
 from mobilecal_cli.likelihood.residual_tests import limit
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
@@ -40,19 +46,16 @@ _JUDGED_BY = {
 }
 
 
-def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
+def gross_corners(state: State) -> tuple[BoolArray, BoolArray, FloatArray]:
     """Corners and whole boards that fit the board's own shape, each station by itself.
 
     Cameras whose poses are only described are judged each alone: these poses may be degrees off.
 
-    Args:
-        data: the corners, and a first board pose of each station.
-        state: gives the cameras and the board.
-
     Returns:
         (N, C, M) inlier corners, (N,) inlier boards, and (N,) each station's corner noise, px.
     """
-    if data.posed.any():
+    data = state.data
+    if data.posed:
         return data.seen, np.ones(data.stations, dtype=np.bool_), np.zeros(data.stations)
     size = np.zeros(data.seen.shape)
     numbers = np.arange(data.seen.shape[1])
@@ -61,8 +64,8 @@ def gross_corners(data: Dataset, state: State) -> tuple[BoolArray, BoolArray, Fl
         shown = np.flatnonzero(detected.any(axis=(1, 2)))
         for block in blocks_of(len(shown)):
             mine = shown[block]
-            T = fitted_poses(data, state, data.T_c_k[mine], mine, detected[mine], robust=True)
-            residual, _ = corner_residuals(data, state, T, mine, by_constants=False)
+            T = fitted_poses(state, data.T_c_k[mine], mine, detected[mine], robust=True)
+            residual, _ = corner_residuals(state, T, mine, by_constants=False)
             off = np.linalg.norm(whitened(data.whitening[mine], residual), axis=-1)
             size[mine] += detected[mine] * off
     # The median length of a two-dimensional normal vector is 1.1774 sigma.

@@ -7,32 +7,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, integrate
-from mobilecal_cli.likelihood.corners import Showing, blocks_of, board_poses, corner_residuals
+from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_residuals, of_camera
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
 from mobilecal_cli.likelihood.measurements import MotionPairs, in_each_camera
 from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import (
-    State,
-    board_in_camera,
-    cameras_at,
-    clock_s,
-    constant_stance,
-    head_at,
-    points_at,
-    view_rates,
-)
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import (
     BoolArray,
     CameraRig,
@@ -42,6 +31,7 @@ from mobilecal_cli.model import (
     Noise,
     Parameters,
     Residuals,
+    WheelGeometry,
 )
 from mobilecal_cli.solvers.transfer import base_motion, camera_motion
 
@@ -49,127 +39,121 @@ _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels 
 _STILL_M = 1e-9
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What the images of N stations show, and the legs between them.
+
+    Attributes:
+        cameras: of the images.
+        pixels, seen: (N, C, M, 2) and (N, C, M) detected corners.
+        points_cov: (N, M, 3, 3) of the triangulated corners, m^2.
+        pairs: the legs, with these corners.
+    """
+
+    cameras: CameraRig
+    pixels: FloatArray
+    seen: BoolArray
+    points_cov: FloatArray
+    pairs: MotionPairs
+
+    @classmethod
+    def as_stated(cls, data: Dataset) -> Shown:
+        """With cameras, clocks and head as stated."""
+        return cls(data.cameras, data.pixels, data.seen, data.points_cov, data.pairs)
+
+
 def at_state(
-    extraction: Extraction,
-    data: Dataset,
     state: State,
     noise_px: float | None = None,
     patterns: bool = False,
     corners: BoolArray | None = None,
     T_c_k: FloatArray | None = None,
-) -> tuple[Extraction, MotionPairs]:
-    """Measurements and pairs with a state's constants applied: cameras, time offsets, head chain and joints.
+) -> Shown:
+    """What the images show with a state's constants applied: cameras, time offsets, head chain and joints.
 
     Args:
-        extraction, data: the measurements.
-        state: gives the constants.
+        state: the measurements and the constants.
         noise_px: of the corners, px; as stated if None.
         patterns: whether those of the lenses are applied, too.
         corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
         T_c_k: (N, 4, 4) these poses, if they are known.
     """
-    stated, cameras = extraction, cameras_at(data, state)
-    extraction = replace(_as_modeled(stated, data, state, patterns), rig=replace(stated.rig, cameras=cameras))
+    data, pixels = state.data, _as_modeled(state, patterns)
     factor = 1.0 if noise_px is None else noise_px / data.claimed_px
     if T_c_k is None:
-        T_c_k = board_poses(data, state, data.seen if corners is None else corners)
-    points_c = se3.act(T_c_k, points_at(data, state))
-    on_boards = zip(extraction.observations, points_c, strict=True)
-    seen = tuple(replace(o, points_c=points) for o, points in on_boards)
-    extraction = triangulated_again(replace(extraction, observations=seen), factor)
-    as_read = replace(state, own=np.zeros_like(state.own))
-    return extraction, replace(
+        T_c_k = board_poses(state, data.seen if corners is None else corners)
+    points_c, covariance = triangulated_again(state, pixels, se3.act(T_c_k, state.points_k))
+    pairs = replace(
         data.pairs,
-        points_c=np.stack([o.points_c for o in extraction.observations]),
+        points_c=points_c,
         T_c_k=T_c_k,
-        T_v_h=head_at(data, as_read),
-        steps=data.steps(clock_s(data, state, "wheels")),
+        T_v_h=replace(state, own=np.zeros_like(state.own)).T_v_h,
+        steps=data.steps(state.clock_s("wheels")),
     )
+    return Shown(state.cameras, pixels, data.seen, factor**2 * covariance, pairs)
 
 
-def _as_modeled(extraction: Extraction, data: Dataset, state: State, patterns: bool) -> Extraction:
-    """The same with each corner where `cameras_at` has it at the image's stamp.
+def _as_modeled(state: State, patterns: bool) -> FloatArray:
+    """(N, C, M, 2) each corner where `State.cameras` have it at the image's stamp, px.
 
     It was detected where the board was when its row was exposed, see `CameraChange`, and moved by the patterns of the
     lens, which are left in the pixels unless they are asked for.
     """
-    rows = data.layout.constants
+    data, rows = state.data, state.data.layout.constants
     of_lenses = [row for row in rows if isinstance(row.effect, CameraEffect) and row.kind in PATTERNS]
     of_times = [row for row in rows if isinstance(row.effect, CameraEffect) and row.effect.of in TIMES]
     undone = [row for row in (*of_lenses * patterns, *of_times) if state.value(row.name)]
     if not undone:
-        return extraction
-    rates = view_rates(data, state)
+        return data.pixels
+    as_shown = [row for row in rows if row not in of_lenses or row in undone]
+    as_modeled = [row for row in rows if row not in of_lenses and row not in of_times]
     shown, modeled = (
-        corner_residuals(data.with_constants(kept), state, data.T_c_k, rates=rates, by_constants=False)[0]
-        for kept in (
-            [row for row in rows if row not in of_lenses or row in undone],
-            [row for row in rows if row not in of_lenses and row not in of_times],
-        )
+        corner_residuals(each, data.T_c_k, rates=state.view_rates, by_constants=False)[0]
+        for each in (replace(state, data=data.with_constants(kept)) for kept in (as_shown, as_modeled))
     )
-    return _moved_back(extraction, np.where(data.seen[..., None], shown - modeled, 0.0))
+    return np.asarray(data.pixels - np.where(data.seen[..., None], shown - modeled, 0.0))
 
 
-def _moved_back(extraction: Extraction, moved: FloatArray) -> Extraction:
-    """The same with each corner where it was before it moved by so much, (N, C, M, 2) px."""
-    observations = []
-    for o, of_views in zip(extraction.observations, moved, strict=True):
-        views = [replace(view, pixels=view.pixels - by) for view, by in zip(o.views, of_views, strict=True)]
-        observations.append(replace(o, views=tuple(views)))
-    return replace(extraction, observations=tuple(observations))
-
-
-def at_one_time(extraction: Extraction, lin: Posterior) -> tuple[Extraction, Dataset]:
-    """The same with each camera's corners where they were at the mean delay of its images, see `Images.own_delays`."""
-    data, direct = lin.data, [effect for _, _, effect in lin.data.layout.direct]
+def at_one_time(lin: Posterior) -> State:
+    """The state with each camera's corners where they were at the mean delay of its images, see `Images.own_delays`."""
+    data, state, direct = lin.data, lin.state, [effect for _, _, effect in lin.data.layout.direct]
     if not lin.views.delays:
-        return extraction, data
-    moved, T_c_k = np.zeros(data.pixels.shape), board_in_camera(data, lin.state)
-    showing = Showing.at(data, lin.state)
+        return state
+    moved = np.zeros(data.pixels.shape)
     for delay, own_s in zip(lin.views.delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True):
         effect = direct[delay - 6]
         camera = next(k for k in range(1, len(data.cameras.each)) if effect.concerns(k))
         for block in blocks_of(data.stations):
-            _, J = showing.of_camera(camera, T_c_k[block], block, lin.rates[:, block], [effect])
+            _, J = of_camera(state, camera, state.T_c_k[block], block, lin.rates[:, block], [effect])
             moved[block, camera] = J[..., 6] * own_s[block, None, None]
-    moved = np.where(data.seen[..., None], moved, 0.0)
-    return _moved_back(extraction, moved), replace(data, pixels=data.pixels - moved)
+    pixels = data.pixels - np.where(data.seen[..., None], moved, 0.0)
+    return replace(state, data=replace(data, pixels=pixels))
 
 
-def at_constants(
-    extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]
-) -> tuple[Extraction, MotionPairs]:
-    """The same with constants of an earlier calibration.
-
-    Args:
-        extraction: the measurements.
-        parameters: the nine parameters.
-        constants: name → difference from the stated value.
-    """
+def at_constants(extraction: Extraction, parameters: Parameters, constants: Mapping[str, float]) -> Shown:
+    """The same with parameters and constants (name → difference from the stated value) of an earlier calibration."""
     rig = extraction.rig
     every = *table(rig.cameras, rig.chain), *clocks_of(range(1, len(extraction.wheels)))
     rows = [row for row in every if constants.get(row.name)]
     data = dataset_of(extraction, rows)
     if not rows:
-        return extraction, data.pairs
+        return Shown.as_stated(data)
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
-    known = {row.name: constants[row.name] for row in rows}
-    return at_state(extraction, data, replace(state, constants=known))
+    return at_state(replace(state, constants={row.name: constants[row.name] for row in rows}))
 
 
-def dead_reckoned(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
+def dead_reckoned(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
     """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
     T_w_v = np.broadcast_to(np.eye(4), pairs.T_v_h.shape).copy()
-    T_vi_vj = base_motion(integrate(pairs.steps, parameters.wheels))
+    T_vi_vj = base_motion(integrate(pairs.steps, wheels))
     for (i, j), T in zip(pairs.legs, T_vi_vj, strict=True):
         T_w_v[j] = T_w_v[i] @ T
     return T_w_v
 
 
 def residuals_of(
-    extraction: Extraction,
-    pairs: MotionPairs,
+    shown: Shown,
     parameters: Parameters,
     inliers: BoolArray | None = None,
     rejected: BoolArray | None = None,
@@ -177,28 +161,28 @@ def residuals_of(
     """Predict every station's corners in the station before (eq. 18) and compare, in m and in px.
 
     Args:
-        extraction, pairs: the observations and the legs between them.
-        parameters: the prediction's.
+        shown, parameters: of the prediction.
         inliers: (L,) legs to compare; all by default.
         rejected: (N, C, M) corners that do not count; none by default.
     """
+    pairs = shown.pairs
     kept = np.arange(len(pairs.legs)) if inliers is None else np.flatnonzero(inliers)
     i, j = pairs.legs[kept].T
-    cameras, observations = extraction.rig.cameras, extraction.observations
     predicted_c = se3.act(camera_motion(pairs, parameters)[kept], pairs.points_c[j])
-    measured, pixels = _of_views(extraction, "seen"), _of_views(extraction, "pixels")
-    predicted = np.zeros((len(cameras.each), *predicted_c.shape[:2], 2))
+    measured = np.ascontiguousarray(np.moveaxis(shown.seen, 1, 0))
+    pixels = np.ascontiguousarray(np.moveaxis(shown.pixels, 1, 0))
+    predicted = np.zeros((len(shown.cameras.each), *predicted_c.shape[:2], 2))
     if measured.any():
-        for k, (camera, _, points) in enumerate(in_each_camera(cameras, predicted_c, measured[:, i])):
+        for k, (camera, _, points) in enumerate(in_each_camera(shown.cameras, predicted_c, measured[:, i])):
             predicted[k] = project(camera, points)
     squares = (predicted - pixels[:, i]) ** 2
     left_out = np.zeros_like(measured) if rejected is None else np.moveaxis(rejected, 1, 0)
     gross: BoolArray = np.asarray(left_out.any(axis=0))
     counted = (measured[:, i] & ~left_out[:, i] & ~gross[j])[..., None]
     apart = np.sum((predicted_c - pairs.points_c[i]) ** 2, axis=-1)
-    variance = np.stack([np.trace(o.points_cov, axis1=-2, axis2=-1).mean() for o in observations])
+    variance = np.stack([np.trace(cov, axis1=-2, axis2=-1).mean() for cov in shown.points_cov])
     good = ~(gross[i] | gross[j])
-    T_w_v = dead_reckoned(pairs, parameters)
+    T_w_v = dead_reckoned(pairs, parameters.wheels)
     return Residuals(
         legs=pairs.legs[kept],
         leg_point_rms_m=np.sqrt(np.sum(apart, axis=-1, where=good) / np.maximum(good.sum(axis=-1), 1)),
@@ -212,32 +196,21 @@ def residuals_of(
     )
 
 
-def _of_views(extraction: Extraction, name: str) -> NDArray[Any]:
-    """(C, N, ...) an attribute of all views."""
-    return np.stack([[getattr(view, name) for view in o.views] for o in extraction.observations], axis=1)
-
-
-def triangulated_again(extraction: Extraction, factor: float) -> Extraction:
-    """The same with corners triangulated anew and their covariances, of cameras that are not those of the recording.
+def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Corners (N, M, 3) triangulated anew with a state's cameras, m, and their covariances at the stated noise.
 
     Gauss-Newton steps from the points as they are, none of which changes a depth by more than half of it; corners that
     not even two cameras see stay.
-
-    Args:
-        extraction: with these cameras.
-        factor: noise of the corners over the stated one.
     """
-    observations, cameras = extraction.observations, extraction.rig.cameras
-    points = np.stack([o.points_c for o in observations])
-    detected, pixels = _of_views(extraction, "seen"), _of_views(extraction, "pixels")
-    covariance = np.stack([o.points_cov for o in observations])
+    data, covariance = state.data, state.data.points_cov
+    detected = np.moveaxis(data.seen, 1, 0)
     several = detected.sum(axis=0) > 1
     for _ in range(_TRIANGULATION_STEPS if several.any() else 0):
         errors, by_point = [], []
         usable = detected & several
-        for k, (camera, R, own) in enumerate(in_each_camera(cameras, points, usable)):
+        for k, (camera, R, own) in enumerate(in_each_camera(state.cameras, points, usable)):
             at, J = project_with_jacobian(camera, own)
-            errors.append(np.where(usable[k, ..., None], pixels[k] - at, 0.0))
+            errors.append(np.where(usable[k, ..., None], pixels[:, k] - at, 0.0))
             by_point.append(np.where(usable[k, ..., None, None], J @ R, 0.0))
         A = np.concatenate(by_point, axis=-2)
         A = np.where(several[..., None, None], A, np.eye(A.shape[-2], 3))
@@ -250,43 +223,30 @@ def triangulated_again(extraction: Extraction, factor: float) -> Extraction:
         if np.abs(step[several]).max() < _STILL_M:
             break
     if several.any():
-        of_pixels = np.stack([[view.cov_px2 for view in o.views] for o in observations])  # (N, C, M, 2, 2)
-        each = (by_pixel[..., 2 * k : 2 * k + 2] for k in range(len(cameras.each)))
-        parts = (G @ of_pixels[:, k] @ G.mT for k, G in enumerate(each))
+        each = (by_pixel[..., 2 * k : 2 * k + 2] for k in range(len(state.cameras.each)))
+        parts = (G @ data.pixels_cov[:, k] @ G.mT for k, G in enumerate(each))
         covariance = np.where(several[..., None, None], sum(parts), covariance)
-    seen = zip(observations, points, factor**2 * covariance, strict=True)
-    return replace(extraction, observations=tuple(replace(o, points_c=p, points_cov=c) for o, p, c in seen))
+    return points, covariance
 
 
-def error_parts(
-    lin: Posterior, extraction: Extraction, pairs: MotionPairs, residuals: Residuals
-) -> dict[str, ErrorPart]:
-    """Kind of noise ("corners", "joints", "floor", "wheels") → its error; empty without legs.
+def error_parts(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str, ErrorPart]:
+    """Kind of noise ("corners", "joints", "floor", "wheels") → its error.
 
-    Args:
-        lin: the estimate.
-        extraction, pairs: with the estimated constants, see `residuals.at_state`.
-        residuals: of the estimate.
+    Images and legs are those with the estimated constants, see `at_state`.
     """
-    data, noise, parameters = lin.data, lin.noise, lin.state.parameters
-    if not len(residuals.legs):
-        return {}
-    X, (i, j) = parameters.T_h_c, residuals.legs.T
-    T_v_c, points_c = pairs.T_v_h @ X, pairs.points_c
-    points_cov = np.stack([o.points_cov for o in extraction.observations])
-    by_point = _by_point(extraction.rig.cameras, data, points_c)
+    data, noise, X, (i, j) = lin.data, lin.noise, lin.state.parameters.T_h_c, residuals.legs.T
+    T_v_c, points_c, points_cov = shown.pairs.T_v_h @ X, shown.pairs.points_c, shown.points_cov
+    by_point = _by_point(shown.cameras, data, points_c)
     base = np.zeros((data.stations, 6, 3))  # twists of the base by roll, pitch and height of the floor
     turn, lift = math.hypot(noise.floor_rad, noise.sway_rad), math.hypot(noise.floor_m, noise.sway_m)
-    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], constant_stance(data, lin.state))
+    base[:, [0, 1, 5], [0, 1, 2]] = np.hypot([turn, turn, lift], lin.state.constant_stance)
     twists = {
         "joints": se3.adjoint(se3.inverse(X))
         @ head_jacobian(data.chain, data.joints)
         * (noise.joint_rad * np.array(data.chain.joint_units)),
         "floor": se3.adjoint(se3.inverse(T_v_c)) @ base,
     }
-    by_twist = np.concatenate(
-        [-se3.skew(points_c), np.broadcast_to(np.eye(3), (*points_c.shape, 3))], axis=-1
-    )
+    by_twist = se3.by_twist(points_c)
     own = {name: _mean_squares(by_twist @ twist[:, None], by_point) for name, twist in twists.items()}
     # Corners: detected at one station, triangulated at the other.
     T_w_v = residuals.T_w_v
@@ -301,7 +261,7 @@ def error_parts(
     by_pose = np.zeros((*lever.shape[:2], 3, 3))
     by_pose[..., 0, 0] = by_pose[..., 1, 1] = 1.0
     by_pose[..., 0, 2], by_pose[..., 1, 2] = -lever[..., 1], lever[..., 0]
-    values, vectors = np.linalg.eigh(_wheel_covariance(data, parameters, residuals, noise))
+    values, vectors = np.linalg.eigh(_wheel_covariance(data, lin.state.parameters.wheels, residuals, noise))
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
     squares = {
@@ -327,11 +287,8 @@ def _mean_squares(motion: FloatArray, by_point: FloatArray) -> FloatArray:
     return np.stack([np.sum(each**2, axis=(2, 3)).mean(axis=1) for each in (by_point @ motion, motion)])
 
 
-def _wheel_covariance(
-    data: Dataset, parameters: Parameters, residuals: Residuals, noise: Noise
-) -> FloatArray:
+def _wheel_covariance(data: Dataset, wheels: WheelGeometry, residuals: Residuals, noise: Noise) -> FloatArray:
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
-    wheels = parameters.wheels
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
     covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
     if noise.encoder_rad:

@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.linearization import solvable
+from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
+from mobilecal_cli.likelihood.linearization import FREE_JOINT, solvable
 from mobilecal_cli.likelihood.measurements import JOINTS
-from mobilecal_cli.likelihood.noise import DEGREES, FREE_JOINT, Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import State, Step
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
 from mobilecal_cli.solvers.optimize import proposed
 
@@ -139,7 +139,7 @@ def _onward(minimum: _Minimum) -> Iterator[_Minimum]:
 
 
 def _minimum(lin: Posterior, width: float) -> _Minimum:
-    lin = lin.after(Step.of_shared(lin.data, lin.priors.step_to_mean(lin.state)))
+    lin = lin.changed(state=lin.state.plus_shared(lin.priors.step_to_mean(lin.state)))
     weights = {"readings": np.ones(lin.data.joints.shape)}
     damping = 0.0
     while width > _LAST_WIDTH:

@@ -135,7 +135,8 @@ class Search:
             return self._of_one_log()
         if self._fits:
             return None
-        return self._from_a_station_on or self.frozen or self._free_part() or self._images
+        last = self._free_part if self._readings.consistent else self._images
+        return self._from_a_station_on or self.frozen or last()
 
     @cached_property
     def interrupted(self) -> Diagnosis | None:
@@ -156,11 +157,8 @@ class Search:
             return None
         return self._named(self._readings, FROZEN, _FITS_FREE)
 
-    @property
-    def _images(self) -> Diagnosis | None:
+    def _images(self) -> Diagnosis:
         """Images that do not even show the board as a board: what moves the robot explains nothing then."""
-        if self._readings.consistent:
-            return None
         several = len(self._readings.rig.cameras.names) > 1
         return Diagnosis(
             f"the images of a station do not fit camera_info and the board{', or one another' * several}: the "
@@ -176,8 +174,6 @@ class Search:
         Wheels that may read anything explain wrong readings of a joint that turns as the base does, too, and such a
         joint explains what short drives show of wrong wheels: both are named where the wheels explain clearly more.
         """
-        if not self._readings.consistent:
-            return None
         joint, drive = (self._named(self._readings, (stage,), _FITS_FREE) for stage in FREE)
         if joint is None or drive is None:
             return joint or drive
@@ -209,7 +205,7 @@ class Search:
     def _scores(self, readings: Readings) -> list[_Score]:
         """A fit of some readings from each start, the best first."""
         full, shown = readings.distinguishes, readings.roams
-        if readings.legs < FEWEST_LEGS or not (shown or readings is self._readings):
+        if not (shown or readings is self._readings):
             return []
         pairs, nominal = _thinned(readings.pairs), readings.nominal
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())

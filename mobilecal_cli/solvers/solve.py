@@ -12,10 +12,8 @@ import numpy as np
 
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.measurements import MotionPairs
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
@@ -33,6 +31,7 @@ from mobilecal_cli.model import (
     Method,
     Parameters,
     Refinement,
+    Residuals,
     Solution,
     WheelGeometry,
 )
@@ -51,7 +50,7 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import at_one_time, at_state, error_parts, residuals_of
+from mobilecal_cli.solvers.residuals import Shown, at_one_time, at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 
@@ -71,7 +70,6 @@ _DIFFERENT = 3.0
 def solve(
     extraction: Extraction,
     method: Method = "ml",
-    start_ratios: FloatArray | None = None,
     constraints: Constraints | None = None,
     on_step: Callable[[], None] = lambda: None,
 ) -> Solution:
@@ -82,7 +80,7 @@ def solve(
             observable (see `uncertainty`).
         method: "ml" (maximum likelihood), "linear" (paper, section 3.5), "paper" (eq. 19 by Powell) or "lm"
             (eq. 19 by Levenberg-Marquardt).
-        start_ratios: (2,) wheel ratios (aR, aL) to start from; the nominal ones and a grid are tried too.
+
         constraints: fixed parameters, priors and additional parameters, for "ml" only.
         on_step: called before each optimization step, for "ml" only.
 
@@ -95,8 +93,7 @@ def solve(
     asked = constraints.given
     if extraction.motions:
         constraints = constraints.of_planar_sensor()
-    data = dataset_of(extraction)
-    legs = len(data.legs)
+    legs = len(extraction.observations) - len({o.log for o in extraction.observations})
     if legs < FEWEST_LEGS:
         raise SolveError(
             f"{len(extraction.observations)} stations with {legs} legs between them "
@@ -106,11 +103,11 @@ def solve(
     search = Search(extraction)
     try:
         if method == "ml":
-            inference = Inference.of(extraction, constraints, on_step, data)
+            inference = Inference.of(extraction, constraints, on_step)
             constraints.check_shown(inference.data.layout.names)
-            solution = _by_likelihood(extraction, inference, start_ratios, search)
+            solution = _by_likelihood(extraction, inference, search)
         else:
-            solution = _by_points(extraction, data.pairs, method, start_ratios)
+            solution = _by_points(extraction, method)
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
         if refusal is None and isinstance(error, SolveError):
@@ -129,10 +126,8 @@ def _with_request(error: SolveError, asked: Sequence[str]) -> SolveError:
     return SolveError(error.message, f"leave out {', '.join(asked)}, or correct the value; or {error.hint}")
 
 
-def _by_likelihood(
-    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
-) -> Solution:
-    linear, refusal = _linear_start(extraction, inference, start_ratios, search)
+def _by_likelihood(extraction: Extraction, inference: Inference, search: Search) -> Solution:
+    linear, refusal = _linear_start(extraction, inference, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
     jumps, still = jumps_of(extraction, fit, inference.jump(fit))
@@ -142,23 +137,21 @@ def _by_likelihood(
     scale = scale_of(extraction, still, contradictions)
     suggested = suggestions(fit.lin, fit.covariance)
     fit = pool_recordings(fit)
-    data, state = fit.data, fit.lin.state
-    parameters = state.parameters
+    data, parameters = fit.data, fit.lin.state.parameters
     _require_positive(parameters.wheels)
-    inliers = fit.sure_legs
-    if not inliers.any():
-        inliers[:] = True
-    together, at_once = at_one_time(extraction, fit.lin)
-    corrected_extraction, corrected = at_state(
-        together, at_once, state, fit.noise.pixel_px, corners=fit.inliers.corners
-    )
-    rms = point_rms_m(corrected, parameters)
+    legs = fit.sure_legs if fit.sure_legs.any() else None
+    used = legs, data.seen & ~fit.inliers.corners
+    together = at_one_time(fit.lin)
+    corrected = at_state(together, fit.noise.pixel_px, corners=fit.inliers.corners)
+    rms = point_rms_m(corrected.pairs, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
-    used = {"inliers": inliers, "rejected": data.seen & ~fit.inliers.corners}
-    solution = _solution(corrected_extraction, corrected, refinement, linear=linear, **used)
-    parts = error_parts(fit.lin, corrected_extraction, corrected, solution.residuals)
-    parts |= _of_lenses(together, at_once, fit, solution, corrected.T_c_k)
+    solution = _solution(extraction, corrected, linear, refinement, *used)
+    parts = error_parts(fit.lin, corrected, solution.residuals)
+    if any(row.kind in PATTERNS for row in data.layout.constants):
+        undone = at_state(together, fit.noise.pixel_px, patterns=True, T_c_k=corrected.pairs.T_c_k)
+        without = residuals_of(undone, parameters, *used)
+        parts["lenses"] = _of_lenses(fit, solution.residuals, without)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -178,32 +171,24 @@ def _by_likelihood(
     )
 
 
-def _of_lenses(
-    extraction: Extraction, data: Dataset, fit: Fit, solution: Solution, T_c_k: FloatArray
-) -> dict[str, ErrorPart]:
-    """What the lenses do beside their models contributes to the errors: so much less are these without it.
+def _of_lenses(fit: Fit, residuals: Residuals, without: Residuals) -> ErrorPart:
+    """What the lenses do beside their models contributes to the errors: so much less are these `without` it.
 
     A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
     description of the cameras is wrong.
     """
     patterns = [row for row in fit.data.layout.constants if row.kind in PATTERNS]
-    if not patterns:
-        return {}
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
     usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
-    state, rejected = fit.lin.state, data.seen & ~fit.inliers.corners
-    undone = at_state(extraction, data, state, fit.noise.pixel_px, patterns=True, T_c_k=T_c_k)
-    used = np.isin(np.arange(len(data.legs)), np.flatnonzero(fit.sure_legs)) if fit.sure_legs.any() else None
-    without = residuals_of(*undone, solution.parameters, used, rejected)
     squares = [
-        float(np.mean(getattr(solution.residuals, name) ** 2 - getattr(without, name) ** 2))
+        float(np.mean(getattr(residuals, name) ** 2 - getattr(without, name) ** 2))
         for name in ("leg_reprojection_px", "leg_point_rms_m")
     ]
-    return {"lenses": ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))}
+    return ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))
 
 
 def _linear_start(
-    extraction: Extraction, inference: Inference, start_ratios: FloatArray | None, search: Search
+    extraction: Extraction, inference: Inference, search: Search
 ) -> tuple[LinearEstimate, SolveError | None]:
     """The linear estimate, or one near the nominal values where the linear method cannot tell.
 
@@ -218,7 +203,7 @@ def _linear_start(
     """
     pairs, full = inference.data.pairs, inference.full_motion
     nominal = extraction.rig.nominal.wheels
-    linear = linear_estimate(pairs, nominal, start_ratios) if full else _near_nominal(inference)
+    linear = linear_estimate(pairs, nominal) if full else _near_nominal(inference)
     if full and not linear.parameters.wheels.positive and nominal is not None:
         near = _near_nominal(inference)
         # Of most legs: one with a gross error decides on the mean.
@@ -260,50 +245,46 @@ def _converges(extraction: Extraction, inference: Inference, start: Parameters) 
     data, everything = inference.data, Inliers.all_of(inference.data)
     state = initial_state(data, start, everything)
     noise = inference.first_noise(np.array([data.claimed_px]))
-    first = Posterior.at(data, state, everything, noise, inference.priors(state))
+    first = Posterior.at(state, everything, noise, inference.priors(state))
     try:
         state = optimize(first, on_step=inference.on_step, most_steps=FIRST_STEPS)[0].state
     except SolveError:
         return False
-    each_m = leg_rms_m(at_state(extraction, data, state)[1], state.parameters)
+    each_m = leg_rms_m(at_state(state).pairs, state.parameters)
     return float(np.median(each_m)) < _HOPELESS_SHARE * extraction.board_distance_m
 
 
-def _by_points(
-    extraction: Extraction,
-    pairs: MotionPairs,
-    method: Literal["linear", "paper", "lm"],
-    start_ratios: FloatArray | None,
-) -> Solution:
-    linear = linear_estimate(pairs, extraction.rig.nominal.wheels, start_ratios)
+def _by_points(extraction: Extraction, method: Literal["linear", "paper", "lm"]) -> Solution:
+    data = dataset_of(extraction)
+    pairs = data.pairs
+    linear = linear_estimate(pairs, extraction.rig.nominal.wheels)
     _require_positive(linear.parameters.wheels)
-    refiner = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
-    refinement = refiner(pairs, linear.parameters) if refiner is not None else None
-    return _solution(extraction, pairs, refinement or linear, linear=linear)
+    refine = {"linear": None, "paper": refine_powell, "lm": refine_lm}[method]
+    return _solution(extraction, Shown.as_stated(data), linear, refine and refine(pairs, linear.parameters))
 
 
 def _solution(
     extraction: Extraction,
-    pairs: MotionPairs,
-    best: LinearEstimate | Refinement,
-    *,
+    shown: Shown,
     linear: LinearEstimate,
+    refinement: Refinement | None,
     inliers: BoolArray | None = None,
     rejected: BoolArray | None = None,
 ) -> Solution:
-    residuals = residuals_of(extraction, pairs, best.parameters, inliers, rejected)
-    wheels = best.parameters.wheels
-    psi = integrate(pairs.steps, wheels).psi_rad
+    parameters = (refinement or linear).parameters
+    residuals = residuals_of(shown, parameters, inliers, rejected)
+    wheels = parameters.wheels
+    psi = integrate(shown.pairs.steps, wheels).psi_rad
     return Solution(
-        method=best.method if isinstance(best, Refinement) else "linear",
-        parameters=best.parameters,
-        cameras=extraction.rig.cameras,
+        method="linear" if refinement is None else refinement.method,
+        parameters=parameters,
+        cameras=shown.cameras,
         linear=linear,
-        refinement=best if isinstance(best, Refinement) else None,
+        refinement=refinement,
         residuals=residuals,
         point_rms_m=math.sqrt(float(np.mean(residuals.leg_point_rms_m**2))),
         reprojection_rms_px=math.sqrt(float(np.mean(residuals.leg_reprojection_px**2))),
-        motion=_motion(extraction, psi, float(path_m(pairs.steps, wheels).sum())),
+        motion=_motion(extraction, psi, float(path_m(shown.pairs.steps, wheels).sum())),
     )
 
 
@@ -426,9 +407,7 @@ def _different_cameras(
         except (ConfigError, SolveError, np.linalg.LinAlgError):
             return None  # one recording alone does not show all, or lacks what the user constrains
         alone_px = max(alone_px, fit.noise.pixel_px)
-        alone_m = max(
-            alone_m, point_rms_m(at_state(alone, fit.data, fit.lin.state)[1], fit.lin.state.parameters)
-        )
+        alone_m = max(alone_m, point_rms_m(at_state(fit.lin.state).pairs, fit.lin.state.parameters))
     if together_px < _DIFFERENT * alone_px:
         return None
     distance_m = extraction.board_distance_m

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.imperfect import (
     AS_PRINTED,
     ROBOTS,
@@ -23,6 +22,7 @@ from tests.bench.imperfect import (
 )
 from tests.bench.simulated import RUNS_PER_ROUTE, as_described
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.fits import maximum_likelihood
 from tests.truth import errors
 
 RUNS = 1000

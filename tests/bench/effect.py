@@ -13,7 +13,6 @@ from mobilecal_cli.model import Corners, Extraction
 from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.simulate.route import base_in_world
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
 from mobilecal_cli.vision.values import Appearance
 from tests.actual import station_times_s
@@ -22,6 +21,7 @@ from tests.bench.pictures import shortest_edge_px
 from tests.bench.simulated import JOINT_RAD, WHEEL, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, numbers, paragraph, results_of, rms, table
 from tests.extractions import Noise, ideal_extraction
+from tests.fits import maximum_likelihood
 from tests.pairs import measured_anew
 from tests.robots import corners_of
 from tests.truth import errors, nees

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
-from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.simulate.robot import paper_robot
@@ -55,7 +54,7 @@ def start_of(path: Path) -> tuple[Dataset, State]:
 def likelihood_at(data: Dataset, state: State) -> Posterior:
     """The likelihood of all measurements, without priors."""
     priors = no_priors(data.layout, state.parameters)
-    return Posterior.at(data, state, Inliers.all_of(data), TRUE_NOISE, priors)
+    return Posterior.at(state, Inliers.all_of(data), TRUE_NOISE, priors)
 
 
 def by_mobilecal(data: Dataset, start: State) -> tuple[State, float]:

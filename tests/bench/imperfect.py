@@ -13,8 +13,7 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import (
     NINE,
@@ -264,7 +263,7 @@ def bound_of(
     parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))
     levels = Noise.exact(**given(noise))
     state = initial_state(data, parameters, everything)
-    lin = Posterior.at(data, state, everything, levels, inference.priors(state))
+    lin = Posterior.at(state, everything, levels, inference.priors(state))
     bound: FloatArray = np.linalg.inv(lin.information)[:9, :9]
     return bound
 

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.model import Method
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, bound_of, route_of
 from tests.bench.study import (
     DEGREES_MM,
@@ -25,6 +24,7 @@ from tests.bench.study import (
     rms,
 )
 from tests.extractions import ideal_extraction
+from tests.fits import maximum_likelihood
 from tests.truth import errors, nees
 
 _LEVELS = {"ml, noise levels given": GIVEN, "ml, noise levels estimated": {}}

@@ -14,7 +14,6 @@ import numpy as np
 from mobilecal_cli import camera as lens
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.nuisance import camera_change, table
-from mobilecal_cli.likelihood.state import cameras_at
 from mobilecal_cli.model import (
     EXACT,
     NINE,
@@ -248,7 +247,7 @@ def estimated(rig: CameraRig, pairs: Sequence[Pair]) -> Fit:
 
 def improved(fit: Fit) -> CameraRig:
     """The stereo pair as estimated."""
-    return cameras_at(fit.data, fit.lin.state)
+    return fit.lin.state.cameras
 
 
 # -- figures ------------------------------------------------------------------------------------------

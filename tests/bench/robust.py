@@ -9,13 +9,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.simulate.robot import paper_robot
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import extractions
 from tests.bench.simulated import DISTURBED, RUNS_PER_ROUTE, as_described, information_of, route_of, spoiled
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
+from tests.fits import maximum_likelihood
 from tests.truth import errors, nees
 
 RUNS = 1000

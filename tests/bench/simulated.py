@@ -8,8 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import (
     EXACT,
@@ -53,7 +52,7 @@ def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None 
     data, true = dataset_of(extraction), parameters_of(robot)
     everything = Inliers.all_of(data)
     state, priors = initial_state(data, true, everything), no_priors(data.layout, true)
-    return Posterior.at(data, state, inliers or everything, TRUE_NOISE, priors).normal.S
+    return Posterior.at(state, inliers or everything, TRUE_NOISE, priors).normal.S
 
 
 @cache

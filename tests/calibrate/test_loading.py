@@ -9,7 +9,6 @@ import pytest
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.errors import ConfigError, RecordingError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
-from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import load_rig
@@ -68,7 +67,7 @@ def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz
 
     def sigmas(**priors):
         extraction = loaded(npz, **priors)
-        data = dataset_for(extraction, Constraints(), dataset_of(extraction))
+        data = dataset_for(extraction, Constraints())
         return {row.kind: row.sigma for row in data.layout.constants if row.kind in OF_RECORDINGS}
 
     assert sigmas() == pytest.approx({"board_corners": 0.00015, "floor_shape": 0.001, "lens_waves": 0.0002})

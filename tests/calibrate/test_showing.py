@@ -111,7 +111,7 @@ def test_the_frames_compose_to_the_parameters(result, messages, extraction):
     robot, rig = mc.load(result / "params.yaml"), extraction.rig
     turned, rolled = [], []
     last = None
-    _, pairs = at_constants(extraction, Parameters(robot.T_parent_child, robot.wheels), robot.constants)
+    pairs = at_constants(extraction, Parameters(robot.T_parent_child, robot.wheels), robot.constants).pairs
     for o, T_c_k in zip(extraction.observations, pairs.T_c_k, strict=True):
         frames = frames_at(messages, o.time_ns)
         T_h_c = frames[robot.parent_frame, robot.child_frame]

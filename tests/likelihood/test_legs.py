@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.corners import corner_residuals
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import leg_covariances, linearize_legs
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.nuisance import table
 from mobilecal_cli.likelihood.processes import processes_of
-from mobilecal_cli.likelihood.state import Step, board_in_camera, view_rates
+from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import tick_robot
@@ -29,10 +28,10 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
     data = dataset_of(from_motions(test_measured.legs(5, 1), tuple(wheels.vector), T_v_c))
     everything, random = Inliers.all_of(data), np.random.default_rng(0)
     at = initial_state(data, Parameters(T_v_c, wheels), everything)
-    processes = processes_of(data, wheels, LEVELS, everything)
+    processes = processes_of(at, LEVELS, everything)
 
     def residual(state):
-        return linearize_legs(data, state, processes)
+        return linearize_legs(state, processes)
 
     def step(size):
         base = random.normal(size=(data.stations, data.base_width)) * size
@@ -40,11 +39,11 @@ def test_motions_of_a_planar_sensor_have_the_derivatives_of_differences():
         still = np.zeros((data.logs, 6)), base, np.zeros((data.stations, data.own_width))
         return Step(random.normal(size=data.layout.size) * size, *still)
 
-    at = at.plus(data, step(1e-2))
+    at = at.plus(step(1e-2))
     for _ in range(5):
         small = step(1e-6)
         back = Step(*(-getattr(small, part) for part in ("shared", "boards", "base", "own")))
-        ends = [residual(at.plus(data, each)).residual for each in (small, back)]
+        ends = [residual(at.plus(each)).residual for each in (small, back)]
         here = residual(at)
         predicted = here.moved(data, small).residual - here.residual
         assert predicted.shape[1] == 6
@@ -98,14 +97,14 @@ def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(cons
     exact, data = (
         dataset_of(simulated("moving", robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
     )
-    state = initial_state(exact, parameters_of(robot), Inliers.all_of(exact))
+    state = replace(initial_state(exact, parameters_of(robot), Inliers.all_of(exact)), data=data)
     names, shared = list(data.layout.names), np.zeros(data.layout.size)
     for name, value in constants.items():
         shared[data.layout.size - len(names) + names.index(name)] = value
     still = (np.zeros((data.stations, width)) for width in (data.base_width, data.own_width))
-    with_constants = state.plus(data, Step(shared, np.zeros((1, 6)), *still))
+    with_constants = state.plus(Step(shared, np.zeros((1, 6)), *still))
     rms_px = []
     for at in (state, with_constants):
-        off, _ = corner_residuals(data, at, board_in_camera(data, at), rates=view_rates(data, at))
+        off, _ = corner_residuals(at, at.T_c_k, rates=at.view_rates)
         rms_px.append(np.sqrt(np.mean(off**2, axis=(1, 2, 3))))
     assert np.median(rms_px[1] / rms_px[0]) < 0.03  # more where the speed changes within an image

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.corners import corner_residuals
-from mobilecal_cli.likelihood.dataset import dataset_of
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
-from mobilecal_cli.likelihood.noise import Inliers
 from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
-from mobilecal_cli.likelihood.state import Step, board_in_camera
+from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import Noise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
@@ -75,15 +74,15 @@ class Case:
         boards = random.normal(size=(logs, 6)) * 1e-3
         step = Step(shared, boards, base, random.normal(size=(STATIONS, self.data.own_width)) * 1e-2)
         priors = no_priors(self.data.layout, truth.parameters)
-        self.lin = Posterior.at(self.data, truth.plus(self.data, step), inliers, NOISE, priors)
+        self.lin = Posterior.at(truth.plus(step), inliers, NOISE, priors)
 
     def displaced(self, x):
         shared, boards, base, own = np.split(x, np.cumsum(self.sizes)[:3])
         stations = base.reshape(STATIONS, -1), own.reshape(STATIONS, -1)
-        return self.lin.state.plus(self.data, Step(shared, boards.reshape(self.data.logs, -1), *stations))
+        return self.lin.state.plus(Step(shared, boards.reshape(self.data.logs, -1), *stations))
 
     def whitened_pixels(self, state):
-        off, _ = corner_residuals(self.data, state, board_in_camera(self.data, state), rates=self.lin.rates)
+        off, _ = corner_residuals(state, state.T_c_k, rates=self.lin.rates)
         whitened = np.einsum("ncmab,ncmb->ncma", self.data.whitening, off) / NOISE.pixel_px
         return np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
 
@@ -107,7 +106,7 @@ class Case:
         root = np.zeros_like(self.lin.leg_weight)
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
-        legs = np.einsum("lba,lb->la", root, linearize_legs(self.data, state, self.lin.processes).residual)
+        legs = np.einsum("lba,lb->la", root, linearize_legs(state, self.lin.processes).residual)
         read = np.hypot(NOISE.joint_rad, self.data.joints_between)
         sigma = np.where(self.lin.inliers.readings, read, 1.0)
         encoders = np.hypot(NOISE.encoder_rad * np.array([1, 0.25]), self.data.wheels_between)

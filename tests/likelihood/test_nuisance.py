@@ -10,8 +10,8 @@ from mobilecal_cli.likelihood.effects import JointReading
 from mobilecal_cli.likelihood.nuisance import KINDS, Constant, Kind
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.extractions import Noise, simulated
+from tests.fits import maximum_likelihood
 from tests.likelihood.test_normal import Case, reduced
 from tests.report.example import made, rows_of
 from tests.robots import chain_of, three_on_pan_tilt

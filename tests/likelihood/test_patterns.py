@@ -10,7 +10,7 @@ from scipy.linalg import eigh
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.patterns import UNDERSTATED, _Images, patterns
+from mobilecal_cli.likelihood.patterns import UNDERSTATED, _informations, patterns
 from mobilecal_cli.solvers import solve
 from tests.bench import imperfect
 from tests.extractions import Outside
@@ -26,8 +26,7 @@ def test_the_patterns_of_the_board_are_enough_beside_the_waves_of_the_lenses():
     chosen = list(patterns(data, rows))
     waves, boards = ([row for row in chosen if row.kind == kind] for kind in ("lens_waves", "board_corners"))
     sigmas = np.tile([1.0, 1.0, 2.0], len(data.points_k))
-    images = _Images.of(data, [*rows, *waves])
-    H_cc, H_ce, H_ee = images.informations(*images.by_places(sigmas))
+    H_cc, H_ce, H_ee = _informations(data, [*rows, *waves], sigmas)
     M = np.stack([row.effect.displacement(data.points_k).ravel() / sigmas for row in boards])
     np.testing.assert_allclose(M @ M.T, np.eye(len(M)), atol=1e-9)
     B = np.linalg.solve(M @ H_ee @ M.T, M @ H_ce.T).T

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.model import NINE, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text

@@ -107,8 +107,7 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
     if cameras == 2:
         extraction = with_one_view(extraction, {2: 1, 3: 1, 8: 0})
     true = parameters_of(robot)
-    corrected, pairs = at_constants(extraction, true, off)
-    residuals = residuals_of(corrected, pairs, true)
+    residuals = residuals_of(at_constants(extraction, true, off), true)
     assert residuals.leg_reprojection_px.max() < 0.1
     assert residuals.leg_point_rms_m.max() < 1e-3
 

@@ -14,8 +14,8 @@ from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests.extractions import Noise, Outside, in_view, simulated
+from tests.fits import maximum_likelihood
 from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees, parameters_of
 

@@ -17,11 +17,11 @@ from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers import maximum_likelihood as recipe
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.noise import lengths
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise as Disturbance
 from tests.extractions import joined, simulated
+from tests.fits import maximum_likelihood
 from tests.pairs import with_views
 from tests.robots import chain_of, three_on_pan_tilt
 from tests.truth import nees

@@ -10,14 +10,13 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Extraction, Noise, Solution
 from mobilecal_cli.report.numbers import std_text
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.residuals import _by_point, error_parts
+from mobilecal_cli.solvers.residuals import Shown, _by_point, error_parts
 from tests import extractions
 from tests.bench import imperfect
 from tests.judging import judge
@@ -32,8 +31,8 @@ def parts_of(extraction: Extraction, solution: Solution, **levels: float):
     data, true = dataset_of(extraction), Noise(**Noise.limits("guess") | levels, wider={})
     all_of, parameters = Inliers.all_of(data), solution.parameters
     state = initial_state(data, parameters, all_of)
-    lin = Posterior.at(data, state, all_of, true, no_priors(data.layout, parameters))
-    return error_parts(lin, extraction, data.pairs, solution.residuals)
+    lin = Posterior.at(state, all_of, true, no_priors(data.layout, parameters))
+    return error_parts(lin, Shown.as_stated(data), solution.residuals)
 
 
 @pytest.mark.parametrize(

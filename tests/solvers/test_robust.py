@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.measured import from_motions
 from mobilecal_cli.solvers import Constraints
@@ -24,7 +24,7 @@ def started(extraction, constraints):
     everything = Inliers.all_of(inference.data)
     state = initial_state(inference.data, inference.initial(), everything)
     noise = inference.first_noise(np.array([NOISE.pixel_px]))
-    return Posterior.at(inference.data, state, everything, noise, inference.priors(state))
+    return Posterior.at(state, everything, noise, inference.priors(state))
 
 
 def agreeing_of(extraction):

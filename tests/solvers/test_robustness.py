@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.likelihood.noise import Inliers
+from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.model import NINE, Board, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
 from mobilecal_cli.report.verdict import Case
@@ -16,13 +15,13 @@ from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from mobilecal_cli.solvers.outliers import gross_corners
 from tests import truth
 from tests.actual import ActualRobot
 from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import STATION_NOISE, Imperfection, Noise, imperfect_extraction, simulated, slipped
+from tests.fits import maximum_likelihood
 from tests.judging import judge
 from tests.pairs import measured_anew, with_views
 from tests.report.example import made, make_provenance, rows_of
@@ -249,7 +248,7 @@ def test_corners_that_only_the_stated_camera_rejects_are_used():
     extraction = simulated(noise=noise, robot=robot, constants={"distortion_left_radial_1": 0.016})
     data = dataset_of(extraction)
     truth = Parameters(robot.T_h_c, robot.wheels)
-    corners, _, _ = gross_corners(data, initial_state(data, truth, Inliers.all_of(data)))
+    corners, _, _ = gross_corners(initial_state(data, truth, Inliers.all_of(data)))
     assert not corners.all()
     found = solve(extraction)
     assert not found.outliers

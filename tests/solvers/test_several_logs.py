@@ -18,7 +18,6 @@ from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
-from mobilecal_cli.solvers.maximum_likelihood import maximum_likelihood
 from tests import truth
 from tests.extractions import (
     STATION_NOISE,
@@ -27,6 +26,7 @@ from tests.extractions import (
     joined,
     simulated,
 )
+from tests.fits import maximum_likelihood
 from tests.judging import judge
 from tests.pairs import with_views
 from tests.report.example import made, rows_of

@@ -14,8 +14,7 @@ from mobilecal_cli.export.formats import Exported, Source
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
-from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.noise import SLIP_M_PER_SQRT_M
+from mobilecal_cli.likelihood.legs import SLIP_M_PER_SQRT_M, leg_covariances
 from mobilecal_cli.likelihood.processes import mean_variance, rolled_m
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Noise, WheelGeometry
 from mobilecal_cli.ranges import DISTANCE, ODOMETRY_RATE
