@@ -24,6 +24,7 @@ def mrpt(shared_data):
     return pairs_in(shared_data / "stereo" / "mrpt_stereo_calib")
 
 
+@pytest.mark.long  # test_other_pictures compares with the best calibration in every run
 def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_calibration(opencv):
     """Each pair is seen with the cameras that were estimated from the other pairs.
 
