@@ -53,7 +53,7 @@ def published(opencv):
     return compared(case.of(bouguet()), pairs, others=False).found
 
 
-@pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
+@pytest.mark.parametrize("name", [pytest.param("nothing", marks=pytest.mark.long), FOCAL, POINT])
 def test_one_wrong_constant(opencv, published, name):
     pairs, (width, _) = opencv
     true = bouguet()

@@ -324,8 +324,10 @@ def test_a_change_that_jumps_name_has_no_other_cause(name):
 @pytest.mark.parametrize(
     "name",
     [
-        "joints in steps of 5 degrees",
-        pytest.param("images of two stations exchanged", marks=pytest.mark.long),
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("joints in steps of 5 degrees", "images of two stations exchanged")
+        ),
         "board held in a hand",
     ],
 )
