@@ -6,8 +6,6 @@ A constant is the true minus the stated value; the description, the head-eye tra
 `SimulatedRobot` remain as they are. The formulas are written out here, independently of the estimator's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property

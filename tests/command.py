@@ -1,7 +1,5 @@
 """The command on its arguments, in this process: importing it anew for every run would cost a second each."""
 
-from __future__ import annotations
-
 import io
 import os
 import subprocess

@@ -4,8 +4,6 @@ Also the imperfections that `mobilecal simulate` does not render: noise of the m
 that change with the driven distance, exposure during motion, and what no constant of the estimator describes.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from itertools import chain
 

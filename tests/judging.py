@@ -1,7 +1,5 @@
 """The verdict on a solution, without the report."""
 
-from __future__ import annotations
-
 from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.verdict import Verdict, verdict_of
 

@@ -1,7 +1,5 @@
 """Calls of a stereo pair: the functions of several cameras, with the left and the right one as arguments."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

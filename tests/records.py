@@ -1,7 +1,5 @@
 """MCAP recordings of ROS 2, message by message: read, and written again with changes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Robots with other cameras than a stereo pair, their descriptions, and a stereo recording seen with one camera."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """`make logs`: writes the recordings in sample_logs/, with fixed seeds."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Camera models against OpenCV's, their Jacobians against differences, and there and back."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import cv2

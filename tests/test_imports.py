@@ -1,7 +1,5 @@
 """The picture of the imports in docs/explanation/architecture.md is that of the code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import grimp

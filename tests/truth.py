@@ -1,7 +1,5 @@
 """Errors against the known truth of a simulated robot."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

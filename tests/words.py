@@ -4,8 +4,6 @@ Prose is Markdown, templates, and in Python: docstrings, comments, and strings o
 backticks, fenced blocks, URLs, placeholders and identifiers are not prose.
 """
 
-from __future__ import annotations
-
 import ast
 import io
 import re

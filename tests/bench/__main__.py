@@ -1,7 +1,5 @@
 """`make bench`: creates its data, prints all performance tables, and writes docs/validation/performance.md."""
 
-from __future__ import annotations
-
 import argparse
 import re
 import tempfile

@@ -1,7 +1,5 @@
 """Corners under cameras that differ from the usual one: Bayer sensors and fisheye lenses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Time of complete commands compared with the imports that any such tool needs."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from statistics import median

@@ -4,8 +4,6 @@ Every constant is drawn from its prior; 20 stops. NEES / n is over the n paramet
 all but the camera's height where no joint tilts the camera.
 """
 
-from __future__ import annotations
-
 from tests.bench.imperfect import AS_PRINTED, USUAL, VERDICTS, Case, configuration, print_cases, verdict_cells
 from tests.bench.study import Study
 from tests.robots import CONFIGURATIONS

@@ -1,7 +1,5 @@
 """Corner errors against the truth and the bound, compared with the detectors and refinement of OpenCV."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor

@@ -1,7 +1,5 @@
 """Floors and wheel errors that stay the same for a while: are the standard deviations true at any picture rate?"""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 Nominal values are drawn from their priors, so that an unobservable parameter is as wrong as it is stated to be.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from dataclasses import replace

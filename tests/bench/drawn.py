@@ -1,7 +1,5 @@
 """Robots drawn from their priors: are the standard deviations true, is the bound reached, and what does it cost?"""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mobilecal_cli.model import FloatArray

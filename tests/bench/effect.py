@@ -1,7 +1,5 @@
 """Effect of the corners on the nine parameters: Monte Carlo on rendered images, cornerSubPix and the corner model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

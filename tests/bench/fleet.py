@@ -3,8 +3,6 @@
 Every sixth recording is truncated, so some robots fail.
 """
 
-from __future__ import annotations
-
 import csv
 import signal
 import tempfile

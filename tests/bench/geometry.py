@@ -4,8 +4,6 @@ Wheels of 3 to 30 cm, other places of the joints and of the camera, one that is 
 sizes, 9 to 30 stops or 30 to 110 images in motion. Every constant is drawn from its prior.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping

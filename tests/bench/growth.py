@@ -1,7 +1,5 @@
 """Cost against length: the stages of `calibrate`, and its memory, on recordings of 1, 10 and 60 minutes."""
 
-from __future__ import annotations
-
 import itertools
 import os
 import time

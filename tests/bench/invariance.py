@@ -1,7 +1,5 @@
 """What must not matter: threads of linear algebra, 1e-6 px, the order of recordings, one recording cut in two."""
 
-from __future__ import annotations
-
 import pickle
 import tempfile
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Something changes inside a recording: is it named with its time, and does the old value ever pass?"""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Processor time of `inspect` on large descriptions: topics of joint states, and links of a URDF."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from collections.abc import Callable, Iterator

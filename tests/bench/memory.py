@@ -1,7 +1,5 @@
 """Peak memory and time of the commands against the length of a simulated recording."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Monte Carlo: is the maximum-likelihood estimate as good as the bound, and are its standard deviations true?"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

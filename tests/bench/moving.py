@@ -1,7 +1,5 @@
 """Logs that never rest, with a camera clock 25 ms late: is the offset found, and the nine numbers with it?"""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Covariance of odometry: do 95 % regions contain 95 % of the errors over legs that the calibration did not use?"""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 

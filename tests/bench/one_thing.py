@@ -1,7 +1,5 @@
 """One thing at a time is not as described: errors, standard deviations, verdicts, and whether the cause is named."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

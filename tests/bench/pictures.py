@@ -1,7 +1,5 @@
 """Pictures of boards whose corners are known, for the study of corners; rendered by the tests' own renderer."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache

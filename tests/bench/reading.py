@@ -1,7 +1,5 @@
 """Every frame of a recording without stops: reading and detection compared with reading and decoding, on one and two cores."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor

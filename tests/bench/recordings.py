@@ -1,7 +1,5 @@
 """Recordings for the performance tables: simulated, transcoded, with an occluded board, and of any length."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cache

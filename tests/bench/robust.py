@@ -1,7 +1,5 @@
 """Monte Carlo with a fifth of the stations corrupted and one wheel slip: outliers found, and the resulting errors."""
 
-from __future__ import annotations
-
 import time
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The sample recordings: jackknife against covariance, and errors against the known truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mobilecal_cli.calibrate.extract import extract

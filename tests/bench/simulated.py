@@ -1,7 +1,5 @@
 """Simulated extractions for the studies: the paper's robot with the noise of method.md, and what may go wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -3,8 +3,6 @@
 `python -m tests.bench.studies STUDY [RUNS] [PART ...]` runs one of them; of its cases, those whose names contain a part.
 """
 
-from __future__ import annotations
-
 import sys
 from importlib import import_module
 

@@ -3,8 +3,6 @@
 Run as a program, it calls a function in a process of its own, for `measured`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import platform

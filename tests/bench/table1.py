@@ -1,7 +1,5 @@
 """The paper's Table 1 on the sample log."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -24,6 +24,7 @@ def mrpt(shared_data):
     return pairs_in(shared_data / "stereo" / "mrpt_stereo_calib")
 
 
+@pytest.mark.long  # test_other_pictures compares with the best calibration in every run
 def test_pairs_without_the_estimated_camera_see_the_board_as_with_the_published_calibration(opencv):
     """Each pair is seen with the cameras that were estimated from the other pairs.
 
@@ -52,7 +53,7 @@ def published(opencv):
     return compared(case.of(bouguet()), pairs, others=False).found
 
 
-@pytest.mark.parametrize("name", ["nothing", FOCAL, POINT])
+@pytest.mark.parametrize("name", [pytest.param("nothing", marks=pytest.mark.long), FOCAL, POINT])
 def test_one_wrong_constant(opencv, published, name):
     pairs, (width, _) = opencv
     true = bouguet()

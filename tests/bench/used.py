@@ -1,7 +1,5 @@
 """Used robots: every constant drawn from three and five times its prior. Are the standard deviations still true?"""
 
-from __future__ import annotations
-
 import numpy as np
 
 from tests.bench.drawn import CASES

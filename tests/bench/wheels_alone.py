@@ -1,7 +1,5 @@
 """Legs of a real robot with one planar sensor, against the published calibration of the same data."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Sequence

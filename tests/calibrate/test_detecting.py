@@ -1,7 +1,5 @@
 """Segments, processes and threads: the same corners in the same order for any number of processes."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

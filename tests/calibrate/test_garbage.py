@@ -1,7 +1,5 @@
 """Garbage as arguments of the Python surface: an error of the package, a TypeError or a ValueError, with a sentence."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

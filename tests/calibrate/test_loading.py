@@ -54,9 +54,14 @@ def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     assert kept.noise == {"floor_m": 0.001}
 
 
-def test_the_solver_uses_them(npz):
+@pytest.fixture(scope="module")
+def usual(npz):
+    """The solution with the settings of the extraction."""
+    return solve(loaded(npz))
+
+
+def test_the_solver_uses_them(npz, usual):
     assert solve(loaded(npz, priors__all="fixed")).constants.keys() <= {"square_scale"}
-    usual = solve(loaded(npz))
     narrow = solve(loaded(npz, priors__focal_length=0.0005))
     assert narrow.constants["focal_left"].prior == pytest.approx(5e-6)
     assert narrow.constants["focal_left"].std < 5.05e-6 < usual.constants["focal_left"].std
@@ -102,13 +107,13 @@ def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
     np.testing.assert_allclose(same.wheels[0].left.value, old.wheels[0].left.value, rtol=1e-14)
 
 
-def test_a_wrong_sign_is_repaired_without_the_recording(npz, tmp_path):
+def test_a_wrong_sign_is_repaired_without_the_recording(npz, usual, tmp_path):
     wrong = tmp_path / "wrong.npz"
     wrong.write_bytes(extraction_to_npz(loaded(npz, wheels__right__sign=-1)))
     with pytest.raises(SolveError, match=r"right wheel"):
         solve(loaded(wrong))
     found = solve(loaded(wrong, wheels__right__sign=1)).parameters
-    np.testing.assert_allclose(found.wheels.vector, solve(loaded(npz)).parameters.wheels.vector, rtol=1e-9)
+    np.testing.assert_allclose(found.wheels.vector, usual.parameters.wheels.vector, rtol=1e-9)
 
 
 def test_nominal_values_and_the_reference_camera(npz):

@@ -1,7 +1,5 @@
 """Stations of a whole recording, planned from its files: whatever the container and the lags of the images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

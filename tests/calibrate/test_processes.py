@@ -1,7 +1,5 @@
 """Worker processes: results, errors, and cleanup after a crash."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

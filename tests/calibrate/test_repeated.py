@@ -1,7 +1,5 @@
 """The same measurements twice are found by content; other recordings of the same robot are not mistaken for it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 

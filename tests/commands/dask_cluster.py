@@ -1,7 +1,5 @@
 """A Dask scheduler and its workers on loopback, each a process of its own."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

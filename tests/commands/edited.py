@@ -1,7 +1,5 @@
 """Copies of a sample log with something wrong in them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

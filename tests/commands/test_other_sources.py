@@ -1,7 +1,5 @@
 """The sample log in other clothes through the whole product: the same numbers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation

@@ -28,7 +28,7 @@ def made(tmp_path_factory):
     folder, results = tmp_path_factory.mktemp("made"), {}
     for robot, container in (("skid_steer", "mcap"), ("odometry_only", "bag")):
         log = folder / f"{robot}.{container}"
-        simulate(Scenario(robot=robot, seed=4, container=container, pictures_per_rest=1), log)
+        simulate(Scenario(robot=robot, stations=10, seed=4, container=container, pictures_per_rest=1), log)
         done = succeeded("calibrate", log, "--board", "9x6", "--output", folder / robot, cwd=folder)
         results[robot] = log, folder / robot, done.out, YAML_.load(truth_path(log).read_text())
     return results

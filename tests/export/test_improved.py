@@ -34,7 +34,7 @@ K = np.array([[550.0, 0, 322], [0, 552, 238], [0, 0, 1]])
 CENTER = np.array([320.0, 240.0])
 
 
-@pytest.fixture(scope="module", params=["paper", "tick"])
+@pytest.fixture(scope="module", params=["paper", pytest.param("tick", marks=pytest.mark.long)])
 def calibrated(request, tmp_path_factory):
     """(robot, extraction, solution, params.yaml) of a robot that is not as described."""
     described = ROBOTS[request.param]()

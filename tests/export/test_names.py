@@ -1,7 +1,5 @@
 """Any frame name through all exporters: a file that its format's parser reads, or an error that says so."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """A calibration put into a URDF, read back by two parsers that are not ours."""
 
-from __future__ import annotations
-
 import difflib
 import time
 from dataclasses import replace

@@ -3,8 +3,6 @@
 `python -m tests.fuzz.hunt COUNT [FIRST]` prints a table and every finding; case N is the same in every run.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import multiprocessing as mp
 import os

@@ -1,7 +1,5 @@
 """What is fuzzed: sound inputs, and what a user's command does with them."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

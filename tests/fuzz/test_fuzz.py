@@ -1,7 +1,5 @@
 """Mutated inputs: only documented errors, no hang, no memory beyond the bound."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal

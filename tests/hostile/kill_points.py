@@ -3,8 +3,6 @@
 `python -m tests.hostile.kill_points DIRECTORY` prints one line a moment: what was done last, and what is there then.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 import sys

@@ -3,8 +3,6 @@
 `python -m tests.hostile.meaning` prints the table in docs/validation/results.md.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections import Counter

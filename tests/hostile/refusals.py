@@ -1,7 +1,5 @@
 """What the whole command says about input that cannot be used: the table docs/validation/refusals.md, and its test."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

@@ -1,7 +1,6 @@
 """Commands on a file system that is full, or that may not be read: the message says so, and outputs stay as they are."""
 
-from __future__ import annotations
-
+import json
 import os
 import shlex
 import shutil
@@ -14,6 +13,7 @@ import zstandard
 from mobilecal_cli.calibrate import batch as fleet
 from mobilecal_cli.calibrate.batch import FleetJob
 from mobilecal_cli.errors import OutputError
+from tests.conftest import REPOSITORY
 from tests.hostile.refusals import extraction
 
 #: A file system of some bytes, mounted for one command only.
@@ -128,21 +128,27 @@ UNREADABLE = {
 }
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [pytest.param(given, marks=[pytest.mark.long] * (n % 3 > 0)) for n, given in enumerate(UNREADABLE)],
-)
-def test_a_file_that_may_not_be_read(solved, arguments):
+def test_files_that_may_not_be_read(solved):
+    """All commands in one process that has given up the right to read everything."""
     (solved / "log.mcap").touch(mode=0)
     (solved / "rig.yaml").touch()
-    command = [sys.executable, "-m", "mobilecal_cli", *arguments]
+    code = (
+        "import json; from tests.command import run; "
+        f"print(json.dumps([(done.code, done.out, done.err) for done in (run(*given) for given in {[*UNREADABLE]})]))"
+    )
+    command = [sys.executable, "-c", code]
     if os.geteuid() == 0:  # the administrator may read everything
         if shutil.which("setpriv") is None:
             pytest.skip("needs setpriv")
         command = ["setpriv", "--bounding-set=-dac_override,-dac_read_search", *command]
-    result = subprocess.run(command, cwd=solved, capture_output=True, text=True)
-    assert result.returncode == UNREADABLE[arguments], result.stderr
-    assert "log.mcap: cannot be read: Permission denied" in result.stdout + result.stderr
-    assert "hint: check " in result.stdout + result.stderr  # not: give another file
-    assert "permissions" in result.stdout + result.stderr
-    assert "Usage" not in result.stderr
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    result = subprocess.run(command, cwd=solved, capture_output=True, text=True, env=environment)
+    assert result.returncode == 0, result.stderr
+    for (arguments, expected), (code, out, err) in zip(
+        UNREADABLE.items(), json.loads(result.stdout), strict=True
+    ):
+        assert code == expected, (arguments, err)
+        assert "log.mcap: cannot be read: Permission denied" in out + err, arguments
+        assert "hint: check " in out + err, arguments  # not: give another file
+        assert "permissions" in out + err, arguments
+        assert "Usage" not in err, arguments

@@ -1,7 +1,5 @@
 """Recordings that somebody made to do harm: refused, or read around, within bounded memory and time."""
 
-from __future__ import annotations
-
 import bz2
 import os
 import resource

@@ -1,7 +1,5 @@
 """Configurations and URDFs that somebody made to do harm."""
 
-from __future__ import annotations
-
 import io
 import os
 import zipfile

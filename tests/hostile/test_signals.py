@@ -96,10 +96,10 @@ def cleaned(process, number, everyone, folder):
 @pytest.mark.parametrize(
     ("number", "everyone"),
     [
-        *((TERM, False), (HUP, True)),  # Ctrl-C: tests/commands/test_calibrate.py
+        (HUP, True),  # Ctrl-C: tests/commands/test_calibrate.py
         *(
             pytest.param(*case, marks=pytest.mark.long)
-            for case in ((TERM, True), (HUP, False), (INT, False), (INT, True))
+            for case in ((TERM, False), (TERM, True), (HUP, False), (INT, False), (INT, True))
         ),
     ],
 )

@@ -1,7 +1,5 @@
 """Hand-computed motions first: they share no formula with the code under test."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

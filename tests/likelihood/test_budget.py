@@ -1,7 +1,5 @@
 """The size of the world: residuals that are lengths shrink with it, and say nothing of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Noise of the joint readings, which must not look like motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

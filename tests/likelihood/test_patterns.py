@@ -1,7 +1,5 @@
 """Patterns of displaced corners and of lenses' waves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -34,7 +32,13 @@ def test_the_patterns_of_the_board_are_enough_beside_the_waves_of_the_lenses():
     assert eigh(D @ D.T, H_cc - B @ M @ H_ce.T, eigvals_only=True)[-1] < UNDERSTATED
 
 
-@pytest.mark.parametrize(("motion", "seed"), [("moving", 2), ("moving", 4), ("standard", 3), ("standard", 5)])
+@pytest.mark.parametrize(
+    ("motion", "seed"),
+    [
+        *(("moving", 2), ("standard", 3)),
+        *(pytest.param(*case, marks=pytest.mark.long) for case in (("moving", 4), ("standard", 5))),
+    ],
+)
 def test_waves_of_a_lens_do_no_harm_to_sharp_images_of_one_camera(motion, seed):
     """Of patterns chosen for what all stations share, those left out moved single poses: two FAIL, two by 5 sigmas."""
     waves = Outside(lens_px=0.15, lens_waves_px=(320.0, 1280.0))

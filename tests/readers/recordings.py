@@ -1,7 +1,5 @@
 """One small world, written into every container."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """One set of assertions over all containers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

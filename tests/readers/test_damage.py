@@ -1,7 +1,5 @@
 """Damaged files: what is whole is used and counted, and only RecordingError escapes."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """Joint states, whose names may change from message to message, and controllers' states that are read as such."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

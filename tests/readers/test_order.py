@@ -1,7 +1,5 @@
 """Messages come in order of log time, whatever order they were written in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibrations, names and URDFs from a recording's first messages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Recordings that others made: real robots, other tools' writers, published traps."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

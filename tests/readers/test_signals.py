@@ -1,7 +1,5 @@
 """Joints, wheels and stamps: what is read, dropped, noted and refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Video, a frame a message: the paper's robot's sample pictures, encoded anew."""
 
-from __future__ import annotations
-
 import sys
 from fractions import Fraction
 

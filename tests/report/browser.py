@@ -1,7 +1,5 @@
 """A headless Chromium over its debugging protocol, for tests of the pages."""
 
-from __future__ import annotations
-
 import base64
 import itertools
 import json

@@ -1,7 +1,5 @@
 """One calibration that most tests report on, and its page."""
 
-from __future__ import annotations
-
 import pytest
 
 from tests.report.example import Page, make_extraction, make_snapshots, make_solution, page_of

@@ -1,7 +1,5 @@
 """A simulated robot, its recording without images, and the solution: what the tests report on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """A new plot, a new table and a new check: what docs/explanation/architecture.md says to write, and nothing else."""
 
-from __future__ import annotations
-
 import pytest
 
 from mobilecal_cli.report import criteria, plots, tables, verdict

@@ -1,7 +1,5 @@
 """The pages in a real browser: no network, no complaints, nothing cut off, light, dark and on paper."""
 
-from __future__ import annotations
-
 import re
 import time
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The verdict on a calibration: right ones pass, wrong ones fail, and a poor recording decides nothing."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

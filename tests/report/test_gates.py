@@ -1,7 +1,5 @@
 """Gates: names, units and values of the figures that they limit, and what CI reads of them."""
 
-from __future__ import annotations
-
 import json
 import math
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Numbers as the terminal and the reports show them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

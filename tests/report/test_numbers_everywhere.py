@@ -1,7 +1,5 @@
 """One number has one value, one standard deviation and one unit: page, terminal, notebook, CI, JSON and params.yaml."""
 
-from __future__ import annotations
-
 import json
 import re
 from html import unescape

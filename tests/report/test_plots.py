@@ -1,7 +1,5 @@
 """Plots, and images with marks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Other places than the page: notebook, job summary, JUnit, JSON of suggestions."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The texts for the terminal, and the prose of the page."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from html import unescape

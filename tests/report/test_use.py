@@ -1,7 +1,5 @@
 """Expected errors in use: their limits, and the error budget."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """report.json, from solutions of simulated robots."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace

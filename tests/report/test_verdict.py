@@ -1,7 +1,5 @@
 """The criteria of a calibration."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Recordings: the same values in every container, the same bytes from the same seed, and no partial output."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

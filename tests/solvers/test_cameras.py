@@ -42,7 +42,14 @@ def recorded(robot, seed):
     return extraction, fitted(extraction)
 
 
-@pytest.mark.parametrize(("cameras", "chain"), CONFIGURATIONS)
+#: One of each number of cameras, and of each head; the others are with the long tests.
+_ALWAYS = {(1, "none"), (2, "pan-tilt"), (3, "pan")}
+
+
+@pytest.mark.parametrize(
+    ("cameras", "chain"),
+    [pytest.param(*key, marks=[pytest.mark.long] * (key not in _ALWAYS)) for key in CONFIGURATIONS],
+)
 def test_exact_measurements_give_the_true_robot(cameras, chain):
     robot = CONFIGURATIONS[cameras, chain]()
     extraction = simulated(robot=robot, stations=14, seed=1)
@@ -50,10 +57,6 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
     found = fitted(as_described(extraction))
     error = found.parameters.minus(parameters_of(robot))
     assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
-
-
-#: One of each number of cameras, and of each head; the others are with the long tests.
-_ALWAYS = {(1, "none"), (2, "pan-tilt"), (3, "pan")}
 
 
 @pytest.mark.parametrize(
@@ -70,7 +73,9 @@ def test_stated_sigmas_are_true(cameras, chain, seed):
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
-@pytest.mark.parametrize("name", [pytest.param("paper", marks=pytest.mark.long), "tick", "fixed_camera"])
+@pytest.mark.parametrize(
+    "name", ["tick", *(pytest.param(name, marks=pytest.mark.long) for name in ("paper", "fixed_camera"))]
+)
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
     both, pair = recorded(ROBOTS[name], 3)
@@ -115,8 +120,8 @@ def test_a_board_that_one_camera_shows_is_where_the_estimated_camera_has_it(came
 @pytest.mark.parametrize(
     ("name", "square_m"),
     [
-        *(("tick", 0.08), ("fixed_camera", None)),
-        *(pytest.param(*case, marks=pytest.mark.long) for case in (("tick", None), ("fixed_camera", 0.08))),
+        *(("tick", 0.08), ("tick", None)),
+        *(pytest.param("fixed_camera", square_m, marks=pytest.mark.long) for square_m in (0.08, None)),
     ],
 )
 def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
@@ -156,7 +161,12 @@ def test_other_cameras_have_priors_of_a_drawing():
 @pytest.mark.parametrize(
     ("name", "wrong", "words"),
     [
-        ("turn_aside_y", 0.14, "Aside camera: rotation about the front camera's y differs by +7.9"),
+        pytest.param(
+            "turn_aside_y",
+            0.14,
+            "Aside camera: rotation about the front camera's y differs by +7.9",
+            marks=pytest.mark.long,
+        ),
         ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +60.0"),
     ],
 )
@@ -186,7 +196,7 @@ def test_the_report_of_one_camera_speaks_of_one():
         assert word not in shown, word
 
 
-@pytest.mark.parametrize("cameras", [1, 2, 3])
+@pytest.mark.parametrize("cameras", [1, 3])
 def test_gross_corners_are_named_by_their_camera(cameras):
     robot = CONFIGURATIONS[cameras, "pan-tilt"]()
     extraction = simulated("standard", NOISE, robot, 20, 1)

@@ -63,7 +63,9 @@ def said_of(extraction):
     return verdict.reason if verdict.level == "FAIL" else verdict.level
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0, 3.0])
+@pytest.mark.parametrize(
+    "factor", [0.5, *(pytest.param(factor, marks=pytest.mark.long) for factor in (2.0, 3.0))]
+)
 def test_a_camera_info_of_another_resolution_is_named(factor):
     """The images of the board show the focal lengths, whatever the robot does."""
     said = said_of(meaning.focal(factor, factor)(meaning.recorded()))
@@ -72,9 +74,13 @@ def test_a_camera_info_of_another_resolution_is_named(factor):
     )
 
 
-@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
-def test_focal_lengths_that_the_likelihood_estimates_are_not_named(factor):
-    assert other_focal_lengths(meaning.focal(factor, factor)(meaning.recorded())) is None
+@pytest.mark.parametrize(
+    ("factor", "named"), [(0.9, False), (1.0, False), (1.1, False), (0.5, True), (2.0, True), (3.0, True)]
+)
+def test_focal_lengths_that_the_likelihood_estimates_are_not_named(factor, named):
+    diagnosis = other_focal_lengths(meaning.focal(factor, factor)(meaning.recorded()))
+    assert (diagnosis is not None) == named
+    assert not named or f"focal lengths of about {1 / factor:.2g} times those in" in diagnosis.cause
 
 
 @pytest.mark.long
@@ -134,13 +140,10 @@ MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()}
     ),
 }
 #: Found by the solver in a second; it takes longer to give up on the others, in the long tests.
-SOLVED = (
-    *("joints in degrees", "sign of the right wheel", "nominal wheels twice as large"),
-    *("gear ratio 2 of both wheels", "gear ratio 1/2 of both wheels", "right wheel frozen"),
-)
+SOLVED = (*("sign of the right wheel", "gear ratio 1/2 of both wheels", "right wheel frozen"),)
 #: One of each kind of the others, named by the diagnosis in every run.
 QUICK = (
-    *("pan in degrees", "pan frozen", "both wheels stuck", "both images of the previous station"),
+    *("pan in degrees", "pan frozen", "both images of the previous station"),
     *("left wheel 3 s late", "images 2 s early", "both wheels frozen", "signs of both joints"),
 )
 
@@ -204,7 +207,7 @@ def test_readings_of_pan_that_say_nothing_are_not_blamed_on_the_wheels():
 def test_the_named_mistake_is_the_only_one(recorded):
     """Wheels are not blamed for a joint: turned pan once said that both wheels were turned."""
     spoilt = WRONG["sign of pan"].change(recorded)
-    with pytest.raises(SolveError) as caught:
+    with pytest.raises(SolveError, match=CAUSES["sign of pan"]) as caught:
         solve(spoilt)
     assert "wheel" not in caught.value.message
 
@@ -218,7 +221,9 @@ def test_a_good_recording_has_no_diagnosis(recorded):
     ("right", "left", "cause"),
     [
         pytest.param(2.0, 1.0, "the right wheel's readings become 2 times as large", marks=pytest.mark.long),
-        (1.0, 1.3, "the left wheel's readings become 1.3 times as large between "),
+        pytest.param(
+            1.0, 1.3, "the left wheel's readings become 1.3 times as large between ", marks=pytest.mark.long
+        ),
         (0.8, 0.8, "0.8 times as large and the left wheel's readings become 0.8 times as large between "),
     ],
 )
@@ -269,7 +274,7 @@ def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
     assert found.cause == "recording 2 of 2: the sign of joint tilt_joint is reversed"
 
 
-@pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 3.0)])
+@pytest.mark.parametrize(("right_s", "left_s"), [pytest.param(0.0, 2.0, marks=pytest.mark.long), (3.0, 3.0)])
 def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left_s):
     """A delay longer than the recording left no time that both wheels cover, and an IndexError."""
     short = simulated("standard", NOISE, ROBOT, 5, 0)
@@ -284,7 +289,7 @@ def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left
     ("name", "spoil", "cause"),
     [
         ("tick", both(meaning.unsigned), "the readings of both wheels never decrease"),
-        ("paper", late_joints(3.0), "the joint readings are about 3."),
+        pytest.param("paper", late_joints(3.0), "the joint readings are about 3.", marks=pytest.mark.long),
         (
             "paper",
             joints(lambda q: q * [180 / np.pi, 1, 1, 1]),
@@ -303,10 +308,12 @@ def test_a_wrong_sign_is_no_cure_for_another_mistake(name, spoil, cause):
     "name",
     [
         "right wheel 2 % larger from the middle",
-        "right wheel 5 % larger from the middle",
         "pan 3 degrees off from the middle",
         "right images shifted by 15 px from the middle",
-        "counters of 32 bits wrap in the middle",
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("right wheel 5 % larger from the middle", "counters of 32 bits wrap in the middle")
+        ),
     ],
 )
 def test_a_change_that_jumps_name_has_no_other_cause(name):
@@ -315,7 +322,14 @@ def test_a_change_that_jumps_name_has_no_other_cause(name):
 
 
 @pytest.mark.parametrize(
-    "name", ["images of two stations exchanged", "joints in steps of 5 degrees", "board held in a hand"]
+    "name",
+    [
+        *(
+            pytest.param(name, marks=pytest.mark.long)
+            for name in ("joints in steps of 5 degrees", "images of two stations exchanged")
+        ),
+        "board held in a hand",
+    ],
 )
 def test_nothing_is_named_for_what_no_hypothesis_explains(name):
     assert Search(WRONG[name].change(meaning.recorded())).diagnosis is None
@@ -361,7 +375,7 @@ def test_images_that_freeze_are_named_with_their_time():
     [
         pytest.param("right wheel in steps of 1 rad", marks=pytest.mark.long),
         "wheels of another drive",
-        "wheels wrapped at one turn",
+        pytest.param("wheels wrapped at one turn", marks=pytest.mark.long),
     ],
 )
 def test_wheels_that_do_not_belong_to_the_recording(name):
@@ -370,10 +384,9 @@ def test_wheels_that_do_not_belong_to_the_recording(name):
 
 
 @pytest.mark.parametrize("robot", ["tick", "paper"])
-@pytest.mark.parametrize("seed", [3, 4])
-def test_a_head_that_only_pans_fits(robot, seed):
+def test_a_head_that_only_pans_fits(robot):
     """The other joints are at rest: their readings are right."""
-    made = simulated("pan_only", NOISE, robot, seed=seed)
+    made = simulated("pan_only", NOISE, robot, seed=3)
     assert Search(made).misfit is None
     assert Search(made).diagnosis is None
 

@@ -67,8 +67,8 @@ def test_exact_observations_give_the_exact_answer():
 
 
 def test_errors_are_of_the_size_that_is_stated():
-    """NEES / 9 has the mean 1 and, over ten runs of nine numbers, the standard deviation 0.15."""
-    fits = [maximum_likelihood(with_noise(extraction_of(seed=seed))) for seed in range(10)]
+    """NEES / 9 has the mean 1 and, over five runs of nine numbers, the standard deviation 0.21."""
+    fits = [maximum_likelihood(with_noise(extraction_of(seed=seed))) for seed in range(5)]
     assert 0.55 < np.mean([nees(fit.lin.state.parameters, fit.covariance, ROBOT) for fit in fits]) < 1.45
 
 
@@ -127,7 +127,7 @@ def on_two_topics(seed, steps_rad):
     return replace(still, wheels=(WheelTrack(*wheels),))
 
 
-@pytest.mark.parametrize("finer_deg", [2.67, 0.9, 0.0])
+@pytest.mark.parametrize("finer_deg", [pytest.param(2.67, marks=pytest.mark.long), 0.9, 0.0])
 def test_encoders_on_two_topics_keep_their_steps(finer_deg):
     """Measured with equal steps, seeds 0 to 5: 0.5 to 4.2 mm, stated 1.3 to 2.1; without the steps 0.1 to 13 mm."""
     steps = np.radians([2.67, finer_deg])
@@ -399,9 +399,9 @@ def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
     ("name", "kind", "by"),
     [
         ("focal_left", "focal_length", 0.02),
-        ("principal_right_y", "principal_point", 0.03),
+        pytest.param("principal_right_y", "principal_point", 0.03, marks=pytest.mark.long),
         ("baseline_scale", "baseline_length", 0.02),
-        ("stereo_r_y", "stereo_rotation", 0.03),
+        pytest.param("stereo_r_y", "stereo_rotation", 0.03, marks=pytest.mark.long),
         ("torso_pitch_joint_position_x", "joint_position", 0.03),
         ("backlash_pan", "backlash", 0.03),
     ],

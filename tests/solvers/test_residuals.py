@@ -1,7 +1,5 @@
 """Parts of the point error and of the reprojection error."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

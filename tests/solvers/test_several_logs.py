@@ -65,9 +65,10 @@ def misread(extraction, station, seed=0, size_px=300.0):
     ("motion", "stations", "hidden"),
     [
         ("straight", 12, ("separation",)),
-        ("spin", 12, NINE[6:]),
-        pytest.param("base_fixed", 12, NINE[6:], marks=pytest.mark.long),
-        ("head_fixed", 12, ("t_y",)),
+        *(
+            pytest.param(motion, 12, hidden, marks=pytest.mark.long)
+            for motion, hidden in (("spin", NINE[6:]), ("base_fixed", NINE[6:]), ("head_fixed", ("t_y",)))
+        ),
         pytest.param("standard", 1, NINE, marks=pytest.mark.long),
         ("standard", 2, NINE[1:]),
     ],
@@ -143,7 +144,10 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheel_is
 
 @pytest.mark.parametrize(
     ("odd", "turn_rad", "stations", "level"),
-    [pytest.param(0, 0.06, 12, "FAIL", marks=pytest.mark.long), (1, 0.06, 8, "FAIL"), (1, 0.02, 12, "PASS")],
+    [
+        *(pytest.param(*case, "FAIL", marks=pytest.mark.long) for case in ((0, 0.06, 12), (1, 0.06, 8))),
+        (1, 0.02, 12, "PASS"),
+    ],
 )
 def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn_rad, stations, level):
     """A warning where all expected errors are within their limits with the spread included."""
@@ -186,7 +190,7 @@ def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
     assert found.uncertainty.std[RADIUS] == pytest.approx(weights.sum() ** -0.5, rel=0.05)
 
 
-@pytest.mark.parametrize("stations", [1, 2])
+@pytest.mark.parametrize("stations", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
     extraction = joined(recorded("standard", 1), recorded("standard", 2, stations=stations))
     for k in range(stations):

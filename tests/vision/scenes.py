@@ -1,7 +1,5 @@
 """Cameras and boards with known ground truth, and a renderer independent of the code under test."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import product
 from typing import Any

@@ -1,7 +1,5 @@
 """Images that contradict camera_info: one bad station, a wrong description, exchanged and mirrored images."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Covariances of corners, from the fit to the observation."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mobilecal_cli import se3

@@ -1,7 +1,5 @@
 """Boards under strong fisheye lenses: found without a camera model, with no wrong corner."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

@@ -1,7 +1,5 @@
 """Tracking of the board: it follows motion, stops at occlusion, and is never off by one square."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -48,8 +48,13 @@ LOOKS = {
 }
 
 
-@pytest.mark.parametrize("look", LOOKS)
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    ("kind", "look"),
+    [
+        *(("charuco", "near"), ("charuco", "off to the left"), ("charuco", "on its head")),
+        *(("aprilgrid", "near"), ("aprilgrid", "whole"), ("aprilgrid", "on its side")),
+    ],
+)
 def test_seen_corners_are_where_they_are(kind, look):
     x, y, z, turn = LOOKS[look]
     board, made = views(kind, centred(kind, x, y, z, turn))

@@ -1,7 +1,5 @@
 """Numbering of boards that look the same when rotated, resolved by the motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -71,7 +69,7 @@ def same_numbering(resolved: tuple[Observation, ...], truth: list[Observation], 
     return False
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 7), (8, 8), (9, 7)])
 @pytest.mark.parametrize("square_known", [False, True])
 def test_upright_board(seed: int, columns: int, rows: int, square_known: bool) -> None:

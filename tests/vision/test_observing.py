@@ -1,7 +1,5 @@
 """Stations: real pairs against Bouguet's calibration, and every inconsistency of stereo pairs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

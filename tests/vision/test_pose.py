@@ -1,7 +1,5 @@
 """The board's pose: exact data, Jacobians, spread."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Noise of corners of boards with few corners, under lenses with distortion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +24,7 @@ def slightly_wrong(camera: Camera) -> Camera:
     return replace(camera, K=K)
 
 
-@pytest.mark.parametrize(("columns", "rows", "square_m"), [(9, 6, 0.05), (6, 4, 0.08), (5, 3, 0.1)])
+@pytest.mark.parametrize(("columns", "rows", "square_m"), [(9, 6, 0.05), (5, 3, 0.1)])
 @pytest.mark.parametrize("kind", ["raw", "fisheye", "rectified"])
 @pytest.mark.parametrize("exact", [True, False])
 def test_the_noise_is_true_for_few_corners_too(

@@ -1,7 +1,5 @@
 """Points from pairs of pixels, against truth and against their own covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
