@@ -14,6 +14,7 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import Evidence, EvidenceValue, FloatArray
 
 _LEAST_CHANCE = 1e-300
+_FIXED = 1e-12  # rad, m: standard deviation of a parameter that is fixed, up to rounding
 _SHOWN = 0.997  # posterior variance over the prior's, below which the data show a direction
 
 
@@ -67,12 +68,12 @@ def evidence(lin: Posterior, parts: bool = True) -> tuple[Evidence, ...]:
             for name, v, d, s in zip(names, value, wide, prior, strict=True)
         }
         # The nine follow as their covariance with the group says; of kinds that show only together, one may be wrong.
-        shifts = [0.0]
+        shifts, free = [0.0], std > _FIXED
         for kind in {row.kind for row in rows}:
             of = [k for k, row in enumerate(rows) if row.kind == kind]
             alone = _without_prior(m[of], own[np.ix_(of, of)], tight[of])[2]
             follow = across @ own[:, of] @ np.linalg.pinv(own[np.ix_(of, of)]) @ (alone - m[of])
-            shifts += (np.abs(follow[std > 0]) / std[std > 0]).tolist()
+            shifts += (np.abs(follow[free]) / std[free]).tolist()
         sigmas = equivalent_sigmas(chi2, dof) if dof else 0.0
         asked = tuple(layout.names[k] for k in columns if lin.priors.mean[k])
         tested.append(Evidence(first.kind, first.part, estimates, chi2, sigmas, max(shifts), asked))

@@ -16,15 +16,21 @@ from tests.judging import judge
 from tests.truth import errors
 
 
-def test_the_patterns_of_the_board_are_enough_beside_the_waves_of_the_lenses():
-    """Chosen without the waves, those left out moved what cameras and board have in common by five sigmas."""
-    extraction = imperfect.Case(motion="moving", images=80, noise=imperfect.USUAL).extraction(0)
+@pytest.mark.parametrize("pixel_px", [0.1, 0.01])
+def test_the_patterns_of_the_board_are_enough_beside_the_waves_of_the_lenses(pixel_px):
+    """Chosen without the waves, those left out moved what cameras and board have in common by five sigmas.
+
+    So did those chosen for usual images, where one camera has sharp ones: wheels of the robot on a PASS by 0.9 %.
+    """
+    noise = replace(imperfect.USUAL, pixel_px=pixel_px)
+    extraction = imperfect.Case("camera on the base", motion="moving", images=80, noise=noise).extraction(0)
     data = dataset_of(extraction)
     rows = nuisance.table(extraction.rig.cameras, extraction.rig.chain)
     chosen = list(patterns(data, rows))
     waves, boards = ([row for row in chosen if row.kind == kind] for kind in ("lens_waves", "board_corners"))
     sigmas = np.tile([1.0, 1.0, 2.0], len(data.points_k))
-    H_cc, H_ce, H_ee = _informations(data, [*rows, *waves], sigmas)
+    usual = replace(data, whitening=0.1 / data.claimed_px * data.whitening, claimed_px=0.1)
+    H_cc, H_ce, H_ee = _informations(usual, [*rows, *waves], sigmas)
     M = np.stack([row.effect.displacement(data.points_k).ravel() / sigmas for row in boards])
     np.testing.assert_allclose(M @ M.T, np.eye(len(M)), atol=1e-9)
     B = np.linalg.solve(M @ H_ee @ M.T, M @ H_ce.T).T
