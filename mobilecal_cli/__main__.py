@@ -4,6 +4,7 @@ import errno
 import os
 import shutil
 import sys
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +24,7 @@ def main() -> None:
     """Run the command line; exit with 128 plus the number of the signal that ended it."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # small matrices: more threads only wait for each other
+    warnings.simplefilter("ignore", RuntimeWarning)  # of numbers that overflow: what is not finite is refused
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "1")  # no search for them in all packages
     _open_standard_streams()
     interruption.unwind_on_signals()

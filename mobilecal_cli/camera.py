@@ -15,9 +15,9 @@ _NEWTON_STEPS = 60  # a few are usual; near the edge of a model's range, steps a
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
 _EXACT = 5e-16  # relative rounding error of the distorted coordinates
 _CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
-_SHORTEST_WAVE = 4  # half waves over the image: a wave of half its width
-_WAVES = np.array([(k, n - k) for n in range(1, _SHORTEST_WAVE + 1) for k in range(n, -1, -1)])
-#: Terms of a lens correction: four of the distortion, and the waves along x and y.
+_MOST_HALF_WAVES = 6  # over the image: a wave of a third of its width
+_WAVES = np.array([(k, n - k) for n in range(1, _MOST_HALF_WAVES + 1) for k in range(n, -1, -1)])
+#: Terms of a lens correction: four of the distortion, and all waves along x and y.
 LENS_TERMS = 4 + 2 * len(_WAVES)
 _AXIS = 1e-6  # tangent of the angle to the optical axis below which the equidistant model uses its series
 
@@ -118,7 +118,7 @@ def lens_terms(
         camera: gives the image size.
         center_px: (2,) where the first terms are zero.
         pixels: (..., 2) pixels without the correction.
-        shares: (L,) of the correction; L is 4, or `LENS_TERMS` with the waves.
+        shares: (L,) of the correction; L is 4, or with waves, up to `LENS_TERMS`.
 
     Returns:
         (..., 2, L) px, and (..., 2, 2) derivative of the displacement of the correction by the pixels.
@@ -144,27 +144,33 @@ def lens_terms(
     J[3, ..., 0, 0], J[3, ..., 0, 1], J[3, ..., 1, 0], J[3, ..., 1, 1] = 2 * y, 2 * x, 2 * x, 6 * y
     by_pixels: FloatArray = np.tensordot(slope * shares[:4], J, 1)
     if len(shares) > 4:
-        waves, by_pixel = _waves(camera, pixels)
+        waves, by_pixel = _waves(camera, pixels, (len(shares) - 4) // 2)
         terms[..., 4:] = 0.0
         terms[..., 0, 4::2] = terms[..., 1, 5::2] = camera.width * waves
         by_pixels += camera.width * shares[4:].reshape(-1, 2).T @ by_pixel
     return terms, by_pixels
 
 
-def _waves(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """cos(pi k u) cos(pi l v), 1 <= k + l <= 4, u and v from 0 to 1 over the image.
+def lens_terms_up_to(half_waves: int) -> int:
+    """Terms of a lens correction with all waves of at most so many half waves over the image."""
+    return 4 + 2 * int(np.sum(_WAVES.sum(axis=1) <= half_waves))
+
+
+def _waves(camera: Camera, pixels: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """cos(pi k u) cos(pi l v), u and v from 0 to 1 over the image, with k + l = 1, 2, and so on.
 
     Args:
         camera: gives the image size.
         pixels: (..., 2).
+        count: W, number of waves, the longest first.
 
     Returns:
-        (..., 14), and (..., 14, 2) by the pixels.
+        (..., W), and (..., W, 2) by the pixels.
     """
-    per_px = np.pi * np.arange(_SHORTEST_WAVE + 1) / np.array([[camera.width], [camera.height]])
+    along_u, along_v = _WAVES[:count].T
+    per_px = np.pi * np.arange(along_u.max() + 1) / np.array([[camera.width], [camera.height]])
     angle = (pixels[..., None] + 0.5) * per_px
     values, slopes = np.cos(angle), -per_px * np.sin(angle)
-    along_u, along_v = _WAVES.T
     x, y = values[..., 0, along_u], values[..., 1, along_v]
     return x * y, np.stack([slopes[..., 0, along_u] * y, x * slopes[..., 1, along_v]], axis=-1)
 

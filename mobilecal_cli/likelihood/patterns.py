@@ -24,7 +24,7 @@ import numpy as np
 from scipy.linalg import block_diag, eigh
 
 from mobilecal_cli import se3
-from mobilecal_cli.camera import LENS_TERMS
+from mobilecal_cli.camera import lens_terms_up_to
 from mobilecal_cli.likelihood.corners import corner_residuals, whitened
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import BoardEffect, CameraEffect, ImageEffect
@@ -37,7 +37,10 @@ _CORNERS, _LENS = "board_corners", "lens_waves"
 #: Of the variance of the direction that suffers most: a sigma by 2.5 %.
 UNDERSTATED = 0.05
 _ACROSS = 2.0  # sigma across the board, in sigmas in the plane
-_WAVE = 0.43  # amplitude of each wave, in the rms over the image of all together
+_WAVES_RMS = 1.6  # amplitude of each of n waves, in the rms over the image of all together over sqrt(n)
+# Half waves over the image of the shortest waves that are estimated; and of images with corners as exact as this, px,
+# which show what shorter waves do to the result.
+_HALF_WAVES, _SHARP_PX, _HALF_WAVES_IF_SHARP = 4, 0.025, 6
 _MOST_STATIONS = 100  # that the patterns are made from
 _TIED = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm of a station's board pose
 _ANYWHERE = 1e3 * _TIED  # of camera and board
@@ -65,10 +68,12 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
 
 
 def _of_lenses(data: Dataset) -> Iterator[Constant]:
+    count = lens_terms_up_to(_HALF_WAVES_IF_SHARP if data.claimed_px < _SHARP_PX else _HALF_WAVES) - 4
+    amplitudes = _WAVES_RMS / np.sqrt(count / 2) * np.eye(count)
     for camera, name in enumerate(data.cameras.names):
         if not data.seen[:, camera].any():
             continue
-        for number, wave in enumerate(_WAVE * np.eye(LENS_TERMS - 4), 1):
+        for number, wave in enumerate(amplitudes, 1):
             along = CameraEffect("lens", (0.0,) * 4 + tuple(wave.tolist()), camera)
             part, meaning = camera_words(name), f"waves over the image, {number}"
             yield Constant(f"{_LENS}_{name}_{number}", _LENS, part, meaning, along, kind(_LENS).sigma)

@@ -47,7 +47,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return fit
     try:
         fit = _without_outliers(as_stated, first)
-    except SolveError as error:
+    except (SolveError, np.linalg.LinAlgError) as error:
         change = _change(first)
         if change is None:
             raise
