@@ -8,7 +8,7 @@ import struct
 from array import array
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.sqlite_tree import link, message_leaves
+from mobilecal_cli.readers.containers.sqlite_tree import Leaf, link, message_leaves
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     SIZE_LIMIT,
@@ -160,9 +160,13 @@ class SqliteStorage(Storage):
         try:
             log, counts = _listed(self._connection.execute(f"{select} ORDER BY id"))
         except (sqlite3.Error, OverflowError):
-            log, counts = self._of_readable(select)
-            if self._relinked(sum(counts.values())):
-                log, counts = self._of_readable(select)
+            leaves, cut = message_leaves(self.opened)
+            # SQLite reads what is missing of a page that is cut as zeros.
+            last = leaves[-1].last_row if leaves and cut else None
+            log, counts = self._of_readable(select, last)
+            if sum(leaf.rows for leaf in leaves) > sum(counts.values()):
+                self._relink(leaves)
+                log, counts = self._of_readable(select, last)
             self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
         self.counts = counts
         steps = steps_back(log.channel, log.log_ns)
@@ -173,18 +177,13 @@ class SqliteStorage(Storage):
         self._log = log
         self.delay(0)
 
-    def _of_readable(self, select: str) -> tuple[_Log, dict[int, int]]:
-        """See `_listed`; of the rows of a damaged table that can be read one by one."""
-        return _listed(row for row in self._rows(self._every_row(), select) if row is not None)
+    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, dict[int, int]]:
+        """See `_listed`; of the rows of a damaged table that can be read one by one, up to the last whole one."""
+        rows = self._rows(self._every_row(), select)
+        return _listed(row for row in rows if row is not None and (last is None or row[0] <= last))
 
-    def _relinked(self, reached: int) -> bool:
-        """Go on with a copy of a file whose leaves have more messages than can be reached; False if they do not.
-
-        SQLite reads what is missing of a page that is cut as zeros: a copy has no such messages.
-        """
-        leaves, cut = message_leaves(self.opened)
-        if not leaves or (sum(leaf.rows for leaf in leaves) <= reached and not cut):
-            return False
+    def _relink(self, leaves: Sequence[Leaf]) -> None:
+        """Go on with a copy of a file that has leaves which its tree does not reach."""
         (root,) = self._connection.execute(
             "SELECT rootpage FROM sqlite_master WHERE type='table' AND name='messages'"
         ).fetchone()
@@ -195,7 +194,6 @@ class SqliteStorage(Storage):
         self._connection.close()
         self.opened = copy
         self._connection = self._open("immutable=1")
-        return True
 
     def delay(self, shift_ns: int) -> None:
         if len(self._log.row):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -19,11 +20,13 @@ _LEAF, _INTERIOR = 13, 5
 _PAGE_BYTES, _RESERVED, _PAGES = slice(16, 18), 20, 28  # places in the header of a file
 _CELLS = struct.Struct(">xxxH")  # of a page: their number
 _HEAD_OF_LEAF = struct.Struct(">BHH")  # type, no free block, cells
-_INTERIOR_HEAD = struct.Struct(
-    ">BHHHBI"
-)  # type, no free block, cells, begin of the cells, no fragments, last child
+# Type, no free block, cells, begin of the cells, no fragments, last child.
+_INTERIOR_HEAD = struct.Struct(">BHHHBI")
 _LONGEST_CELL = 4 + 9 + 2  # bytes of a child, its largest row number, and a pointer
+_MOST_ROWS = 2**48  # larger numbers of rows are damage
 _BLOB = 12  # from this serial type on, even numbers; integers have smaller ones
+#: What reading beyond the end of a page raises.
+_DAMAGE = (IndexError, struct.error)
 
 
 class Leaf(NamedTuple):
@@ -59,9 +62,10 @@ def message_leaves(path: Path) -> tuple[list[Leaf], bool]:
         last = leaves.pop()
         page = bytes(pages[last.page - 1])
         for rows in range(last.rows, 0, -1):
-            cell = _cell(page, rows - 1)
-            if _is_whole(cell, page, pages, usable):
-                return [*leaves, Leaf(cell.row, last.page, rows)], cut
+            with suppress(*_DAMAGE):
+                cell = _cell(page, rows - 1)
+                if _is_whole(cell, page, pages, usable):
+                    return [*leaves, Leaf(cell.row, last.page, rows)], cut
     return leaves, cut
 
 
@@ -72,13 +76,14 @@ def _is_whole(cell: _Cell, page: bytes, pages: NDArray[np.uint8], usable: int) -
         return True
     here = least + (cell.size - least) % (usable - 4)
     here = here if here <= most else least
+    count = -(-(cell.size - here) // (usable - 4))
     further = page[cell.at + here : cell.at + here + 4]
-    for _ in range(-(-(cell.size - here) // (usable - 4))):
+    for _ in range(min(count, len(pages))):
         number = int.from_bytes(further)
         if not 0 < number <= len(pages):
             return False
         further = bytes(pages[number - 1, :4])
-    return True
+    return count <= len(pages)
 
 
 def link(path: Path, root: int, leaves: Sequence[Leaf]) -> None:
@@ -136,9 +141,9 @@ def _leaf(page: bytes, number: int) -> Leaf | None:
     try:
         ends = [_cell(page, place) for place in (0, rows - 1)]
         are_messages = rows and all(_is_message(page, cell.at) for cell in ends)
-    except (IndexError, struct.error):
+    except _DAMAGE:
         return None
-    return Leaf(ends[-1].row, number, rows) if are_messages else None
+    return Leaf(ends[-1].row, number, rows) if are_messages and ends[-1].row < _MOST_ROWS else None
 
 
 def _cell(page: bytes, place: int) -> _Cell:
