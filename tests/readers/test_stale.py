@@ -30,6 +30,17 @@ def test_repeated_readings_between_steps_of_a_motion_are_dropped():
     ]
 
 
+def test_a_coarse_encoder_shows_them_too():
+    """It changes in every second or third reading only."""
+    value = 0.006 * np.round(0.05 * _TIME_S / 0.006)
+    value[200:240] = value[200]
+    keep, notes = _kept(value)
+    dropped = np.flatnonzero(~keep)
+    assert len(notes) == 1
+    assert set(dropped) >= set(range(203, 238))
+    assert set(dropped) <= set(range(195, 245))
+
+
 def _stops_and_goes():
     return np.interp(_TIME_S, [0, 2, 4, 7, 9, 12, 14, 30], [0, 0, 0.5, 0.5, -0.5, -0.5, 0.2, 0.2])
 
@@ -54,7 +65,7 @@ def test_a_joint_that_rests_or_has_coarse_steps_keeps_all_readings(value):
     assert notes == []
 
 
-@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 2, 3, 6, 7])
 def test_short_tracks_stay_as_they_are(count):
     track = Track(np.arange(count), np.arange(count, dtype=float))
     assert without_stale("joint pan", track, []) is track

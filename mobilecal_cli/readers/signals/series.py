@@ -170,43 +170,45 @@ class Series:
         return Samples(self.topic, self.label, stamp_ns, log_ns, value)
 
 
-#: Readings are stale from the fourth repetition on, if the step after them catches up: by so many times what the two
-#: steps before and the two after them would change since the first of them, at least and at most.
-_REPETITIONS, _CATCHES_UP = 4, (1 / 3, 3.0)
+#: Equal readings are stale if there are so many or more of them, so many times as many as between the steps before and
+#: after them, and the step after them catches up: it is so many times as large as those steps, and at least and at most
+#: so many times what these would change since the first of them.
+_EQUAL, _LONGER, _LEAP, _CATCHES_UP = 5, 4, 2.0, (1 / 3, 3.0)
 
 
 def without_stale(label: str, track: Track, notes: list[str]) -> Track:
     """A track without readings that a driver repeated while the joint or the wheel went on; notes how many.
 
     They are between steps of a motion, and end with a step that catches up. What stood still starts with a step that is
-    no faster than the steps after it.
+    no larger than the steps after it.
     """
-    step, pause_ns = np.abs(np.diff(track.value)), np.diff(track.time_ns)
+    step = np.abs(np.diff(track.value))
     at = np.flatnonzero(step)
-    before, last = at[1:-3], at[2:-2]  # the last step before some equal readings, and the step after them
-    runs = (
-        (last - before > _REPETITIONS)
-        & (before - at[:-4] == 1)
-        & (at[3:-1] - last == 1)
-        & (at[4:] - last == 2)
-    )
-    before, last = before[runs], last[runs]
-    if not len(last):
+    if len(at) < 6:
         return track
-    usual_ns = np.maximum(pause_ns, np.median(pause_ns))
-    around = np.stack([before - 1, before, last + 1, last + 2])
-    speed = (step[around] / usual_ns[around]).max(axis=0)
-    since_ns = track.time_ns[last + 1] - track.time_ns[before + 1]
-    caught_up = step[last] / (speed * since_ns)
-    stale = (
-        (step[last] > speed * usual_ns[last]) & (_CATCHES_UP[0] < caught_up) & (caught_up < _CATCHES_UP[1])
+    # Two steps, equal readings, the step after them, and two steps.
+    _, _, before, last, _, _ = steps = np.stack([at[k : len(at) - 5 + k] for k in range(6)])
+    beside = steps[[1, 2, 4, 5]]
+    apart = (beside - steps[[0, 1, 3, 4]]).max(axis=0)
+    time_s = 1e-9 * (track.time_ns - track.time_ns[0])
+    speed = np.maximum(
+        *(
+            step[pair].sum(axis=0) / (time_s[pair[1] + 1] - time_s[pair[0]])
+            for pair in (beside[:2], beside[2:])
+        )
     )
+    since_s = time_s[last + 1] - time_s[before + 1]
+    caught_up = step[last] / (speed * since_s)
+    stale = (last - before >= np.maximum(_EQUAL, _LONGER * apart)) & (
+        step[last] > _LEAP * step[beside].max(axis=0)
+    )
+    stale &= (_CATCHES_UP[0] < caught_up) & (caught_up < _CATCHES_UP[1])
     if not stale.any():
         return track
     keep = np.ones(len(track.value), dtype=np.bool_)
     for first, end in zip(before[stale] + 2, last[stale] + 1, strict=True):
         keep[first:end] = False
-    longest_s = 1e-9 * float(since_ns[stale].max())
+    longest_s = float(since_s[stale].max())
     notes.append(
         f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat the one before although the motion goes on, for "
         f"up to {longest_s:.2f} s; dropped"
