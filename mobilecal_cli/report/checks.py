@@ -530,7 +530,8 @@ def scale_of_one_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
         common, bad, "common factor of all sizes of the wheels",
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m:g} m) gives the scale. "
         "If it is as stated, correct the nominal wheels.",
-        why=f"Radii and separation of the wheels all differ by {common:+.1f} % or more from the nominal ones.",
+        why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
+        f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
     )  # fmt: skip
 
 

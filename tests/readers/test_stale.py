@@ -26,7 +26,7 @@ def test_repeated_readings_between_steps_of_a_motion_are_dropped():
     keep, notes = _kept(value)
     assert np.flatnonzero(~keep).tolist() == [*range(101, 120), *range(241, 260)]
     assert notes == [
-        "joint pan: 38 of 600 readings repeat the one before although the motion goes on, for up to 1.00 s; dropped"
+        "joint pan: 38 of 600 readings repeat an old value during a motion, for up to 1.00 s; dropped"
     ]
 
 

@@ -210,8 +210,8 @@ def without_stale(label: str, track: Track, notes: list[str]) -> Track:
         keep[first:end] = False
     longest_s = float(since_s[stale].max())
     notes.append(
-        f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat the one before although the motion goes on, for "
-        f"up to {longest_s:.2f} s; dropped"
+        f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat an old value during a motion, for up to "
+        f"{longest_s:.2f} s; dropped"
     )
     return Track(track.time_ns[keep], track.value[keep])
 
