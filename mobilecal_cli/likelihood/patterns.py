@@ -38,9 +38,9 @@ _CORNERS, _LENS = "board_corners", "lens_waves"
 UNDERSTATED = 0.05
 _ACROSS = 2.0  # sigma across the board, in sigmas in the plane
 _WAVES_RMS = 1.6  # amplitude of each of n waves, in the rms over the image of all together over sqrt(n)
-# Half waves over the image of the shortest waves that are estimated; and of images with corners as exact as this, px,
-# which show what shorter waves do to the result.
-_HALF_WAVES, _SHARP_PX, _HALF_WAVES_IF_SHARP = 4, 0.025, 6
+# Half waves over the image of the shortest waves that are estimated; and in sharp images, which show what shorter waves
+# do to the result: with all of their prior where corners are as exact as the first, px, and ever less to the second.
+_HALF_WAVES, _HALF_WAVES_IF_SHARP, _SHARP_PX = 4, 6, (0.025, 0.03)
 _MOST_STATIONS = 100  # that the patterns are made from
 _TIED = np.array([1.75e-4] * 3 + [3e-4] * 3)  # rad, m: 0.01 degrees and 0.3 mm of a station's board pose
 _ANYWHERE = 1e3 * _TIED  # of camera and board
@@ -68,8 +68,10 @@ def patterns(data: Dataset, rows: Sequence[Constant]) -> Iterator[Constant]:
 
 
 def _of_lenses(data: Dataset) -> Iterator[Constant]:
-    count = lens_terms_up_to(_HALF_WAVES_IF_SHARP if data.claimed_px < _SHARP_PX else _HALF_WAVES) - 4
-    amplitudes = _WAVES_RMS / np.sqrt(count / 2) * np.eye(count)
+    shown = np.interp(data.claimed_px, _SHARP_PX, (1.0, 0.0))
+    count = lens_terms_up_to(_HALF_WAVES_IF_SHARP if shown else _HALF_WAVES) - 4
+    shares = np.where(np.arange(count) < lens_terms_up_to(_HALF_WAVES) - 4, 1.0, shown)
+    amplitudes = _WAVES_RMS / np.sqrt(np.sum(shares**2) / 2) * np.diag(shares)
     for camera, name in enumerate(data.cameras.names):
         if not data.seen[:, camera].any():
             continue
