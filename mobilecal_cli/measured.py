@@ -34,6 +34,8 @@ from mobilecal_cli.model import (
 )
 
 _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
+_NO_ROTATION = 1e-4  # R^T R of a rotation, rounded to a few digits, differs less from the identity
+_FARTHEST_M = 100.0  # of a target or a sensor
 _NO_CAMERA = Camera("sensor", 640, 480, np.diag([500.0, 500.0, 1.0]), np.zeros(0), "none")
 
 
@@ -61,8 +63,8 @@ class Drive:
     """One recording: poses at stops, and the wheels in between.
 
     Attributes:
-        poses: sorted by time.
-        wheel_time_s: (n,) increasing.
+        poses: in any order.
+        wheel_time_s: (n,) increasing, from before the first pose to after the last.
         right_rad, left_rad: (n,) rotation of the wheels, positive when driving forward.
     """
 
@@ -81,6 +83,8 @@ def from_poses(
 ) -> Extraction:
     """Measurements for `solve` from the poses of a target.
 
+    Wheels are as exact as the scale of the poses, which nothing else shows.
+
     Args:
         drives: one or more; each has a target of its own, which stands still meanwhile.
         wheels_m: nominal radius of the right and left wheel, and their separation, m.
@@ -91,19 +95,20 @@ def from_poses(
         noise: known noise levels: name → standard deviation, see `Noise`.
 
     Raises:
-        ConfigError: wheels that are not positive, a joint of the chain without a reading, or a covariance that is not
-            positive definite.
+        ConfigError: wheels that are not positive, times that do not increase or do not cover the poses, readings that
+            are not finite, a pose that is no rigid transform, a joint of the chain without a reading, or a covariance
+            that is not positive definite.
     """
     if not all(math.isfinite(value) and value > 0 for value in wheels_m):
         raise ConfigError(f"wheels_m {wheels_m}: not positive", "give radii and separation in m")
+    if T_h_c is not None:
+        _require_rigid("T_h_c", T_h_c)
     chain = chain or HeadChain("base", "base", ())
     observations, tracks = [], []
     for log, drive in enumerate(drives):
-        times = np.round(np.asarray(drive.wheel_time_s, dtype=np.float64) * 1e9).astype(np.int64)
-        tracks.append(
-            WheelTrack.at_same_times(times, np.asarray(drive.right_rad), np.asarray(drive.left_rad))
-        )
-        observations += [_observed(log, k, pose, chain) for k, pose in enumerate(drive.poses)]
+        tracks.append(_wheels(f"drive {log + 1}", drive))
+        in_order = sorted(drive.poses, key=lambda pose: pose.time_s)
+        observations += [_observed(log, k, pose, chain) for k, pose in enumerate(in_order)]
     nowhere, wheel = {"camera": ""}, WheelSource("measured")
     rig = Rig(
         CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
@@ -145,7 +150,73 @@ def from_motions(
         turned = np.array([0.0, leg.right_rad]), np.array([0.0, leg.left_rad])
         drives.append(Drive(poses, np.array([0.0, 1.0]), *turned))
         _require_positive(f"leg {number}", leg.covariance, 3, "give a covariance of x, y and heading")
-    return replace(from_poses(drives, wheels_m, None, T_v_c, noise), motions=tuple(motions))
+    extraction = from_poses(drives, wheels_m, None, T_v_c, noise)
+    observations = list(extraction.observations)
+    for end, leg in zip(range(1, 2 * len(motions), 2), motions, strict=True):
+        # The motion's error as one of the pose at its end: (x, y, heading) are the columns of translation and rotation.
+        of_pose = np.zeros((6, 3))
+        of_pose[[3, 4, 2], [0, 1, 2]] = 1.0
+        covariance = of_pose @ leg.covariance @ of_pose.T
+        observations[end] = replace(
+            observations[end], points_cov=_points_cov(observations[end].points_c, covariance)
+        )
+    return replace(extraction, observations=tuple(observations), motions=tuple(motions))
+
+
+def _wheels(where: str, drive: Drive) -> WheelTrack:
+    """The track of both wheels.
+
+    Raises:
+        ConfigError: see `from_poses`.
+    """
+    time_s, right, left = (
+        np.asarray(values, dtype=np.float64)
+        for values in (drive.wheel_time_s, drive.right_rad, drive.left_rad)
+    )
+    if time_s.ndim != 1 or not time_s.shape == right.shape == left.shape or len(time_s) < 2:
+        raise ConfigError(
+            f"{where}: {time_s.shape} wheel times, {right.shape} right and {left.shape} left readings",
+            "give two or more of each, as many readings as times",
+        )
+    for name, values in (("wheel_time_s", time_s), ("right_rad", right), ("left_rad", left)):
+        wrong = np.flatnonzero(~np.isfinite(values))
+        if len(wrong):
+            raise ConfigError(
+                f"{where}: {name}[{wrong[0]}] is {values[wrong[0]]}", "leave out readings that failed"
+            )
+    stays = np.flatnonzero(np.diff(time_s) <= 0)
+    if len(stays):
+        k = int(stays[0])
+        raise ConfigError(
+            f"{where}: wheel_time_s does not increase: [{k}] is {time_s[k]:g} s, and the next is {time_s[k + 1]:g} s",
+            "give each reading its own time, in s, not rounded, and sort them by it",
+        )
+    outside = [pose.time_s for pose in drive.poses if not time_s[0] <= pose.time_s <= time_s[-1]]
+    if outside:
+        raise ConfigError(
+            f"{where}: {len(outside)} of {len(drive.poses)} poses without wheel readings, as at {outside[0]:g} s: "
+            f"these are from {time_s[0]:g} to {time_s[-1]:g} s",
+            "give the times of poses by the wheels' clock, in s",
+        )
+    return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
+
+
+def _require_rigid(where: str, T: FloatArray) -> None:
+    T = np.asarray(T, dtype=np.float64)
+    rigid = T.shape == (4, 4) and bool(np.isfinite(T).all())
+    if not rigid:
+        raise ConfigError(f"{where}: not (4, 4), or not finite", "leave out poses that were not measured")
+    R = T[:3, :3]
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    if off > _NO_ROTATION or np.linalg.det(R) < 0 or np.any(T[3] != [0.0, 0.0, 0.0, 1.0]):
+        raise ConfigError(
+            f"{where}: not a rigid transform (R^T R differs from the identity by {off:.2g}, determinant "
+            f"{np.linalg.det(R):.2g}, last row {T[3].tolist()})",
+            "give a rotation matrix with determinant 1, a translation in m, and 0 0 0 1 below",
+        )
+    far_m = float(np.linalg.norm(T[:3, 3]))
+    if far_m > _FARTHEST_M:
+        raise ConfigError(f"{where}: {far_m:.0f} m away", "give translations in m")
 
 
 def _require_positive(where: str, covariance: FloatArray, size: int, hint: str) -> None:
@@ -159,7 +230,14 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
     missing = [name for name in chain.joints if name not in pose.joints]
     if missing:
         raise ConfigError(f"{where}: no reading of {', '.join(missing)}", "give all joints of the chain")
+    _require_rigid(where, pose.T_c_k)
+    unread = [name for name in chain.joints if not math.isfinite(pose.joints[name])]
+    if unread:
+        raise ConfigError(
+            f"{where}: {', '.join(unread)} is not finite", "leave out poses without all readings"
+        )
     covariance = np.array(pose.covariance, dtype=np.float64)
+    wide = np.zeros(0, dtype=np.int64)
     if covariance.shape == (6, 6):
         wide = np.flatnonzero(~(np.diag(covariance) < NOT_MEASURED**2))
         covariance[wide], covariance[:, wide] = 0.0, 0.0
@@ -170,6 +248,10 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
     joints = np.array([pose.joints[name] for name in chain.joints])
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
     points_c = se3.act(np.asarray(pose.T_c_k, dtype=np.float64)[None], points)[0]
+    measured = np.delete(np.eye(6), wide, axis=0)
+    of_points = (
+        measured.T @ measured @ covariance @ measured.T @ measured
+    )  # what was not measured counts as exact
     return Observation(
         log=log,
         station=station,
@@ -179,9 +261,15 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
         joints_std=np.zeros(len(joints)),
         views=(nowhere,),
         points_c=points_c,
-        points_cov=np.zeros((len(points), 3, 3)),
+        points_cov=_points_cov(points_c, of_points),
         T_c_k=pose.T_c_k,
         T_c_k_cov=covariance,
         square_m=_TARGET.square_m,
         reprojection_px=0.0,
     )
+
+
+def _points_cov(points_c: FloatArray, covariance: FloatArray) -> FloatArray:
+    """(M, 3, 3) covariances of points (M, 3), m, that move with a pose of covariance (6, 6), a left perturbation."""
+    by_pose = se3.by_twist(points_c)
+    return np.asarray(by_pose @ covariance @ by_pose.mT)

@@ -145,6 +145,8 @@ def require_stations(extraction: Extraction) -> None:
             cure = (
                 "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
             )
+        if extraction.measured:
+            where, cure = f"poses of {have} stations", "give poses at more places in front of the target"
         if have < FEWEST_STATIONS:
             raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
         raise ObservationError(

@@ -179,7 +179,7 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
 
 def without(lin: Posterior, jump: Jump) -> Posterior:
     """The same point with the residuals that remain after a step, to first order."""
-    part, after = _parts(lin)[jump.part], _after(lin, jump.station)
+    part, after = _parts(lin)[jump.part], stations_after(lin, jump.station)
     views = lin.views.shifted(np.where(after[:, None], part.views @ jump.value, 0.0))
     offset = np.where(after[lin.data.legs[:, 1], None], part.legs @ jump.value, 0.0)
     return lin.changed(known={"views": views}, leg_offset=lin.leg_offset + offset)
@@ -248,7 +248,7 @@ def cause(lin: Posterior, first: int) -> str:
         lin: a point at which the misfit is part of the measurements.
         first: index of the first station after it.
     """
-    after = _after(lin, first)
+    after = stations_after(lin, first)
     best, least = "", _EXPLAINED * float(lin.views.cost[after].sum())
     try:
         for name, part in _parts(lin).items():
@@ -305,7 +305,7 @@ def _rank(chi2: FloatArray, dof: IntArray) -> FloatArray:
     return np.where(dof > 0, rank, -np.inf)
 
 
-def _after(lin: Posterior, first: int) -> BoolArray:
+def stations_after(lin: Posterior, first: int) -> BoolArray:
     """(N,) stations of the same recording from a station on."""
     log = lin.data.log
     return np.asarray((log == log[first]) & (np.arange(len(log)) >= first))

@@ -23,7 +23,6 @@ from mobilecal_cli.model import (
     WHEEL_NOISE,
     ErrorPart,
     Evaluation,
-    Extraction,
     FloatArray,
     Solution,
     camera_words,
@@ -65,6 +64,10 @@ _ALIKE = 0.1
 #: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
 #: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
 _SIZE_BAD = 25.0
+_SIZE_NOTED, _SIZE_SIGMAS = (
+    5.0,
+    3.0,
+)  # a smaller difference is usual, one of so many standard deviations is no chance
 
 
 def rms(values: FloatArray) -> float:
@@ -468,11 +471,18 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     if stated is None:
         return
     ratios = dict(zip(NINE[6:], (wheels.vector / stated.vector).tolist(), strict=True))
-    sizes = zip(metrics, PARAMETERS[6:], wheels.vector, stated.vector, strict=True)
-    for metric, parameter, found_m, stated_m in sizes:
+    uncertainty = made.solution.uncertainty
+    std_m = np.zeros(3) if uncertainty is None else uncertainty.std[6:]
+    sizes = zip(metrics, PARAMETERS[6:], wheels.vector, stated.vector, std_m, strict=True)
+    for metric, parameter, found_m, stated_m, sigma_m in sizes:
         ratio, limit, label = ratios[parameter.name], _SIZE_BAD, parameter.label
         at_limit, passes = f"within {_SIZE_BAD:g} % of {stated_m:.4f} m", None
-        cure = _nominal_cure(parameter.name, ratios, made.extraction)
+        away_m = abs(found_m - stated_m)
+        noted = (
+            max(_SIZE_NOTED / 100 * stated_m, _SIZE_SIGMAS * sigma_m) < away_m <= _SIZE_BAD / 100 * stated_m
+        )
+        noted &= parameter.name != "separation"
+        cure = _nominal_cure(parameter.name, ratios, made)
         if sources.several_wheels and parameter.name == "separation":
             label, limit = f"effective {label}", 100 * (_MOST_EFFECTIVE - 1)
             at_limit = f"{_LEAST_EFFECTIVE:g} to {_MOST_EFFECTIVE:g} times {stated_m:.4f} m"
@@ -488,13 +498,20 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
             measured=f"{found_m:.4f} m, {100 * (ratio - 1):+.1f} %",
             at_limit=at_limit,
             why=f"The {label} is {found_m:.4f} m, {times} the nominal {stated_m:.4f} m.",
-            passes=passes,
+            passes=False if noted else passes,
+            beyond="warning" if noted else "fail",
         )  # fmt: skip
 
 
-def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction) -> str:
+def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> str:
     """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
     like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
+    scale = made.solution.scale
+    if len(like) == len(ratios) and scale is not None and not scale.apart:
+        return (
+            "All sizes of the wheels differ by this factor, and the squares fit the stereo baseline: correct "
+            "nominal.wheels."
+        )
     if len(like) == len(ratios):
         return (
             "All sizes of the wheels differ by this factor, so the scale is wrong: check the baseline in camera_info "
@@ -505,7 +522,7 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], extraction: Extraction
     causes = []
     if abs(ratios[name] / 0.5 - 1) < _ALIKE:
         causes.append("that nominal.wheels states radii, not diameters")
-    if extraction.rig.sources.wheels["right" if name == "radius_right" else "left"].ticks_per_revolution:
+    if made.extraction.rig.sources.wheels["right" if name == "radius_right" else "left"].ticks_per_revolution:
         causes.append("ticks_per_revolution")
     else:
         causes.append("the unit of the wheel positions (rad at the wheel, not at the motor)")
@@ -528,6 +545,7 @@ def scale_of_one_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
     common = float(off[np.argmin(np.abs(off))]) if abs(np.sign(off).sum()) == len(off) else 0.0
     yield metric.check(
         common, bad, "common factor of all sizes of the wheels",
+        "Check the scale of the measured poses: it is that of the wheels." if made.extraction.measured else
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m:g} m) gives the scale. "
         "If it is as stated, correct the nominal wheels.",
         why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
@@ -574,7 +592,10 @@ def square_size(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
-_HEIGHT = Metric("noise.height", "mm", section="limits")
+_HEIGHT, _FLOOR = (
+    Metric("noise.height", "mm", section="limits"),
+    Metric("noise.floor", "degrees", section="limits"),
+)
 #: Noise level → the largest usual level, the limit, its name, and what to check.
 _NOISE = {
     _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
@@ -584,7 +605,7 @@ _NOISE = {
     Metric("noise.wheel_share", "%", section="limits"): (
         1.0, 5.0, "wheels in proportion to their rotation", "the wheels for slip, the tires and the load",
     ),
-    Metric("noise.floor", "degrees", section="limits"): (
+    _FLOOR: (
         0.3, 1.5, "floor (roll and pitch of the base)", "that the floor is flat and that the base does not rock",
     ),
     Metric("noise.stamp", "ms", section="limits"): (
@@ -600,7 +621,8 @@ _NOISE = {
 def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and times of images where the robot moves.
 
-    The estimate allows for it, so the limits are wide. A level of zero is a figure alone.
+    The estimate allows for it, so the limits are wide. A level of zero is a figure alone. What moved in the middle of
+    the recording is named by itself: it may have made any level large, or if it did not move the result, the floor's.
     """
     uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
     if uncertainty is None:
@@ -617,12 +639,17 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
         "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
     }
+    moved = made.solution.jumps
+    concealing = (
+        {*levels} if any(jump.shift_sigmas >= MATERIAL_SIGMAS for jump in moved) else {_HEIGHT, _FLOOR}
+    )
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         yield metric.check(
             level, bad, f"noise of the {name}" if level else "", f"Check {cause}. Then record again.",
             measured=f"{level:.2g} {metric.unit}",
             why=f"The noise of the {name} is {level:.2g} {metric.unit} (below {usual:g} {metric.unit} is usual).",
+            beyond="warning" if moved and metric in concealing else "fail",
         )  # fmt: skip
 
 
@@ -679,15 +706,18 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-#: Largest part of the error → what to check; "" where the parts are unknown.
+#: Largest part of the error → what to check; "" where the parts are unknown, "chain" where no noise makes it so large.
 _ERROR_CURES = {
     "": "Calibrate with --method ml (the default), which names the cause.",
     "corners": "Calibrate the stereo pair again, and check that the board is flat.",
+    "poses": "Check how the poses are measured: their noise is larger than all else.",
     "joints": "Check the head joints for play, and the head chain in the URDF.",
     "floor": "Record on a flat floor, and check that the base does not rock.",
     "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
     "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
+    "chain": "Check the head chain: a joint that moves the camera and is not in it has this effect.",
 }
+_NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 
 
 def unexplained(solution: Solution, corners: int) -> ErrorPart:
@@ -702,7 +732,7 @@ def unexplained(solution: Solution, corners: int) -> ErrorPart:
         corners: number of the board's.
     """
     legs = len(solution.residuals.legs)
-    parts = {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m), **solution.error_parts}
+    parts = solution.error_parts or {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m)}
     left = np.square([solution.reprojection_rms_px, solution.point_rms_m])
     for name, part in parts.items():
         left -= np.square(part) * (1 + 3 * math.sqrt(2 / (legs * corners if name == "corners" else legs)))
@@ -725,17 +755,20 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
     beyond = unexplained(solution, made.extraction.board.corners)
     parts, without = solution.error_parts, "without corner noise, lenses and uneven floor"
     cause = max(parts, key=lambda name: parts[name].px, default="")
-    depth = f"(depth noise alone: {solution.residuals.corner_noise_m * 1e3:.1f} mm)"
+    limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
+    gross = cause != "" and error_px > _NO_NOISE * limit
+    cure = _ERROR_CURES["chain" if gross else cause]
+    noise = "noise of the poses" if made.extraction.measured else "depth noise"
+    depth = f"({noise} alone: {solution.residuals.corner_noise_m * 1e3:.1f} mm)"
     yield of_points.check(
-        100 * beyond.m / distance, 100 * ERROR_BAD, "point error", _ERROR_CURES[cause],
+        100 * beyond.m / distance, 100 * ERROR_BAD, "point error", cure,
         measured=f"{1e3 * error:.1f} mm, {100 * error / distance:.2f} % of the distance {depth}",
         at_limit=f"at most {100 * ERROR_BAD:g} % {without}",
         why=f"The point error is {1e3 * error:.1f} mm at {distance:.1f} m {depth}.",
     )  # fmt: skip
-    limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
-    of_px = f" The {cause} contribute {std_text(parts[cause].px)} px of it." if cause else ""
+    of_px = f" Of this, {std_text(parts[cause].px)} px come from the {cause}." if cause and not gross else ""
     yield of_pixels.check(
-        beyond.px, limit, "reprojection error", _ERROR_CURES[cause],
+        beyond.px, limit, "reprojection error", cure,
         measured=f"{error_px:.2f} px",
         at_limit=f"at most {limit:.1f} px {without}",
         why=f"The reprojection error is {error_px:.1f} px (limit {limit:.1f} px {without}).{of_px}",

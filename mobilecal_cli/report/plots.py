@@ -250,9 +250,10 @@ def leg_residuals(solution: Solution, extraction: Extraction) -> Iterator[Drawn]
     ends = residuals.legs.tolist()
     legs, errors_px = [f"{names[i]}–{names[j]}" for i, j in ends], residuals.leg_reprojection_px
     canvas = Canvas(WIDE, 430.0, "point error and reprojection error of each leg")
+    noise = "noise of the poses alone" if extraction.measured else "depth noise alone"
     levels = [
         ("ink thin", "all legs", solution.point_rms_m * 1e3),
-        ("orange dash", "depth noise alone", residuals.corner_noise_m * 1e3),
+        ("orange dash", noise, residuals.corner_noise_m * 1e3),
     ]
     _panel(canvas, 0, "point error [mm]", (residuals.leg_point_rms_m * 1e3).tolist(), legs, ends, levels, "")
     levels, label = [("ink thin", "all legs", solution.reprojection_rms_px)], "leg (from station–to station)"

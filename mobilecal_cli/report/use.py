@@ -210,6 +210,10 @@ def cures_of(error: Error, solution: Solution, extraction: Extraction) -> tuple[
         stated = max(other, key=lambda name: of[name])
         command = f"{STATED[stated].advice}, and state half of `priors: {stated}` in rig.yaml"
         cures.append(Cure(command, of[stated] * (1 - 1 / _BETTER**2)))
+    differ = (
+        "Calibrate each recording alone, and check that all are of one robot on which nothing was changed"
+    )
+    cures.append(Cure(differ, of.get("recordings", 0.0)))
     noise = sum(
         share for share, name in error.shares if name not in STATED and family_of(name) not in _NOT_NOISE
     )
@@ -242,7 +246,7 @@ def worst_error(solution: Solution, limits: Mapping[str, float]) -> Error | None
 
 
 #: Families that more stops of the same kind do not reduce.
-_NOT_NOISE = frozenset({"nominal values", "other"})
+_NOT_NOISE = frozenset({"nominal values", "recordings", "other"})
 
 
 def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:

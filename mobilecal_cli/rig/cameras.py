@@ -317,7 +317,8 @@ def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: 
     if offset[0] < 0:
         raise RecordingError(
             f"the right camera is {-offset[0] * 1e3:.1f} mm to the left of the left camera, according to camera_info",
-            "exchange cameras.left and cameras.right",
+            "exchange cameras.left and cameras.right in rig.yaml; or, if only the camera infos are exchanged, "
+            "cameras.left.info and cameras.right.info",
         )
     if baseline_m not in BASELINE:
         raise RecordingError(

@@ -103,10 +103,17 @@ def head_of(
     offset, offset_notes = _vehicle_offset(urdf, wheels, base)
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
+    notes += [
+        f"Joint {joint.name} is read and moves the camera against {head}, but is not in the head chain: "
+        f"head.head_frame is {head}, not {joint.child}."
+        for joint in _moving_to(urdf, head, camera_frame, tilt) or ()
+        if joint.name in read
+    ]
     # A joint found by name may be fixed, or that of an arm.
     pan, tilt = (name if name in chain.joints else "" for name in (pan, tilt))
     chain = replace(chain, pan=pan, tilt=tilt)
-    drawn = Nominal(fixed_pose(urdf, chain.head_frame, camera_frame), nominal_wheels(urdf, wheels, base))
+    T_h_c = None if camera_frame == head else fixed_pose(urdf, head, camera_frame)  # no frame of its own
+    drawn = Nominal(T_h_c, nominal_wheels(urdf, wheels, base))
     return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal, TypeVar
@@ -123,6 +123,29 @@ def complete_rig(survey: Survey) -> Rig:
     )
 
 
+def _named_frames(infos: dict[str, CameraInfo], head: Head | None) -> Iterator[str]:
+    """A note on each camera whose driver names no frame of its own; what it names is then deleted.
+
+    Raises:
+        ConfigError: the head's frame is the one that the outputs would call a camera's.
+    """
+    for name, info in infos.items():
+        own, of_head = info.frame_id, "" if head is None else head.chain.head_frame
+        said = f"Neither the images nor the camera info of the {camera_words(name)} name its optical frame."
+        if own and own == of_head:
+            said = f"The images of the {camera_words(name)} carry the frame of the head, {own}."
+        elif own:
+            continue
+        infos[name] = replace(info, frame_id="")
+        named = optical_frame(name, infos[name])
+        if named == of_head:
+            raise ConfigError(
+                f"{of_head} is the frame of the {camera_words(name)}, not of the head",
+                "set head.head_frame to the last link that a joint moves",
+            )
+        yield f"{said} The outputs call its optical frame {named}."
+
+
 def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     """Everything that configuration and recording determine, and all errors, except those that follow from another.
 
@@ -151,12 +174,6 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             survey.infos[name], info = topic, of_robot.infos[topic]
             # Some drivers name the optical frame in the images only.
             infos[name] = replace(info, frame_id=info.frame_id or of_robot.image_frames.get(image, ""))
-    survey.notes = tuple(
-        f"Neither the images nor the camera info of the {camera_words(name)} name its optical frame. "
-        f"The outputs call it {optical_frame(name, info)}."
-        for name, info in infos.items()
-        if not info.frame_id
-    )
     first = next(iter(images), "")
     told = config.cameras.rectified
     survey.rectified = bool(images) and (is_rectified(images[first]) if told is None else told)
@@ -166,8 +183,9 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     head = survey.head = tried(
         "head chain", lambda: head_of(config, of_robot, urdf_text, wheels or {}, frame), lacks_of_head
     )
-    # Which link carries a camera without a frame is no error of its own.
-    if images and not frame:
+    survey.notes = tried("head chain", lambda: tuple(_named_frames(infos, head)), lacks_of_head) or ()
+    # Which link carries a camera of which nothing is known is no error of its own.
+    if images and reference not in infos:
         lacks_of_head = [lack for lack in lacks_of_head if isinstance(lack[1], RecordingError)]
     if images and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)

@@ -84,36 +84,28 @@ def scale_of(extraction: Extraction, fit: Fit, contradictions: tuple[Evidence, .
     return ScaleCheck(1 + ratio, float(std), square_m, baseline_m or 0.0, apart_too_far)
 
 
-def jumps_of(
-    extraction: Extraction, fit: Fit, significant: tuple[jumps.Jump, Fit] | None
-) -> tuple[tuple[Jump, ...], Fit]:
-    """Where something moved: the most significant jump, or else a stretch of outliers.
+def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple[Jump, ...]:
+    """Where something moved: the most significant jump, from `Inference.jump`, or else a stretch of outliers.
 
     One that moves neither the result nor the part by what matters at work is none, however sharp the images are.
-
-    And the fit without what a jump explains that moves the result: no evidence against the robot description. The
-    `significant` one is from `Inference.jump`.
     """
-    if significant is None:
+    if jump is None:
         stretch = longest_stretch(fit)
-        return (() if stretch is None else (_unexplained(extraction, fit, stretch),)), fit
-    jump, without = significant
-    if jump.shift_sigmas < MATERIAL_SIGMAS:
-        without = fit
+        return () if stretch is None else (_unexplained(extraction, fit, stretch),)
     value = jump.value
     turns = jump.part not in ("", jumps.SHAPE) and not jump.part.endswith("wheel")
     slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
     move = float(np.linalg.norm(value[3:])) if turns and len(value) == 6 else 0.0
     move = float(value[0]) if slides or jump.part.endswith("wheel") else move
-    if without is fit and turns and not slides and turn < SMALL_RAD:
+    if jump.shift_sigmas < MATERIAL_SIGMAS and turns and not slides and turn < SMALL_RAD:
         # The direction of a baseline is an angle: its length makes it a displacement.
         baseline_m = 1.0 if len(value) == 6 else float(np.linalg.norm(fit.data.cameras.T_c_each[-1][:3, 3]))
         if np.linalg.norm(value[3:]) * baseline_m < SMALL_M:
-            return (), fit
+            return ()
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
-    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),), without
+    return (Jump(jump.part, o.log, jump.station, o.time_ns, (0, 0), *sizes, jump.also),)
 
 
 def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:

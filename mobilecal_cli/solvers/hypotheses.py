@@ -164,6 +164,16 @@ def _all_in_degrees(readings: Readings) -> Iterator[Hypothesis]:
         )
 
 
+def _poses(readings: Readings) -> Iterator[Hypothesis]:
+    """The other direction of measured poses."""
+    if readings.measured:
+        yield Hypothesis(
+            "the measured poses are the inverse ones: sensor coordinates to target coordinates",
+            "give T_c_k, target coordinates to sensor coordinates: the inverse of each",
+            lambda r: replace(r, T_c_k=se3.inverse(r.T_c_k)),
+        )
+
+
 def interruptions(readings: Readings) -> Iterator[Hypothesis]:
     """Stretches of stations in which one reading stays the same while another changes, or both wheels; left out."""
     for log, track in enumerate(readings.wheels):
@@ -423,6 +433,6 @@ def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> Whee
 
 #: The table, in stages of growing freedom: mistakes in a whole recording, readings that never change, and readings that
 #: say nothing.
-WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, interruptions), (_delays, _neighbors))
+WHOLE: Stages = ((_joints, _wheels, _all_in_degrees, _poses, interruptions), (_delays, _neighbors))
 FROZEN: Stages = ((partial(_joints_as_seen, frozen=True),),)
 FREE: Stages = ((partial(_joints_as_seen, frozen=False),), (_free_wheels,))

@@ -289,8 +289,8 @@ class Inference:
             fitted = True
         return fit
 
-    def jump(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump that explains the residuals best, and the fit without it; None where none is significant.
+    def jump(self, fit: Fit) -> jumps.Jump | None:
+        """The jump that explains the residuals best; None where none is significant.
 
         One that explains several outliers comes first; an unexplained stretch of them leaves no other to be found.
         What looks like one is tested at the noise levels of the residuals without it. One that does not move the
@@ -304,10 +304,25 @@ class Inference:
             further = self._likeliest_jump(without, fit)
             if further is None:
                 break
-            if further[0].shift_sigmas >= MATERIAL_SIGMAS:
-                return further
-            found, without = found or further, further[1]
+            jump, without = further
+            if jump.shift_sigmas >= MATERIAL_SIGMAS:
+                return jump
+            found = found or jump
         return found
+
+    def beside(self, fit: Fit, jump: jumps.Jump) -> Fit:
+        """The fit of the images on one side of a jump, where there are more: what contradicts them is no jump.
+
+        Wheels without images contradict nothing. The fit of all where one side alone does not determine the rest.
+        """
+        was, after = fit.inliers, jumps.stations_after(fit.lin, jump.station)
+        kept = after if was.views[after].sum() > was.views[~after].sum() else ~after
+        across = ~kept[self.data.legs].all(axis=1)
+        try:
+            one_side = self.refit(fit, replace(was, views=was.views & kept, legs=was.legs | across))
+            return self.estimate_noise(one_side)
+        except (SolveError, np.linalg.LinAlgError):
+            return fit
 
     def _likeliest_jump(self, fit: Fit, written: Fit) -> tuple[jumps.Jump, Fit] | None:
         """The likeliest jump and the fit without it; of parts that explain about the same, the worst one."""
@@ -315,10 +330,16 @@ class Inference:
         # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
+        inliers = fit.inliers
         for _ in range(2):
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-            optimum = to_first_order(fit.lin.with_noise(noise))
+            optimum = to_first_order(fit.lin.with_inliers(inliers).with_noise(noise))
             ranked = jumps.likeliest(optimum)
+            across = self.data.legs[:, 1] == ranked[0].station if ranked else np.zeros_like(inliers.legs)
+            if not inliers.legs[across].all():  # it may be no slip, but what the jump is along the floor
+                inliers = replace(inliers, legs=inliers.legs | across)
+                optimum = to_first_order(optimum.with_inliers(inliers))
+                ranked = jumps.likeliest(optimum)
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
@@ -339,8 +360,8 @@ class Inference:
         worst = max((_sized(written, *point) for point in points), key=lambda each: each.shift_sigmas)
         return worst, replace(fit, lin=lin)
 
-    def _behind_outliers(self, fit: Fit) -> tuple[jumps.Jump, Fit] | None:
-        """The jump with which most outliers of a recording, several, fit the others, and the fit without it.
+    def _behind_outliers(self, fit: Fit) -> jumps.Jump | None:
+        """The jump with which most outliers of a recording, several, fit the others.
 
         All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
         the legs beside outlier stations, the images agree better; the jump then explains these measurements. It
@@ -368,7 +389,7 @@ class Inference:
             return None  # the images alone do not fit, or do not determine all parameters
         log = self.data.log[jump.station]
         explained = outliers.restored(was, without, agreeing=True)[log]
-        return (jump, without) if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
+        return jump if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
 
     def _levels_near(
         self, lin: Posterior, tolerance: float = _COARSE, kept: frozenset[str] = frozenset()

@@ -106,7 +106,7 @@ def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
         else:
             supposed = _supposed(as_stated, fit.lin.state.parameters, wider)
             fit = _without_outliers(as_stated, _first_fit(as_stated, supposed))
-    noisy = outliers.too_many(fit.inliers)
+    noisy = outliers.too_many(fit.data, fit.inliers)
     if noisy:
         _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
         all_of = Inliers.all_of(fit.data)
@@ -221,7 +221,7 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     starts = _linear_starts(inference, supposed, legs) if fit is None else (fit.lin, supposed)
     try:
         state, inliers = agreeing(starts, _linear_starts(inference, supposed, legs[::2], legs[1::2]))
-        noisy = outliers.too_many(inliers)
+        noisy = outliers.too_many(inference.data, inliers)
         if fit is not None and noisy:
             return fit
         return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)

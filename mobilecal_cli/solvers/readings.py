@@ -32,6 +32,7 @@ class Readings:
         time_ns, log: (N,) stamps, and index of the recording.
         wheels, joint_tracks: see `Extraction`.
         reprojection_px: at most stations, of the board where the images show it.
+        measured: whether the board's poses were measured in place of corners.
     """
 
     rig: Rig
@@ -43,6 +44,7 @@ class Readings:
     wheels: tuple[WheelTrack, ...]
     joint_tracks: tuple[tuple[Track, ...], ...]
     reprojection_px: float
+    measured: bool
 
     def of(self, stations: IntArray | BoolArray | slice) -> Readings:
         """Some stations alone."""
@@ -110,4 +112,5 @@ def readings_of(extraction: Extraction) -> Readings:
         extraction.wheels,
         extraction.joint_tracks,
         float(np.median([o.reprojection_px for o in observations])),
+        extraction.measured,
     )

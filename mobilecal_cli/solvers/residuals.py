@@ -64,7 +64,7 @@ class Shown:
 
 def at_state(
     state: State,
-    noise_px: float | None = None,
+    noise: Noise | None = None,
     patterns: bool = False,
     corners: BoolArray | None = None,
     T_c_k: FloatArray | None = None,
@@ -73,13 +73,13 @@ def at_state(
 
     Args:
         state: the measurements and the constants.
-        noise_px: of the corners, px; as stated if None.
+        noise: levels, of corners or measured poses; as stated if None.
         patterns: whether those of the lenses are applied, too.
         corners: (N, C, M) those that the board poses rest on, see `board_poses`; all that were detected by default.
         T_c_k: (N, 4, 4) these poses, if they are known.
     """
     data, pixels = state.data, _as_modeled(state, patterns)
-    factor = 1.0 if noise_px is None else noise_px / data.claimed_px
+    factor = 1.0 if noise is None else getattr(noise, data.images_level) / data.claimed_px
     if T_c_k is None:
         T_c_k = board_poses(state, data.seen if corners is None else corners)
     points_c, covariance = triangulated_again(state, pixels, se3.act(T_c_k, state.points_k))
@@ -230,7 +230,7 @@ def triangulated_again(state: State, pixels: FloatArray, points: FloatArray) -> 
 
 
 def error_parts(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str, ErrorPart]:
-    """Kind of noise ("corners", "joints", "floor", "wheels") → its error.
+    """Kind of noise ("corners" or "poses", "joints", "floor", "wheels") → its error.
 
     Images and legs are those with the estimated constants, see `at_state`.
     """
@@ -265,7 +265,7 @@ def error_parts(lin: Posterior, shown: Shown, residuals: Residuals) -> dict[str,
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     motion = T_v_c[i][:, None, :3, :3].mT @ by_pose @ root[:, None]
     squares = {
-        "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
+        "poses" if data.posed else "corners": np.stack([corners_px, residuals.leg_corner_noise_m**2]),
         **{name: square[:, i] + square[:, j] for name, square in own.items()},
         "wheels": _mean_squares(motion, by_point[i]),
     }

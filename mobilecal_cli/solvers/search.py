@@ -57,6 +57,7 @@ _CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear meth
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
+_ALIKE_SIZES = 0.2  # nominal sizes are a few percent off, each by itself
 _SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
 # A focal length is another one if the images show it so many standard deviations and by such a factor away: the
 # likelihood estimates what is nearer, and names it. The distortion changes with the focal length: some rounds converge.
@@ -386,6 +387,12 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
         return Diagnosis(
             f"the wheel radii that fit are {right} and {left} mm: one of the wheels counts in the other direction",
             "negate wheels.left.sign or wheels.right.sign in rig.yaml: readings increase when driving forward",
+        )
+    wider = abs(wheels.separation_m) / nominal.separation_m
+    if abs(wider / factor - 1) < _ALIKE_SIZES:  # readings in another unit leave the separation as it is
+        return Diagnosis(
+            f"the wheels that fit have all sizes {factor:.2g} times the nominal ones (radii {right} and {left} mm)",
+            "check the unit of board.square_m, of the camera poses and of nominal.wheels: all are in m",
         )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
     return Diagnosis(

@@ -65,6 +65,7 @@ _LENS_SIGMAS = 3.0
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
+_NOTED = 3  # of the notes on a recording that fits nothing are repeated
 
 
 def solve(
@@ -130,8 +131,11 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     linear, refusal = _linear_start(extraction, inference, search)
     fit = robust_fit(inference, linear.parameters)
     # These are of the fit as it is: pooling several recordings moves the estimate.
-    jumps, still = jumps_of(extraction, fit, inference.jump(fit))
-    contradictions = contradictions_of(still)
+    jump = inference.jump(fit)
+    jumps = jumps_of(extraction, fit, jump)
+    still = fit if jump is None or jump.shift_sigmas < MATERIAL_SIGMAS else inference.beside(fit, jump)
+    moved = {each.part.removeprefix("joint ") for each in jumps} if still is not fit else set()
+    contradictions = tuple(each for each in contradictions_of(still) if each.part not in moved)
     late = {each.part for each in contradictions if each.late_camera}
     jumps = tuple(each for each in jumps if each.part not in late)
     scale = scale_of(extraction, still, contradictions)
@@ -142,14 +146,14 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     legs = fit.sure_legs if fit.sure_legs.any() else None
     used = legs, data.seen & ~fit.inliers.corners
     together = at_one_time(fit.lin)
-    corrected = at_state(together, fit.noise.pixel_px, corners=fit.inliers.corners)
+    corrected = at_state(together, fit.noise, corners=fit.inliers.corners)
     rms = point_rms_m(corrected.pairs, parameters)
     history = np.array([linear.point_rms_m, rms])
     refinement = Refinement("ml", parameters, history, rms, len(fit.costs))
     solution = _solution(extraction, corrected, linear, refinement, *used)
     parts = error_parts(fit.lin, corrected, solution.residuals)
     if any(row.kind in PATTERNS for row in data.layout.constants):
-        undone = at_state(together, fit.noise.pixel_px, patterns=True, T_c_k=corrected.pairs.T_c_k)
+        undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
         without = residuals_of(undone, parameters, *used)
         parts["lenses"] = _of_lenses(fit, solution.residuals, without)
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
@@ -331,14 +335,16 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
     if share is None:
         return None
     apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
+    of_images = f", the reprojection error is {apart_px:.2g} px (usual: 0.3 px)"
+    measured, noted = extraction.measured, "; noted: ".join(["", *extraction.notes[:_NOTED]])
     return SolveError(
         "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
-        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %), the "
-        f"reprojection error is {apart_px:.2g} px (usual: 0.3 px). Tried: signs, sides, order and units of "
+        f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %)"
+        f"{'' if measured else of_images}. Tried: signs, sides, order and units of "
         "joints and wheels; late images, joints or wheels, if the robot stops; readings that stop, jump or "
         "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
-        "check that all topics belong to this drive and this robot, camera_info, the head chain, and that neither "
-        "the board nor a cable moved",
+        f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
+        f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved{noted}",
     )
 
 

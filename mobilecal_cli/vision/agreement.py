@@ -100,7 +100,8 @@ _MISTAKES: Mapping[str, tuple[_Undo | None, _Undo | None, str]] = {
     _EXCHANGED: (
         None,
         None,
-        "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round",
+        "exchange cameras.left.image and cameras.right.image in rig.yaml, or connect the cameras the other way round; "
+        "if you exchanged both images and camera infos before, exchange the camera infos alone",
     ),
     "the images of both cameras are mirrored": (_mirrored, _mirrored, _SWITCH_OFF.format("", "")),
     "the images of the left camera are mirrored": (_mirrored, None, _SWITCH_OFF.format("left ", "'s")),

@@ -161,11 +161,11 @@ def test_a_camera_that_moves_by_nothing_that_matters_is_not_named():
     fit = robust_fit(inference)
     found = inference.jump(fit)
     assert found is not None
-    assert found[0].part == "right camera"
-    assert np.degrees(np.linalg.norm(found[0].value[:3])) < 0.005
-    assert jumps_of(extraction, fit, found) == ((), fit)
-    larger = replace(found[0], value=2 * found[0].value), found[1]
-    assert [each.part for each in jumps_of(extraction, fit, larger)[0]] == ["right camera"]
+    assert found.part == "right camera"
+    assert np.degrees(np.linalg.norm(found.value[:3])) < 0.005
+    assert jumps_of(extraction, fit, found) == ()
+    larger = replace(found, value=2 * found.value)
+    assert [each.part for each in jumps_of(extraction, fit, larger)] == ["right camera"]
 
 
 def test_a_late_camera_comes_before_stronger_contradictions_and_fails_with_them(monkeypatch):
@@ -226,7 +226,7 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_sl
     extraction, _, fit = two_slips
     monkeypatch.setattr(jumps, "_scores", singular)
     assert jumps.cause(fit.lin, 3) == ""
-    assert jumps_of(extraction, fit, None) == ((), fit)
+    assert jumps_of(extraction, fit, None) == ()
 
 
 @pytest.mark.parametrize(
@@ -269,7 +269,7 @@ def slipping(whole, legs):
 @pytest.mark.long
 def test_legs_that_slip_one_after_another(whole, two_slips):
     extraction, inference, fit = two_slips
-    assert jumps_of(extraction, fit, inference.jump(fit)) == ((), fit)
+    assert jumps_of(extraction, fit, inference.jump(fit)) == ()
     # Nor the values that the other legs had: the wheels differ for too long.
     (jump,) = solve(slipping(whole, (7, 8, 9, 10))).jumps
     assert (jump.part, jump.station, sum(jump.rejected)) == ("", 8, 4)

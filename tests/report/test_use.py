@@ -150,6 +150,13 @@ def test_more_stations_do_not_help_against_stated_values():
         assert next_step_of(worst_error(limited, {}), limited, extraction).startswith(advice)
 
 
+def test_more_stations_do_not_help_against_recordings_that_differ():
+    """ "Record four times as many stops", of two recordings between which the mount was bumped."""
+    solution, extraction = drawn()
+    error = replace(worst_error(solution, {}), shares=((0.99, "recordings"), (0.01, "pixel_px")))
+    assert next_step_of(error, solution, extraction).startswith("Calibrate each recording alone, and check")
+
+
 def test_the_sentence_names_the_largest_group_of_sources():
     solution, _ = drawn()
     budget, share = solution.uncertainty.budget, dict.fromkeys(FAMILIES, 0.0)

@@ -10,10 +10,13 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.nuisance import FREE, kind
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    NINE,
+    ErrorPart,
     EstimatedConstant,
     Nominal,
     Parameters,
     Rejection,
+    ScaleCheck,
     WheelGeometry,
     WheelTrack,
 )
@@ -176,6 +179,21 @@ def test_linear_solutions_that_do_not_fit_are_not_compared(solution, extraction)
 
 
 @pytest.mark.parametrize(
+    ("factor", "std_m", "warned"), [(1.04, 1e-4, 0), (1.15, 1e-4, 2), (1.15, 0.01, 0), (1.3, 1e-4, 0)]
+)
+def test_radii_off_their_nominal_values_are_a_warning(factor, std_m, warned):
+    """Ticks that are 20 % off: a PASS before, without a word. Between 5 and 25 %, and if it is no chance."""
+    solution, extraction = drawn()
+    uncertainty = replace(solution.uncertainty, covariance=np.eye(9) * std_m**2)
+    solution = replace(solution, uncertainty=uncertainty)
+    wheels = WheelGeometry(*(solution.parameters.wheels.vector / factor))
+    checks = judge(solution, with_nominal(extraction, Nominal(wheels=wheels))).checks
+    outcomes = [checks[f"nominal.{name}"].outcome for name in NINE[6:]]
+    assert outcomes.count("warning") == warned
+    assert outcomes.count("fail") == 3 * (factor > 1.25)
+
+
+@pytest.mark.parametrize(
     ("factors", "said", "unsaid"),
     [
         (
@@ -194,6 +212,24 @@ def test_a_hint_names_only_what_the_ratio_can_be(solution, extraction, factors, 
     step = judge(solution, with_nominal(extraction, stated)).next_step
     assert said in step
     assert unsaid not in step
+
+
+def test_a_scale_that_squares_and_baseline_confirm_is_not_suspected():
+    solution, extraction = drawn()
+    stated = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(1.5 * WHEELS.vector))))
+    for apart, said in (
+        (False, "the squares fit the stereo baseline: correct nominal"),
+        (True, "check the baseline"),
+    ):
+        scale = ScaleCheck(1.0, 1e-3, 0.08, 0.12, apart)
+        assert said in judge(replace(solution, scale=scale), stated).next_step
+
+
+def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
+    """A head chain without the tilt joint: "Record on a flat floor"."""
+    parts = {"corners": ErrorPart(0.3, 0.001), "floor": ErrorPart(40.0, 0.2)}
+    bad = replace(solution, reprojection_rms_px=90.0, error_parts=parts)
+    assert judge(bad, extraction).next_step.startswith("Check the head chain")
 
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):

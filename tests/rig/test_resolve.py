@@ -444,6 +444,36 @@ def test_a_driver_that_names_no_optical_frame(of_images, expected):
     assert any(expected in note for note in notes) == (not of_images)
 
 
+@pytest.mark.parametrize("of_head", ["tilt", "left_optical_frame"])
+def test_a_driver_that_names_the_head_itself(of_head):
+    """The outputs then had a transform from a frame to itself."""
+    infos = {f"/stereo/{side}/camera_info": info(side, frame_id=of_head) for side in ("left", "right")}
+    recorded = description(infos=infos, urdf=AT_BASE.replace('"tilt"', f'"{of_head}"'))
+    if of_head == "tilt":
+        rig, notes = resolve_rig(RigConfig(), recorded)
+        assert (rig.chain.head_frame, rig.cameras.of_reference.frame_id) == ("tilt", "left_optical_frame")
+        assert rig.nominal.T_h_reference is None
+        assert notes[0] == (
+            "The images of the left camera carry the frame of the head, tilt. "
+            "The outputs call its optical frame left_optical_frame."
+        )
+        return
+    with pytest.raises(
+        ConfigError, match="left_optical_frame is the frame of the left camera, not of the head"
+    ):
+        resolve_rig(RigConfig(), recorded)
+
+
+def test_a_head_frame_before_a_joint_that_is_read_is_noted():
+    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
+    said = [resolve_rig(config(head={"head_frame": of}), description(urdf=urdf))[1] for of in ("tilt", "pan")]
+    assert said[0] == ()
+    assert said[1] == (
+        "Joint head_tilt_joint is read and moves the camera against pan, but is not in the head chain: "
+        "head.head_frame is pan, not tilt.",
+    )
+
+
 def test_cameras_of_an_unknown_model_are_refused_and_drafted():
     """`init` writes a draft with the reason; `calibrate` refuses the model by its name."""
     why = "/stereo/right/camera_info: unknown distortion model 'double_sphere'; known: plumb_bob"

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
-from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import integrate
 from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
@@ -15,6 +15,7 @@ from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers.solve import solve
 from tests.extractions import Noise, simulated
+from tests.judging import judge
 from tests.report.schema import validated
 from tests.robots import chain_of
 from tests.truth import parameters_of
@@ -22,15 +23,15 @@ from tests.truth import parameters_of
 SIGMA = np.array([1e-3, 1e-3, 1e-3, 5e-4, 5e-4, 2e-3])  # rad, m
 
 
-def drive(seed, stated=1.0):
-    """A pan-tilt robot's poses of a target, with noise of `SIGMA`; the covariance is stated with another scale."""
-    robot, random = paper_robot(), np.random.default_rng(seed)
+def drive(seed, stated=1.0, times=1.0):
+    """A pan-tilt robot's poses of a target, with noise of `times` `SIGMA`; the covariance is stated with another scale."""
+    robot, random, sigma = paper_robot(), np.random.default_rng(seed), times * SIGMA
     exact = simulated("standard", Noise(0, 0.003, 0, 1e-4), robot, 20, seed)
-    covariance = np.diag((stated * SIGMA) ** 2)
+    covariance = np.diag((stated * sigma) ** 2)
     poses = []
     for o in exact.observations:
         joints = dict(zip(chain_of(robot).joints, o.joints.tolist(), strict=True))
-        T_c_k = se3.exp(random.normal(size=6) * SIGMA) @ o.T_c_k
+        T_c_k = se3.exp(random.normal(size=6) * sigma) @ o.T_c_k
         poses.append(TargetPose(o.time_ns / 1e9, T_c_k, covariance, joints))
     (track,) = exact.wheels
     return robot, Drive(poses, track.time_ns / 1e9, track.right_rad, track.left_rad)
@@ -97,18 +98,69 @@ def test_single_legs_with_a_planar_sensor(wrong):
     assert np.all(np.sqrt(np.diag(solution.uncertainty.covariance)[6:]) < 0.005 * WHEELS.vector)
 
 
-def test_bad_covariances_and_missing_joints_are_named():
+def with_pose(recorded, k=0, **changes):
+    """The drive with one pose changed."""
+    poses = list(recorded.poses)
+    poses[k] = replace(poses[k], **changes)
+    return replace(recorded, poses=poses)
+
+
+def test_bad_poses_readings_and_times_are_named():
     robot, recorded = drive(3)
-    first = recorded.poses[0]
-    negative = TargetPose(0.0, first.T_c_k, -np.eye(6), first.joints)
+    T, time_s = recorded.poses[0].T_c_k, recorded.wheel_time_s
+    longer, mirrored = np.diag([1.1, 1.1, 1.1, 1.0]), np.diag([1.0, 1.0, -1.0, 1.0])
+    in_mm = se3.transform(T[:3, :3], 1000 * T[:3, 3])
+    failed = np.where(np.arange(len(time_s)) == 7, np.nan, recorded.right_rad)
+    unread = dict(recorded.poses[0].joints, **{chain_of(robot).joints[0]: np.nan})
     for bad, said in (
-        (negative, "drive 1, pose 1: the covariance is not positive"),
-        (TargetPose(0.0, first.T_c_k, np.eye(6)), "drive 1, pose 1: no reading of"),
+        (with_pose(recorded, covariance=-np.eye(6)), "drive 1, pose 1: the covariance is not positive"),
+        (with_pose(recorded, joints={}), "drive 1, pose 1: no reading of"),
+        (with_pose(recorded, joints=unread), f"drive 1, pose 1: {chain_of(robot).joints[0]} is not finite"),
+        (with_pose(recorded, T_c_k=T * np.nan), "drive 1, pose 1: not .4, 4., or not finite"),
+        (with_pose(recorded, T_c_k=T @ longer), "drive 1, pose 1: not a rigid transform .R.T R .* by 0.21"),
+        (with_pose(recorded, T_c_k=T @ mirrored), "drive 1, pose 1: not a rigid transform .*determinant -1"),
+        (with_pose(recorded, T_c_k=in_mm), r"drive 1, pose 1: \d{4} m away"),
+        (with_pose(recorded, time_s=time_s[-1] + 1.0), "drive 1: 1 of 20 poses without wheel readings"),
+        (replace(recorded, right_rad=failed), r"drive 1: right_rad\[7\] is nan"),
+        (replace(recorded, left_rad=recorded.left_rad[1:]), "drive 1: .* wheel times, .* left readings"),
+        (replace(recorded, wheel_time_s=np.round(time_s)), "drive 1: wheel_time_s does not increase"),
     ):
         with pytest.raises(ConfigError, match=said):
-            from_poses([Drive([bad], *([np.zeros(2)] * 3))], (0.1, 0.1, 0.4), chain_of(robot))
+            from_poses([bad], (0.1, 0.1, 0.4), chain_of(robot))
+    with pytest.raises(ConfigError, match="T_h_c: not a rigid transform"):
+        from_poses([recorded], (0.1, 0.1, 0.4), chain_of(robot), longer)
     with pytest.raises(ConfigError, match="leg 1: the covariance"):
         from_motions([SensorMotion(1.0, 1.0, np.zeros(3), np.zeros((3, 3)))], (0.1, 0.1, 0.4), np.eye(4))
+
+
+def test_poses_count_in_any_order():
+    robot, recorded = drive(3)
+    given = tuple(robot.wheels.vector), chain_of(robot)
+    shuffled = replace(recorded, poses=recorded.poses[::-1])
+    times = [[o.time_ns for o in from_poses([each], *given).observations] for each in (recorded, shuffled)]
+    assert times[0] == times[1] == sorted(times[0])
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_inverse_poses_are_named(seed):
+    robot, recorded = drive(seed)
+    inverse = [replace(pose, T_c_k=se3.inverse(pose.T_c_k)) for pose in recorded.poses]
+    extraction = from_poses([replace(recorded, poses=inverse)], tuple(robot.wheels.vector), chain_of(robot))
+    with pytest.raises(SolveError, match="the measured poses are the inverse ones"):
+        solve(extraction)
+
+
+@pytest.mark.parametrize("times", [1.0, 8.0])
+def test_the_noise_of_poses_is_no_error_of_the_calibration(times):
+    """It was one: honest poses of 5 mrad and 10 mm were a FAIL, "depth noise alone: 0.0 mm"."""
+    robot, recorded = drive(5, times=times)
+    solution = solve(extraction := from_poses([recorded], tuple(robot.wheels.vector), chain_of(robot)))
+    verdict = judge(solution, extraction)
+    (check,) = (check for check in verdict.checks if check.id == "point_error")
+    assert check.outcome == "pass"
+    assert "noise of the poses alone" in check.measured_text
+    assert 0.3 < solution.residuals.corner_noise_m / solution.point_rms_m < 1.2
+    assert times == 1 or solution.residuals.corner_noise_m == pytest.approx(solution.point_rms_m, rel=0.2)
 
 
 def test_measured_poses_and_motions_have_a_report():

@@ -118,7 +118,7 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
             (x, y), (w, h) = K[:2, 2].tolist(), (2 * K[:2, 2]).tolist()
             return (
                 f"the principal point ({x:.0f}, {y:.0f}) in K is the middle of an image of about {w:.0f} x {h:.0f} "
-                f"pixels, but the image size is {camera.width} x {camera.height}"
+                f"pixels, but the image size in camera_info is {camera.width} x {camera.height}"
             )
     if abs(K[0, 1]) > _ROTATION * K[0, 0] or K[1, 0] or K[2, :2].any():
         return "K is not of the form [fx 0 cx; 0 fy cy; 0 0 1]"
