@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.kinematics import (
     DRIVEN_RAD,
@@ -24,6 +25,7 @@ from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArra
 from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
+_HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
 #: Notes on a recording in the hint of a refusal.
 _NOTED = 3
 
@@ -51,14 +53,19 @@ def motion_gaps(extraction: Extraction, fixed: Collection[str] = ()) -> tuple[Ga
     times = [
         np.array([o.time_ns for o in observations if o.log == log]) for log in range(len(extraction.wheels))
     ]
-    gaps = gaps_between(
-        extraction.rig.chain, np.stack([o.joints for o in observations]), extraction.wheels, times
-    )
+    joints, logs = np.stack([o.joints for o in observations]), np.array([o.log for o in observations])
+    camera_k = se3.inverse(np.stack([o.T_c_k for o in observations]))[:, :3, 3]
+    seen_m = max(float(np.linalg.norm(np.ptp(camera_k[logs == log], axis=0))) for log in set(logs.tolist()))
+    gaps = gaps_between(extraction.rig.chain, joints, extraction.wheels, times, seen_m)
     return tuple(gap for gap in gaps if not any(set(fixed).issuperset(s) for s in gap.closed_by))
 
 
 def gaps_between(
-    chain: HeadChain, joints: FloatArray, wheels: Sequence[WheelTrack], times_ns: Sequence[IntArray]
+    chain: HeadChain,
+    joints: FloatArray,
+    wheels: Sequence[WheelTrack],
+    times_ns: Sequence[IntArray],
+    seen_m: float = 0.0,
 ) -> tuple[Gap, ...]:
     """Gaps in the motion between stations, from joints and wheels alone; see `motion_gaps`.
 
@@ -67,6 +74,7 @@ def gaps_between(
         joints: (N, J) head joint readings at the stations of all recordings, rad or m.
         wheels: both wheels of each recording.
         times_ns: (n,) stations' times in each recording, increasing.
+        seen_m: largest extent of the camera's places as the images show them.
     """
     Phi = [np.zeros((0, 2))]
     for track, times in zip(wheels, times_ns, strict=True):
@@ -88,11 +96,15 @@ def gaps_between(
         return tuple(gaps)
     turned, driven = motion.turned_rad, motion.driven_rad
     if not (motion.turns or motion.drives):
-        because = (
-            f"the base stands still: the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
+        rotate = (
+            f"the wheels rotate by at most {np.degrees(max(turned, driven)):.1f} degrees "
             f"between stations (at least {np.degrees(DRIVEN_RAD):.1f} needed)"
         )
-        gaps.append(Gap(NINE[6:], because, "drive and turn the base between stations", (NINE[6:],)))
+        because, cure = f"the base stands still: {rotate}", "drive and turn the base between stations"
+        if seen_m > _HEAD_M:
+            because = f"the images show a drive of {seen_m:.1f} m, but {rotate}"
+            cure = "check the unit and ticks_per_revolution of the wheel readings, and that these are of this drive"
+        gaps.append(Gap(NINE[6:], because, cure, (NINE[6:],)))
     elif not motion.turns:
         because = (
             f"the base only drives straight: the rotations of the two wheels differ by at most "

@@ -5,7 +5,7 @@ import pytest
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted
 from mobilecal_cli.errors import ObservationError, SolveError
-from mobilecal_cli.model import NINE, Nominal, Rejection
+from mobilecal_cli.model import NINE, Nominal, Rejection, WheelTrack
 from mobilecal_cli.vision import SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
 
@@ -41,6 +41,18 @@ def test_missing_motion_is_named(motion, parameters, because, cure, noise):
     assert f"unobservable: {parameters}" in caught.value.message
     assert because in caught.value.message
     assert cure in caught.value.hint
+
+
+def test_wheels_that_hardly_turn_while_the_images_show_a_drive_have_another_unit():
+    """Radians read as counts, 360 a turn: "the base stands still; drive and turn the base"."""
+    driven = extraction("standard")
+    slow = tuple(
+        WheelTrack.at_same_times(track.time_ns, track.right_rad / 57.3, track.left_rad / 57.3)
+        for track in driven.wheels
+    )
+    (gap,) = motion_gaps(replace(driven, wheels=slow))
+    assert gap.because.startswith("the images show a drive of")
+    assert gap.cure.startswith("check the unit and ticks_per_revolution of the wheel readings")
 
 
 def test_too_few_stations_count_the_reasons():
