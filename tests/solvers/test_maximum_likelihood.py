@@ -379,22 +379,6 @@ def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
     assert solution.between is None
 
 
-def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
-    assert 1 <= len(solution.suggestions) <= 3
-    gains = [s.gain for s in solution.suggestions]
-    assert gains == sorted(gains, reverse=True)
-    assert 0 < gains[0] < 0.7
-    for suggestion in solution.suggestions:
-        assert suggestion.std_now == pytest.approx(named(solution, suggestion.worst)[0], rel=0.3)
-        assert suggestion.std_then < suggestion.std_now
-        assert len(suggestion.joints) == len(noisy.rig.chain.joints)
-    found = solve(extraction_of("straight", seed=3))
-    best = found.suggestions[0]
-    assert best.worst == "separation"
-    assert best.turn_rad != 0
-    assert best.std_then < 0.01
-
-
 @pytest.mark.parametrize(
     ("name", "kind", "by"),
     [
