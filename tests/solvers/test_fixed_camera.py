@@ -51,11 +51,8 @@ def rotation_off(extraction):
 def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
     """A robot that drives to and fro sees the same slope at the same place: r_y was off by 8 sigmas, with PASS."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=np.radians(0.1), floor_m=5e-4, floor_place_m=1.0)
-    # Without the shape of the floor, the pitch of the second is off by 5.0 sigmas.
-    drives = (simulated("moving", noise, ROBOT, 12, seed, images=n) for seed, n in ((2, 48), (3, 80)))
-    off = [rotation_off(drive) for drive in drives]
-    assert np.abs(off).max() < 3.0
-    assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
+    off = rotation_off(simulated("moving", noise, ROBOT, 12, 3, images=80))
+    assert np.abs(off).max() < 3.0  # without the shape of the floor, the pitch is off by 5.0 sigmas
 
 
 def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():

@@ -120,6 +120,7 @@ CAUSES = {
     "sign of the left wheel": "the left wheel's encoder has the wrong sign",
     "signs of both wheels": "encoders of both wheels have the wrong sign",
     "wheels swapped": "the left and right wheels are swapped",
+    "wheels in meters": "readings are in meters",
     "nominal wheels twice as large": "about half of the nominal 0.1640 m",
     "gear ratio 2 of both wheels": "about half of the nominal 0.0820 m",
     "gear ratio 1/2 of both wheels": "about twice the nominal 0.0820 m",
@@ -143,7 +144,7 @@ MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()}
 SOLVED = (*("sign of the right wheel", "gear ratio 1/2 of both wheels", "right wheel frozen"),)
 #: One of each kind of the others, named by the diagnosis in every run.
 QUICK = (
-    *("pan in degrees", "pan frozen", "both images of the previous station"),
+    *("pan frozen", "both images of the previous station"),
     *("left wheel 3 s late", "images 2 s early", "both wheels frozen", "signs of both joints"),
 )
 

@@ -127,7 +127,9 @@ def on_two_topics(seed, steps_rad):
     return replace(still, wheels=(WheelTrack(*wheels),))
 
 
-@pytest.mark.parametrize("finer_deg", [pytest.param(2.67, marks=pytest.mark.long), 0.9, 0.0])
+@pytest.mark.parametrize(
+    "finer_deg", [*(pytest.param(deg, marks=pytest.mark.long) for deg in (2.67, 0.9)), 0.0]
+)
 def test_encoders_on_two_topics_keep_their_steps(finer_deg):
     """Measured with equal steps, seeds 0 to 5: 0.5 to 4.2 mm, stated 1.3 to 2.1; without the steps 0.1 to 13 mm."""
     steps = np.radians([2.67, finer_deg])
@@ -163,15 +165,18 @@ def test_the_budget_of_an_unobservable_parameter_is_its_prior():
 
 
 def test_the_jackknife_agrees_over_many_legs():
-    found = solve(extraction_of(seed=2, stations=40)).uncertainty
+    found = solve(extraction_of(seed=2, stations=24)).uncertainty
     assert np.abs(np.log(found.jackknife_std / found.std)).max() < np.log(1.8)
 
 
 @pytest.mark.parametrize(
     ("motion", "held"),
     [
-        *(("head_fixed", ("t_y",)), ("pan_only", ("t_y",)), ("straight", ("separation",))),
-        *(("spin", NINE[6:]), ("base_fixed", NINE[6:])),
+        *(("head_fixed", ("t_y",)), ("straight", ("separation",))),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)  # what is missing: tests/calibrate/test_gaps.py
+            for case in (("pan_only", ("t_y",)), ("spin", NINE[6:]), ("base_fixed", NINE[6:]))
+        ),
     ],
 )
 def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
@@ -382,12 +387,17 @@ def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
 @pytest.mark.parametrize(
     ("name", "kind", "by"),
     [
-        ("focal_left", "focal_length", 0.02),
-        pytest.param("principal_right_y", "principal_point", 0.03, marks=pytest.mark.long),
-        ("baseline_scale", "baseline_length", 0.02),
-        pytest.param("stereo_r_y", "stereo_rotation", 0.03, marks=pytest.mark.long),
-        ("torso_pitch_joint_position_x", "joint_position", 0.03),
-        ("backlash_pan", "backlash", 0.03),
+        *(("baseline_scale", "baseline_length", 0.02), ("backlash_pan", "backlash", 0.03)),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                *(("focal_left", "focal_length", 0.02), ("principal_right_y", "principal_point", 0.03)),
+                *(
+                    ("stereo_r_y", "stereo_rotation", 0.03),
+                    ("torso_pitch_joint_position_x", "joint_position", 0.03),
+                ),
+            )
+        ),
     ],
 )
 def test_what_is_misstated_is_named_and_does_no_harm(name, kind, by):

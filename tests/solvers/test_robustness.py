@@ -104,7 +104,7 @@ def test_a_separation_whose_sign_is_noise_is_not_determined(robot, seed):
     assert "The wheel separation is not determined: the base turned by" in verdict.reason
 
 
-@pytest.mark.parametrize("by_px", [1.0, 8.0])
+@pytest.mark.parametrize("by_px", [pytest.param(1.0, marks=pytest.mark.long), 8.0])
 def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
     lower = {"principal_right_y": by_px / 640}
     extraction = simulated("base_fixed", NOISE, ROBOT, seed=1, constants=lower)
