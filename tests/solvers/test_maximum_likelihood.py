@@ -345,14 +345,6 @@ def test_a_late_camera_clock_is_found():
     assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
-def test_squares_that_are_stated_wrong():
-    found = solve(misstated("square_scale", -0.015))
-    assert found.scale.apart
-    assert found.scale.ratio == pytest.approx(0.985, abs=5 * found.scale.std)
-    assert found.scale.std < 0.002
-    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
-
-
 def test_a_pan_zero_is_found_and_named():
     """Two degrees, where half a degree is usual."""
     off = 0.035
