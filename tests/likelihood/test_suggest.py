@@ -1,5 +1,7 @@
 """Further stops that a solution suggests."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,9 +11,9 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import paper_robot, pixels
-from mobilecal_cli.solvers import solve
+from mobilecal_cli.solvers import Constraints, solve
 from tests.extractions import Noise, in_view, simulated
-from tests.robots import CONFIGURATIONS, chain_of
+from tests.robots import CONFIGURATIONS, chain_of, true_nominal
 
 pytestmark = pytest.mark.usefixtures("all_stops")
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
@@ -33,6 +35,12 @@ def test_they_name_what_is_worst_and_would_help():
     assert best.worst == "separation"
     assert best.turn_rad != 0
     assert best.std_then < 0.01
+
+
+def test_nothing_is_suggested_where_all_is_fixed():
+    extraction = simulated(noise=NOISE, seed=1)
+    extraction = replace(extraction, rig=replace(extraction.rig, nominal=true_nominal(paper_robot())))
+    assert solve(extraction, constraints=Constraints(fixed=dict.fromkeys(NINE))).suggestions == ()
 
 
 @pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])

@@ -171,14 +171,14 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     ("motion", "fixed", "wanted"),
     [
         ("base_fixed", "wheels", None),
-        ("straight", "separation", None),
         ("straight", "head_eye", "turn the base"),
         *(
             pytest.param(
                 *case, marks=pytest.mark.long
             )  # the gaps of each motion: tests/calibrate/test_gaps.py
             for case in (
-                *(("spin", "wheels", None), ("straight", "wheels", None), ("head_fixed", "head_eye", None)),
+                *(("spin", "wheels", None), ("straight", "wheels", None), ("straight", "separation", None)),
+                ("head_fixed", "head_eye", None),
                 *(("pan_only", "translation", None), ("standard", "head_eye", None)),
                 (
                     "base_fixed",
