@@ -79,31 +79,6 @@ def each_image_is_searched_once():
         yield
 
 
-#: Turns, drives and views of the stops that are weighed where a test is about something else.
-FEW_STOPS = {"_TURNS_DEG": (0, 25), "_DRIVES_M": (0.0,), "_LOOKS": ((0.0, 0.0),)}
-
-
-@pytest.fixture(scope="session", autouse=True)
-def few_stops_are_weighed():
-    """Each solution suggests further stops: a quarter of its time if all are weighed, as `all_stops` does."""
-    from mobilecal_cli.likelihood import suggest
-
-    all_of = {name: getattr(suggest, name) for name in FEW_STOPS}
-    with pytest.MonkeyPatch.context() as patched:
-        for name, few in FEW_STOPS.items():
-            patched.setattr(suggest, name, few)
-        yield all_of
-
-
-@pytest.fixture(scope="module")
-def all_stops(few_stops_are_weighed):
-    """Weigh all stops, as a user's command does, from here to the end of the module."""
-    with pytest.MonkeyPatch.context() as patched:
-        for name, every in few_stops_are_weighed.items():
-            patched.setattr(f"mobilecal_cli.likelihood.suggest.{name}", every)
-        yield
-
-
 #: Where the commands call the solver.
 SOLVED = ("mobilecal_cli.calibrate.steps.solve_extraction", "mobilecal_cli.calibrate.evaluate.solve")
 
@@ -114,15 +89,13 @@ def each_extraction_is_solved_once():
 
     `fresh_search` solves anew; so do tests that call `solvers.solve`.
     """
-    from mobilecal_cli.likelihood import suggest
     from mobilecal_cli.solvers import Constraints, solve
 
     known = {}
 
     def remembered(extraction, method="ml", constraints=None, **more):
-        asked = extraction, method, constraints or Constraints(), suggest._LOOKS
         try:
-            key = hashlib.sha256(pickle.dumps(asked)).digest()
+            key = hashlib.sha256(pickle.dumps((extraction, method, constraints or Constraints()))).digest()
         except (pickle.PicklingError, AttributeError, TypeError):  # a robot made of a test's own functions
             return solve(extraction, method, constraints=constraints, **more)
         if key not in known:

@@ -15,7 +15,6 @@ from mobilecal_cli.solvers import Constraints, solve
 from tests.extractions import Noise, in_view, simulated
 from tests.robots import CONFIGURATIONS, chain_of, true_nominal
 
-pytestmark = pytest.mark.usefixtures("all_stops")
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
 

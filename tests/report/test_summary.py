@@ -100,7 +100,7 @@ def test_junit_has_times():
     assert text.count('time="12.500"') == 2
 
 
-def test_suggest_as_json(result, all_stops):
+def test_suggest_as_json(result):
     done = succeeded("suggest", "result/extraction.npz", "-q", "--json", cwd=result)
     advice = json.loads(done.out)
     assert advice["limiting"].endswith("of its variance.")

@@ -34,7 +34,7 @@ from tests.report.example import (
 
 
 @pytest.fixture(scope="module")
-def texts(extraction, all_stops):
+def texts(extraction):
     """Every text of a calibration by the default method; a wheel slips once."""
     slipping = slipped(extraction, 5, 0.2)
     solution = make_solution(slipping, "ml")
