@@ -69,7 +69,7 @@ def misread(extraction, station, seed=0, size_px=300.0):
             for motion, hidden in (("spin", NINE[6:]), ("base_fixed", NINE[6:]), ("head_fixed", ("t_y",)))
         ),
         pytest.param("standard", 1, NINE, marks=pytest.mark.long),
-        ("standard", 2, NINE[1:]),
+        pytest.param("standard", 2, NINE[1:], marks=pytest.mark.long),
     ],
 )
 @pytest.mark.parametrize("first", [True, pytest.param(False, marks=pytest.mark.long)])
