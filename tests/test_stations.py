@@ -232,7 +232,8 @@ def test_a_frozen_camera_is_named(frozen):
     plan = with_images(stop if "left" in frozen else PICTURES, stop)
     assert len(plan.stations) == 7
     (note,) = plan.notes
-    assert f"the {frozen} images stay the same while the robot moves" in note
+    said = f"the {frozen} images stay the same while the robot moves. Check the driver of the {frozen} camera"
+    assert said in note
     assert "between 20 and 24 s after the first image" in note
 
 

@@ -86,7 +86,11 @@ EXCHANGED = ("wheels.left.joint=wheel_right_joint", "wheels.right.joint=wheel_le
             NEGATED[:1], "description: the left wheel's encoder has the wrong sign", marks=pytest.mark.long
         ),
         (NEGATED, "description: the encoders of both wheels have the wrong sign, or the nominal pose"),
-        (EXCHANGED, "description: the left and right wheels are swapped, or the nominal pose"),
+        pytest.param(
+            EXCHANGED,
+            "description: the left and right wheels are swapped, or the nominal pose",
+            marks=pytest.mark.long,
+        ),
         (EXCHANGED + NEGATED, "wheels are swapped and the encoders of both wheels have the wrong sign, or"),
     ],
 )

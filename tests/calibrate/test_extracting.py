@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.extract import _other_cameras, extract
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS
@@ -84,3 +84,18 @@ def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):
     extraction, _ = extract([sample_logs / "paper_robot.mcap", log], load_rig(None))
     assert {o.log for o in extraction.observations} == {0}
     assert [note for note in extraction.notes if note.startswith(f"{log}: nothing of this recording is used")]
+
+
+def test_damage_is_noted(sample_logs, tmp_path):
+    whole = (sample_logs / "paper_robot.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 85 // 100])
+    extraction, _ = extract([tmp_path / "cut.mcap"], load_rig(None))
+    assert any("the file ends inside a chunk" in note for note in extraction.notes)
+
+
+@pytest.mark.long
+def test_another_board_than_the_stated_one_is_named(sample_logs):
+    stated = load_rig(None, {"board.columns": 8, "board.rows": 6})
+    with pytest.raises(ObservationError, match="8 x 6 inner corners, but the images show 9 x 6") as caught:
+        extract([sample_logs / "straight.mcap"], stated)
+    assert "--board 9x6" in caught.value.hint

@@ -1,7 +1,6 @@
 """The main job on the sample logs, as a user runs it."""
 
 import json
-import shutil
 import signal
 import subprocess
 import sys
@@ -109,17 +108,6 @@ def test_the_numbers_are_near_the_truth_and_their_uncertainty_is_a_contract(firs
     assert set(block["noise"]) == {field.name for field in fields(NoiseLevels)} - {"redundancy", "wider"}
     assert turn < 4 * np.degrees(np.linalg.norm([block["std"][name] for name in NINE[:3]]))
     assert move < 4e3 * np.linalg.norm([block["std"][name] for name in NINE[3:6]])
-
-
-@pytest.mark.parametrize("name", ["paper_robot.bag", "paper_robot_rosbag2", "bare.db3"])
-@pytest.mark.long
-def test_every_container_gives_the_same_bytes(first, workplace, sample_logs, name):
-    """Also the part of a rosbag2 alone, without its metadata."""
-    (storage,) = (sample_logs / "paper_robot_rosbag2").glob("*.db3")
-    log = shutil.copy(storage, workplace / name) if name == "bare.db3" else sample_logs / name
-    succeeded("calibrate", log, "--output", f"out_{name}", cwd=workplace)
-    assert same_numbers(workplace / f"out_{name}")
-    assert "separation_m" in numbers(workplace / f"out_{name}/params.yaml")
 
 
 def test_an_extraction_is_solved_again(npz, workplace):
@@ -243,17 +231,6 @@ def test_the_same_input_gives_the_same_bytes(sample_logs, workplace, monkeypatch
     for output in OUTPUTS:
         assert (workplace / "a" / output).read_bytes() == (workplace / "b" / output).read_bytes()
     assert load(workplace / "a/params.yaml")["provenance"]["created"] == "2023-11-14T22:13:20Z"
-
-
-@pytest.mark.long
-def test_init_drafts_a_configuration_that_works(first, workplace, sample_logs):
-    log = sample_logs / "paper_robot.mcap"
-    assert run("init", log, cwd=workplace).code == 0
-    assert run("init", log, cwd=workplace).code == 7
-    assert run("init", log, "--force", cwd=workplace).code == 0
-    succeeded("calibrate", log, "--config", "rig.yaml", "--output", "drafted", cwd=workplace)
-    assert same_numbers(workplace / "drafted")
-    assert "schema_version: 1" in run("init", log, "--output", "-", cwd=workplace).out
 
 
 def test_help_and_version(tmp_path):

@@ -30,6 +30,7 @@ def test_what_is_left_is_listed_and_then_checked(sample_logs, tmp_path):
     optional = done.out.split("TODO: optional\n")[1].split("\n\n")[0]
     assert "Suggestion: 70 mm (70.0" in " ".join(optional.split())
     assert done.out.endswith(f"Written: rig.yaml\nNext: mobilecal check rig.yaml {log}\n")
+    assert run("init", log, cwd=tmp_path).code == 7
     checked = run("check", "rig.yaml", log, cwd=tmp_path)
     assert checked.code == 2
     assert "not filled in yet: wheels.left.ticks_per_revolution" in " ".join(checked.out.split())

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from tests.command import run, succeeded
+from tests.command import succeeded
 from tests.commands.test_calibrate import assert_near, load
 
 
@@ -23,15 +23,6 @@ def test_pictures_without_noise_and_exact_encoders(exact, tmp_path, method):
     succeeded("calibrate", exact / "exact.mcap", "--method", method, "--output", "out", cwd=tmp_path)
     # Asked for: 0.1 degrees, 2 mm, 0.15 %. Measured: 0.003 degrees, 0.13 mm, 0.005 %.
     assert_near(tmp_path / "out/params.yaml", exact / "exact.truth.yaml", 0.01, 0.5, 0.015)
-
-
-@pytest.mark.long
-def test_turns_of_up_to_three_hundred_degrees(tmp_path_factory, tmp_path):
-    log = tmp_path_factory.mktemp("logs") / "turns.bag"
-    turns = ("--motion", "large_turns", "--stations", "8", "--pictures", "mono8")
-    succeeded("simulate", log, "--exact", *turns, cwd=tmp_path)
-    assert run("calibrate", log, "--output", "out", cwd=tmp_path).code == 0
-    assert_near(tmp_path / "out/params.yaml", log.with_name("turns.truth.yaml"), 0.1, 2, 0.15)
 
 
 @pytest.mark.long

@@ -83,7 +83,7 @@ def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
     data = json.loads(found.out)
     assert [path.rpartition("/")[2] for path in data["used_for_calibration"]] == [copy.name]
     assert data["notes"][0] == note
-    other = run("evaluate", sample_logs / "head_fixed.mcap", folder / "out" / "params.yaml", "--json", "-q")
+    other = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--json", "-q")
     data = json.loads(other.out)
     assert data["used_for_calibration"] == []
     assert note not in data["notes"]

@@ -290,20 +290,3 @@ def test_an_output_that_a_killed_run_had_set_aside_is_put_back(tmp_path):
     (tmp_path / "out").rename(tmp_path / ".out.00000000.old" / "replaced")
     check_output(tmp_path / "out", force=True)
     assert tree(tmp_path) == {"out": "directory", "out/params.yaml": OURS + b"old", "out/report.html": b"old"}
-
-
-def test_a_temporary_directory_that_another_command_removes_before_the_lock(tmp_path, monkeypatch):
-    """Two commands with the same output: one makes its directory while the other looks for leftovers."""
-    mkdir, made = Path.mkdir, []
-
-    def observed(path, *given, **named):
-        mkdir(path, *given, **named)
-        if path.suffix == ".partial":
-            made.append(path)
-            if len(made) == 1:
-                check_output(tmp_path / "out", force=False)
-
-    monkeypatch.setattr(Path, "mkdir", observed)
-    write_outputs(tmp_path / "out", FILES, force=False)
-    assert len(made) == 2
-    assert [path.name for path in tmp_path.iterdir()] == ["out"]

@@ -22,21 +22,6 @@ def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):
         assert found.kind != "PASS, wrong", f"{found.sigmas:.1f} sigma"
 
 
-@pytest.mark.parametrize(
-    ("name", "kind"),
-    [
-        pytest.param("wheels in meters", "refused, right cause", marks=pytest.mark.long),
-        pytest.param("wheels 0.3 s late", "PASS, right", marks=pytest.mark.long),
-        ("pan 0.2 rad off", "FAIL, right cause"),
-        pytest.param(
-            "board turned by 5 degrees from the middle", "FAIL, right cause", marks=pytest.mark.long
-        ),
-    ],
-)
-def test_outcomes(name, kind):
-    assert outcome(name).kind == kind
-
-
 def test_a_board_that_sinks_does_no_harm():
     """The floor's height takes it up: the result is right, and so are its standard deviations."""
     solution = solve(WRONG["board 3 cm lower from the middle"].change(recorded()))

@@ -179,19 +179,6 @@ def test_an_interruption_after_the_output_is_in_place_says_so(tmp_path):
     assert whole_or_nothing(tmp_path / "work")
 
 
-def test_what_a_killed_run_left_is_removed_by_the_next(sample_logs, tmp_path):
-    command = ["simulate", "log.mcap", "--stations", 2]
-    process = started(command, tmp_path)
-    while not list(tmp_path.glob(".log.mcap.*.partial/*")) and process.poll() is None:
-        time.sleep(0.05)
-    ended(process, KILL, False)
-    assert list(tmp_path.glob(".log*"))
-    (tmp_path / "tmp/mobilecal-left").mkdir()
-    process = started(command, tmp_path)
-    process.communicate(timeout=60)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["log.mcap", "log.truth.yaml", "tmp"]
-
-
 def test_temporary_files_of_a_killed_run_are_removed_by_the_next(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     (tmp_path / "mobilecal-left").mkdir()

@@ -14,7 +14,7 @@ from mobilecal_cli.likelihood.normal import _none_negative
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.model import Noise
+from mobilecal_cli.model import Board, Noise
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers.initial import initial_state
@@ -49,7 +49,7 @@ class Case:
         robot = paper_robot()
         if constants is None:
             constants = (*table(robot.rig_cameras, chain_of(robot)), *floors_of(range(logs)))
-        route = plan_route(robot, motion, stations=STATIONS)
+        route = plan_route(robot, motion, STATIONS, Board(5, 4, 0.1))
         disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives
         extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)
         seen = extraction.observations[:STATIONS]

@@ -98,23 +98,6 @@ def test_damaged_bags(shared_data, name, messages, note):
             assert {t.name: t.count for t in recording.topics} == {"/rosout_agg": 10, "/diagnostics_agg": 4}
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "foxglove_rosbag/fixtures/empty-file.bag",
-        "rosbag_rs/dummy.bag",
-        "tiryoh_analyzer/e2e/fixtures/Dockerfile.mcap",
-        "rosbag2/rosbag2_cpp/test/rosbag2_cpp/bags",
-        "rosbag2/ros2bag/test/resources/empty_bag/empty_bag_0.db3-wal",
-        "foxglove_rosbag/LICENSE",
-    ],
-)
-def test_refused(shared_data, name):
-    with pytest.raises(RecordingError) as caught:
-        open_recording([shared_data / "bags" / name])
-    assert caught.value.hint
-
-
 def test_every_other_file_is_read_or_refused(shared_data):
     for path in sorted((shared_data / "bags").rglob("*")):
         if "mcap_conformance" in path.parts:
@@ -139,36 +122,6 @@ def test_split_bags_are_joined_and_a_wrong_serialization_is_named(shared_data):
         pytest.raises(RecordingError, match="wrong_format"),
     ):
         recording.messages([recording.topics[0].name])
-
-
-def test_picture_that_claims_more_than_it_holds(shared_data):
-    path = shared_data / "bags/rosbags_rs_all_types/tests/test_bags/test_bag_mcap"
-    topic = "/test/sensor_msgs/image"
-    with open_recording([path]) as recording:
-        stamps = [m.decode().header.stamp for m in recording.messages([topic])]
-        wanted = {"left": {stamp.sec * 10**9 + stamp.nanosec for stamp in stamps}}
-        found = list(r.read_images(recording, {"left": topic}, wanted))
-    assert found
-    for _, _, rejection in found:
-        assert rejection.stage == "readers"
-        assert "640x480" in rejection.detail
-        assert "30 bytes" in rejection.detail
-
-
-def test_same_pictures_from_ros1_and_ros2(shared_data):
-    pictures = []
-    for name in ("test_ros1.bag", "test_ros2"):
-        with open_recording([shared_data / "bags/mvtb/tests/data" / name]) as recording:
-            image = {"left": "/camera/raw", "right": "/camera/compressed"}
-            wanted = {}
-            for side, topic in image.items():
-                stamps = (m.decode().header.stamp for m in recording.messages([topic]))
-                wanted[side] = {stamp.sec * 10**9 + stamp.nanosec for stamp in stamps}
-            pictures.append([(s, p) for s, _, p in r.read_images(recording, image, wanted)])
-    assert len(pictures[0]) == 6
-    for (side, ours), (other_side, other) in zip(*pictures, strict=True):
-        assert side == other_side
-        np.testing.assert_array_equal(ours, other)
 
 
 ROBOTS = {

@@ -140,7 +140,9 @@ def test_noise_is_named_by_its_kind():
     assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")
 
 
-@pytest.mark.parametrize(("sigma", "level"), [(10.0, "PASS"), (1.0, "FAIL")])
+@pytest.mark.parametrize(
+    ("sigma", "level"), [pytest.param(10.0, "PASS", marks=pytest.mark.long), (1.0, "FAIL")]
+)
 def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
     right, extraction = drawn()
     k, std = NINE.index("t_x"), right.uncertainty.std

@@ -93,13 +93,6 @@ def test_hostile_strings_stay_text(solution, extraction):
     html.encode("utf-8")
 
 
-def test_the_fewest_stations_make_a_page():
-    extraction = make_extraction(n=4)
-    solution = make_solution(extraction)
-    assert "NOT ENOUGH" in Page(page_of(solution, extraction, make_snapshots(extraction))).text
-    assert json.loads(json_text(made(solution, extraction)))["verdict"]["level"] == "NOT ENOUGH"
-
-
 def test_the_linear_method_alone(extraction):
     solution = make_solution(extraction, "linear")
     text = Page(page_of(solution, extraction)).text

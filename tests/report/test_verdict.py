@@ -33,7 +33,6 @@ from tests.report.example import (
     rows_of,
     with_nominal,
 )
-from tests.robots import in_cameras
 
 NO_SIGMAS = "Calibrate with --method ml (the default) for standard deviations and expected errors."
 
@@ -261,14 +260,6 @@ class TestWithTheSolver:
         extraction = make_extraction(seed=seed)
         assert judge(make_solution(extraction, "ml"), extraction).level == "PASS"
 
-    def test_coarse_encoders_pass(self, seed):
-        extraction, step = make_extraction(seed=seed), math.radians(1.2)
-        (track,) = extraction.wheels
-        coarse = WheelTrack.at_same_times(
-            track.time_ns, np.round(track.right_rad / step) * step, np.round(track.left_rad / step) * step
-        )
-        assert solved(extraction, wheels=(coarse,)).level == "PASS"
-
     def test_half_the_ticks_on_one_side(self, seed):
         extraction = make_extraction(seed=seed)
         (track,) = extraction.wheels
@@ -276,19 +267,6 @@ class TestWithTheSolver:
         verdict = solved(extraction, wheels=(doubled,))
         assert verdict.level == "FAIL"
         assert "ticks_per_revolution" in verdict.next_step
-
-    def test_the_board_is_moved_once(self, seed):
-        extraction = make_extraction(seed=seed)
-        moved = list(extraction.observations)
-        for i, o in enumerate(moved[6:], 6):
-            T = o.T_c_k @ se3.transform(np.eye(3), np.array([0.05, 0, 0]))
-            points_c = se3.act(T @ se3.inverse(o.T_c_k), o.points_c)
-            pixels = in_cameras(extraction.rig.cameras, np.eye(4), points_c)
-            views = tuple(replace(view, pixels=at) for view, at in zip(o.views, pixels, strict=True))
-            moved[i] = replace(o, T_c_k=T, points_c=points_c, views=views)
-        verdict = solved(extraction, observations=tuple(moved))
-        assert verdict.level == "PASS"  # found, named and left out
-        assert any("between stations 5 and 6" in check.why for check in verdict.checks)
 
     def test_loose_head_joints(self, seed):
         # With so much noise, a part of the head-eye transform is unobservable and needs a nominal value.

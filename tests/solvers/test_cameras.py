@@ -196,10 +196,8 @@ def test_the_report_of_one_camera_speaks_of_one():
         assert word not in shown, word
 
 
-@pytest.mark.parametrize("cameras", [1, 3])
-def test_gross_corners_are_named_by_their_camera(cameras):
-    robot = CONFIGURATIONS[cameras, "pan-tilt"]()
-    extraction = simulated("standard", NOISE, robot, 20, 1)
+def test_gross_corners_are_named_by_their_camera():
+    extraction = simulated("standard", NOISE, three_on_pan_tilt(), 20, 1)
     observations, first = list(extraction.observations), extraction.rig.cameras.names[0]
     view, *others = observations[4].views
     pixels = view.pixels.copy()
@@ -207,5 +205,4 @@ def test_gross_corners_are_named_by_their_camera(cameras):
     observations[4] = replace(observations[4], views=(replace(view, pixels=pixels), *others))
     found = fitted(replace(extraction, observations=tuple(observations)))
     (outlier,) = [one for one in found.solution.outliers if one.kind == "corners"]
-    assert f"1 corners of the {first} image" in outlier.text or cameras == 1
-    assert "1 corners" in outlier.text
+    assert f"1 corners of the {first} image" in outlier.text

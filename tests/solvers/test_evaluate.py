@@ -124,7 +124,9 @@ def test_each_of_two_moving_recordings_is_tested_with_its_clocks():
 
     def recorded(*late_s):
         each = zip((3, 4), late_s, strict=True)
-        return joined(*(simulated("moving", noise, ROBOT, seed=seed, camera_late_s=s) for seed, s in each))
+        return joined(
+            *(simulated("moving", noise, ROBOT, seed=seed, camera_late_s=s, images=20) for seed, s in each)
+        )
 
     right, late = recorded(0.0, 0.0), recorded(0.03, -0.03)
     offsets = {"joints": -0.03, "wheels": -0.03, "joints_2": 0.06, "wheels_2": 0.06}

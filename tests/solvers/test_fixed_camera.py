@@ -9,14 +9,11 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
-from mobilecal_cli.kinematics import head_pose, unseen_height
+from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink
-from mobilecal_cli.report.findings import suggestion_sentences
-from mobilecal_cli.simulate.robot import fixed_camera_robot, pixels
-from mobilecal_cli.solvers import solve
-from tests.extractions import Noise, Outside, in_view, simulated
+from mobilecal_cli.simulate.robot import fixed_camera_robot
+from tests.extractions import Noise, Outside, simulated
 from tests.fits import maximum_likelihood
-from tests.robots import CONFIGURATIONS, chain_of
 from tests.truth import nees, parameters_of
 
 ROBOT = fixed_camera_robot()
@@ -54,11 +51,8 @@ def rotation_off(extraction):
 def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
     """A robot that drives to and fro sees the same slope at the same place: r_y was off by 8 sigmas, with PASS."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=np.radians(0.1), floor_m=5e-4, floor_place_m=1.0)
-    # Without the shape of the floor, the pitch of the second is off by 5.0 sigmas.
-    drives = (simulated("moving", noise, ROBOT, 12, seed, images=n) for seed, n in ((2, 48), (3, 80)))
-    off = [rotation_off(drive) for drive in drives]
-    assert np.abs(off).max() < 3.0
-    assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
+    off = rotation_off(simulated("moving", noise, ROBOT, 12, 3, images=80))
+    assert np.abs(off).max() < 3.0  # without the shape of the floor, the pitch is off by 5.0 sigmas
 
 
 def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():
@@ -68,35 +62,6 @@ def test_a_lens_that_its_distortion_model_does_not_describe_turns_no_camera():
     off = [rotation_off(simulated("standard", NOISE, ROBOT, 24, o.lens_seed, outside=o)) for o in lenses]
     assert np.abs(off).max() < 4.0
     assert np.sqrt(np.mean(np.square(off), axis=0)).max() < 2.0
-
-
-@pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
-def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configuration):
-    robot = CONFIGURATIONS[configuration]()
-    extraction = simulated("standard", NOISE, robot, 8, 1)
-    solution = fitted(extraction).solution
-    assert solution.suggestions
-    assert all(s.worst != "t_z" and s.gain > 0 for s in solution.suggestions)
-    sentences = suggestion_sentences(solution, extraction)
-    for suggestion, sentence in zip(solution.suggestions, sentences, strict=True):
-        turns_deg = np.degrees([suggestion.turn_rad, suggestion.face_rad])
-        assert ("Set pan_joint to" in sentence) == (configuration[1] == "pan")
-        assert ("degrees" in sentence) == np.round(turns_deg).any()
-        T = solution.residuals.T_w_v[-1]
-        for turn, drive in ((suggestion.turn_rad, suggestion.drive_m), (suggestion.face_rad, 0.0)):
-            T = T @ se3.transform(se3.rotation_z(np.array(turn)), np.zeros(3))
-            T = T @ se3.transform(np.eye(3), np.array([drive, 0.0, 0.0]))
-        T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
-        points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
-        assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
-
-
-def test_a_stop_that_the_base_turns_far_for_is_among_the_suggested():
-    """The aim was given up half-way: the best of these stops promised half as much."""
-    noise = Noise(0.1, 0.003, 0.001, 5e-4)
-    best, *_ = solve(simulated(noise=noise, robot="rgbd")).suggestions
-    assert abs(best.face_rad) > 1.2
-    assert best.gain > 0.5
 
 
 @pytest.mark.parametrize(

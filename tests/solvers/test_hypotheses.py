@@ -120,6 +120,7 @@ CAUSES = {
     "sign of the left wheel": "the left wheel's encoder has the wrong sign",
     "signs of both wheels": "encoders of both wheels have the wrong sign",
     "wheels swapped": "the left and right wheels are swapped",
+    "wheels in meters": "readings are in meters",
     "nominal wheels twice as large": "about half of the nominal 0.1640 m",
     "gear ratio 2 of both wheels": "about half of the nominal 0.0820 m",
     "gear ratio 1/2 of both wheels": "about twice the nominal 0.0820 m",
@@ -140,10 +141,10 @@ MISTAKES = {name: (WRONG[name].change, cause) for name, cause in CAUSES.items()}
     ),
 }
 #: Found by the solver in a second; it takes longer to give up on the others, in the long tests.
-SOLVED = (*("sign of the right wheel", "gear ratio 1/2 of both wheels", "right wheel frozen"),)
+SOLVED = ("right wheel frozen",)
 #: One of each kind of the others, named by the diagnosis in every run.
 QUICK = (
-    *("pan in degrees", "pan frozen", "both images of the previous station"),
+    *("pan frozen", "both images of the previous station"),
     *("left wheel 3 s late", "images 2 s early", "both wheels frozen", "signs of both joints"),
 )
 
@@ -383,10 +384,9 @@ def test_wheels_that_do_not_belong_to_the_recording(name):
     assert Search(WRONG[name].change(meaning.recorded())).diagnosis.cause == cause
 
 
-@pytest.mark.parametrize("robot", ["tick", "paper"])
-def test_a_head_that_only_pans_fits(robot):
+def test_a_head_that_only_pans_fits():
     """The other joints are at rest: their readings are right."""
-    made = simulated("pan_only", NOISE, robot, seed=3)
+    made = simulated("pan_only", NOISE, seed=3)
     assert Search(made).misfit is None
     assert Search(made).diagnosis is None
 

@@ -36,10 +36,8 @@ def test_nominal_wheels_ten_percent_off(factor):
 
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (5.0, -5.0), (-0.44, 0.45), (0.01, -0.01), (0.45, 0.45)])
-@pytest.mark.parametrize("long_way_round", [False, True])
-def test_from_any_start(start, long_way_round):
-    pairs = make_pairs(2, long_way_round=long_way_round)
-    estimate = linear_estimate(pairs, given=np.array(start))
+def test_from_any_start(start):
+    estimate = linear_estimate(make_pairs(2, long_way_round=True), given=np.array(start))
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
 
 

@@ -15,7 +15,7 @@ from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.messages import nanoseconds
 from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.solvers import Constraints, constraints_of, solve
+from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers import maximum_likelihood as recipe
 from mobilecal_cli.solvers.noise import lengths
 from tests.bench.simulated import as_described, errors, spoiled
@@ -127,7 +127,9 @@ def on_two_topics(seed, steps_rad):
     return replace(still, wheels=(WheelTrack(*wheels),))
 
 
-@pytest.mark.parametrize("finer_deg", [pytest.param(2.67, marks=pytest.mark.long), 0.9, 0.0])
+@pytest.mark.parametrize(
+    "finer_deg", [*(pytest.param(deg, marks=pytest.mark.long) for deg in (2.67, 0.9)), 0.0]
+)
 def test_encoders_on_two_topics_keep_their_steps(finer_deg):
     """Measured with equal steps, seeds 0 to 5: 0.5 to 4.2 mm, stated 1.3 to 2.1; without the steps 0.1 to 13 mm."""
     steps = np.radians([2.67, finer_deg])
@@ -163,15 +165,18 @@ def test_the_budget_of_an_unobservable_parameter_is_its_prior():
 
 
 def test_the_jackknife_agrees_over_many_legs():
-    found = solve(extraction_of(seed=2, stations=40)).uncertainty
+    found = solve(extraction_of(seed=2, stations=24)).uncertainty
     assert np.abs(np.log(found.jackknife_std / found.std)).max() < np.log(1.8)
 
 
 @pytest.mark.parametrize(
     ("motion", "held"),
     [
-        *(("head_fixed", ("t_y",)), ("pan_only", ("t_y",)), ("straight", ("separation",))),
-        *(("spin", NINE[6:]), ("base_fixed", NINE[6:])),
+        *(("head_fixed", ("t_y",)), ("straight", ("separation",))),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)  # what is missing: tests/calibrate/test_gaps.py
+            for case in (("pan_only", ("t_y",)), ("spin", NINE[6:]), ("base_fixed", NINE[6:]))
+        ),
     ],
 )
 def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
@@ -221,8 +226,6 @@ def test_fixed_numbers_stay(noisy):
     assert found.parameters.wheels == noisy.rig.nominal.wheels
     assert found.uncertainty.fixed.tolist() == [name in ("t_x", *NINE[6:]) for name in NINE]
     assert not found.uncertainty.observable[NINE.index("t_x")]
-    fixed = dict.fromkeys(NINE)
-    assert solve(noisy, constraints=Constraints(fixed=fixed)).suggestions == ()
 
 
 def test_a_prior_weighs_as_much_as_it_states(noisy):
@@ -340,14 +343,6 @@ def test_a_late_camera_clock_is_found():
     assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
-def test_squares_that_are_stated_wrong():
-    found = solve(misstated("square_scale", -0.015))
-    assert found.scale.apart
-    assert found.scale.ratio == pytest.approx(0.985, abs=5 * found.scale.std)
-    assert found.scale.std < 0.002
-    assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
-
-
 def test_a_pan_zero_is_found_and_named():
     """Two degrees, where half a degree is usual."""
     off = 0.035
@@ -379,31 +374,20 @@ def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
     assert solution.between is None
 
 
-def test_suggestions_name_what_is_worst_and_would_help(solution, noisy):
-    assert 1 <= len(solution.suggestions) <= 3
-    gains = [s.gain for s in solution.suggestions]
-    assert gains == sorted(gains, reverse=True)
-    assert 0 < gains[0] < 0.7
-    for suggestion in solution.suggestions:
-        assert suggestion.std_now == pytest.approx(named(solution, suggestion.worst)[0], rel=0.3)
-        assert suggestion.std_then < suggestion.std_now
-        assert len(suggestion.joints) == len(noisy.rig.chain.joints)
-    found = solve(extraction_of("straight", seed=3))
-    best = found.suggestions[0]
-    assert best.worst == "separation"
-    assert best.turn_rad != 0
-    assert best.std_then < 0.01
-
-
 @pytest.mark.parametrize(
     ("name", "kind", "by"),
     [
-        ("focal_left", "focal_length", 0.02),
-        pytest.param("principal_right_y", "principal_point", 0.03, marks=pytest.mark.long),
-        ("baseline_scale", "baseline_length", 0.02),
-        pytest.param("stereo_r_y", "stereo_rotation", 0.03, marks=pytest.mark.long),
-        ("torso_pitch_joint_position_x", "joint_position", 0.03),
-        ("backlash_pan", "backlash", 0.03),
+        *(("baseline_scale", "baseline_length", 0.02), ("backlash_pan", "backlash", 0.03)),
+        *(
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (
+                *(("focal_left", "focal_length", 0.02), ("principal_right_y", "principal_point", 0.03)),
+                *(
+                    ("stereo_r_y", "stereo_rotation", 0.03),
+                    ("torso_pitch_joint_position_x", "joint_position", 0.03),
+                ),
+            )
+        ),
     ],
 )
 def test_what_is_misstated_is_named_and_does_no_harm(name, kind, by):

@@ -54,7 +54,7 @@ def test_the_search_does_not_amplify_rounding():
 def moving(apart_s: float, robot: str = "pan-tilt") -> imperfect.Case:
     """A pair of sharp images, or three, whose exposures vary by so much in motion."""
     noise = replace(imperfect.USUAL, pixel_px=0.03, pair_s=apart_s)
-    return imperfect.Case(robot, motion="moving", noise=noise).drawn()
+    return imperfect.Case(robot, motion="moving", images=32, noise=noise).drawn()
 
 
 @pytest.mark.parametrize("robot", ["pan-tilt", pytest.param("three cameras", marks=pytest.mark.long)])

@@ -85,7 +85,7 @@ def test_the_point_error_of_a_healthy_robot_is_explained(robot, noise):
     assert judge(solve(extraction), extraction).level == "PASS"
 
 
-@pytest.mark.parametrize("claimed_px", [0.8, 0.1])
+@pytest.mark.parametrize("claimed_px", [pytest.param(0.8, marks=pytest.mark.long), 0.1])
 def test_blurred_corners_of_a_drawn_robot_explain_the_point_error(claimed_px):
     """By their estimated noise, at the depths that the estimated cameras give: the stated ones are 6 % off."""
     case = imperfect.Case().drawn(noise=replace(imperfect.USUAL, pixel_px=0.8))

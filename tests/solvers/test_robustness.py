@@ -104,7 +104,7 @@ def test_a_separation_whose_sign_is_noise_is_not_determined(robot, seed):
     assert "The wheel separation is not determined: the base turned by" in verdict.reason
 
 
-@pytest.mark.parametrize("by_px", [1.0, 8.0])
+@pytest.mark.parametrize("by_px", [pytest.param(1.0, marks=pytest.mark.long), 8.0])
 def test_a_base_at_rest_with_constant_encoders_and_a_wrong_camera(by_px):
     lower = {"principal_right_y": by_px / 640}
     extraction = simulated("base_fixed", NOISE, ROBOT, seed=1, constants=lower)
@@ -171,14 +171,14 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     ("motion", "fixed", "wanted"),
     [
         ("base_fixed", "wheels", None),
-        ("straight", "separation", None),
         ("straight", "head_eye", "turn the base"),
         *(
             pytest.param(
                 *case, marks=pytest.mark.long
             )  # the gaps of each motion: tests/calibrate/test_gaps.py
             for case in (
-                *(("spin", "wheels", None), ("straight", "wheels", None), ("head_fixed", "head_eye", None)),
+                *(("spin", "wheels", None), ("straight", "wheels", None), ("straight", "separation", None)),
+                ("head_fixed", "head_eye", None),
                 *(("pan_only", "translation", None), ("standard", "head_eye", None)),
                 (
                     "base_fixed",

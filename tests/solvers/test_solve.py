@@ -27,7 +27,7 @@ def test_exact_data_gives_the_truth(name, method):
 @pytest.mark.parametrize("motion", ["large_turns", "moving"])
 def test_other_motions_give_the_truth(motion):
     robot = ROBOTS["paper"]()
-    solution = solve(simulated(motion, robot=robot, seed=0, nominal=False))
+    solution = solve(simulated(motion, robot=robot, seed=0, nominal=False, images=12))
     # Stamps are whole nanoseconds: 0.5 ns at 5 rad/s of a turning wheel is what is left in motion.
     assert np.abs(errors(solution.parameters, robot)).max() < (1e-9 if motion == "large_turns" else 1e-7)
 

@@ -63,9 +63,8 @@ def test_lm_finds_the_truth_from_far_off():
     assert refined.point_rms_history_m[0] == pytest.approx(point_rms_m(pairs, start))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_powell_and_lm_reach_the_same_minimum(seed):
-    pairs = make_pairs(seed, pixel_px=0.3)
+def test_powell_and_lm_reach_the_same_minimum():
+    pairs = make_pairs(0, pixel_px=0.3)
     start = linear_estimate(pairs)
     lm, powell = refine_lm(pairs, start.parameters), refine_powell(pairs, start.parameters)
     assert powell.point_rms_m == pytest.approx(lm.point_rms_m, rel=1e-9)
