@@ -374,8 +374,8 @@ class Inference:
             readings=np.ones_like(was.readings),
             legs=fit.sure_legs,
         )
-        everything = fit.lin.with_inliers(replace(images, legs=np.ones_like(was.legs)))
-        every = outliers.restored(was, replace(fit, lin=everything))
+        everything = replace(fit, lin=fit.lin.with_inliers(replace(images, legs=np.ones_like(was.legs))))
+        every = outliers.restored(was, everything)
         if every.max() < _SEVERAL:
             return None
         try:
@@ -388,7 +388,7 @@ class Inference:
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters
         log = self.data.log[jump.station]
-        explained = outliers.restored(was, without, agreeing=True)[log]
+        explained = outliers.restored(was, without, everything)[log]
         return jump if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
 
     def _levels_near(

@@ -31,6 +31,7 @@ _STRIKING = 0.2  # chance that any good measurement of a kind becomes a candidat
 FEWEST_VIEWS = 4
 _STRETCH = 3  # longest run of legs that nothing confirms: beyond it, something moved
 _TOO_MANY = 1 / 3  # outliers among the measurements of a kind: that kind's noise is larger than supposed
+_NEARER = 0.01  # squared distance over the former one: what the first order leaves of a large change is less
 # Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
 _APART = 5
@@ -151,19 +152,20 @@ def beyond(fit: Fit, kind: str) -> FloatArray:
     return np.where(getattr(fit.tests, f"small_{kind}"), 0.0, statistic)
 
 
-def restored(was: Inliers, fit: Fit, agreeing: bool = False) -> IntArray:
+def restored(was: Inliers, fit: Fit, before: Fit | None = None) -> IntArray:
     """(logs,) number of former outliers of each recording that this fit uses.
 
     Args:
         was: the former inliers.
-        agreeing: count only those that are no outliers of this fit either.
+        fit: the fit.
+        before: another one that uses them: then only those count that are outliers no more, or far nearer.
     """
     data, inliers = fit.data, fit.inliers
     count = np.zeros(data.log.max() + 1, dtype=np.int64)
     for kind in DEGREES:
         back = getattr(inliers, kind) & ~getattr(was, kind)
-        if agreeing and back.any():
-            back &= beyond(fit, kind) < 1
+        if before is not None and back.any():
+            back &= beyond(fit, kind) < np.maximum(1.0, _NEARER * beyond(before, kind))
         first = np.nonzero(back)[0]
         count += np.bincount(data.log[data.legs[first, 0] if kind == "legs" else first], minlength=len(count))
     return count

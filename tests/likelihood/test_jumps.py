@@ -90,6 +90,18 @@ def moved_board(request):
     return extraction, after.robot
 
 
+@pytest.mark.long
+@pytest.mark.parametrize("part", ["head mount", "board", "right wheel"])
+def test_a_change_by_much_is_named_and_no_other_cause(part):
+    """By a hundred standard deviations: 8 degrees and 0.2 m. The stations after it look like noise, or all like slips."""
+    case = RECORDINGS["20 stations"]
+    extraction, _, first, _ = changed_recording(case, part, 100.0, 0, solve(case.extraction(0)))
+    solution = solve(extraction)
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == (part, first)
+    assert (solution.noisy, solution.contradictions) == ((), ())
+
+
 def test_a_moved_board_is_no_mistake_of_a_result_that_is_right(moved_board):
     """The leg across it is rejected: what the board moved beside the base, along the floor, does not show."""
     extraction, robot = moved_board

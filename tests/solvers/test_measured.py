@@ -150,6 +150,21 @@ def test_inverse_poses_are_named(seed):
         solve(extraction)
 
 
+def test_a_target_that_moves_is_named_with_its_way_along_the_floor():
+    """The leg's odometry was left out as a slip, and with it most of the way: "15 mm"; and the floor was to blame."""
+    robot, recorded = drive(6)
+    step = se3.exp(np.array([0.0, 0.0, 0.1, 0.1, 0.0, 0.0]))
+    poses = [replace(p, T_c_k=p.T_c_k @ step) if k >= 10 else p for k, p in enumerate(recorded.poses)]
+    extraction = from_poses([replace(recorded, poses=poses)], tuple(robot.wheels.vector), chain_of(robot))
+    solution = solve(extraction)
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("board", 10)
+    assert jump.move_m == pytest.approx(0.1, abs=0.02)
+    assert np.degrees(jump.turn_rad) == pytest.approx(5.7, abs=0.5)
+    assert np.abs(off(solution, parameters_of(robot))).max() < 4
+    assert judge(solution, extraction).level == "PASS"
+
+
 @pytest.mark.parametrize("times", [1.0, 8.0])
 def test_the_noise_of_poses_is_no_error_of_the_calibration(times):
     """It was one: honest poses of 5 mrad and 10 mm were a FAIL, "depth noise alone: 0.0 mm"."""
