@@ -34,7 +34,7 @@ from mobilecal_cli.model import (
 )
 
 _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
-_NO_ROTATION = 1e-4  # R^T R of a rotation, rounded to a few digits, differs less from the identity
+_NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from the identity
 _FARTHEST_M = 100.0  # of a target or a sensor
 _NO_CAMERA = Camera("sensor", 640, 480, np.diag([500.0, 500.0, 1.0]), np.zeros(0), "none")
 
@@ -248,10 +248,8 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
     joints = np.array([pose.joints[name] for name in chain.joints])
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
     points_c = se3.act(np.asarray(pose.T_c_k, dtype=np.float64)[None], points)[0]
-    measured = np.delete(np.eye(6), wide, axis=0)
-    of_points = (
-        measured.T @ measured @ covariance @ measured.T @ measured
-    )  # what was not measured counts as exact
+    of_points = covariance.copy()  # what was not measured counts as exact
+    of_points[wide], of_points[:, wide] = 0.0, 0.0
     return Observation(
         log=log,
         station=station,

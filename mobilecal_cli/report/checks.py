@@ -64,10 +64,9 @@ _ALIKE = 0.1
 #: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
 #: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
 _SIZE_BAD = 25.0
-_SIZE_NOTED, _SIZE_SIGMAS = (
-    5.0,
-    3.0,
-)  # a smaller difference is usual, one of so many standard deviations is no chance
+#: A radius that differs by more percent from its nominal value, and by so many standard deviations, is a warning. A
+#: separation at which wheels are effective is more often another one.
+_SIZE_NOTED, _SIZE_SIGMAS = 5.0, 3.0
 
 
 def rms(values: FloatArray) -> float:
@@ -478,10 +477,8 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         ratio, limit, label = ratios[parameter.name], _SIZE_BAD, parameter.label
         at_limit, passes = f"within {_SIZE_BAD:g} % of {stated_m:.4f} m", None
         away_m = abs(found_m - stated_m)
-        noted = (
-            max(_SIZE_NOTED / 100 * stated_m, _SIZE_SIGMAS * sigma_m) < away_m <= _SIZE_BAD / 100 * stated_m
-        )
-        noted &= parameter.name != "separation"
+        usual_m, most_m = _SIZE_NOTED / 100 * stated_m, _SIZE_BAD / 100 * stated_m
+        noted = max(usual_m, _SIZE_SIGMAS * sigma_m) < away_m <= most_m and parameter.name != "separation"
         cure = _nominal_cure(parameter.name, ratios, made)
         if sources.several_wheels and parameter.name == "separation":
             label, limit = f"effective {label}", 100 * (_MOST_EFFECTIVE - 1)
@@ -592,10 +589,8 @@ def square_size(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 _PLAY = ("joint readings", "the head joints for play, and the head chain in the URDF")
-_HEIGHT, _FLOOR = (
-    Metric("noise.height", "mm", section="limits"),
-    Metric("noise.floor", "degrees", section="limits"),
-)
+_HEIGHT = Metric("noise.height", "mm", section="limits")
+_FLOOR = Metric("noise.floor", "degrees", section="limits")
 #: Noise level → the largest usual level, the limit, its name, and what to check.
 _NOISE = {
     _HEIGHT: (4.0, 30.0, "floor (height of the base)", "that the floor is flat and that the board does not move"),
