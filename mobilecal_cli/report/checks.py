@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
@@ -502,8 +503,10 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
 
 def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> str:
     """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
-    like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
-    scale = made.solution.scale
+    logs = {other: math.log(ratio) for other, ratio in ratios.items()}
+    apart = min(_ALIKE, abs(logs[name]) / 2)
+    like = [other for other, log in logs.items() if abs(log - logs[name]) < apart]
+    scale, pair = made.solution.scale, len(made.extraction.rig.cameras.each) > 1
     if len(like) == len(ratios) and scale is not None and not scale.apart:
         return (
             "All sizes of the wheels differ by this factor, and the squares fit the stereo baseline: correct "
@@ -511,8 +514,8 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> 
         )
     if len(like) == len(ratios):
         return (
-            "All sizes of the wheels differ by this factor, so the scale is wrong: check the baseline in camera_info "
-            "and board.square_m, then nominal.wheels."
+            "All sizes of the wheels differ by this factor, so the scale is wrong: check "
+            f"{'the baseline in camera_info and ' * pair}board.square_m, then nominal.wheels."
         )
     if name == "separation":
         return "Measure the distance between the contact points of the wheels, and correct nominal.wheels."
@@ -524,6 +527,32 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> 
     else:
         causes.append("the unit of the wheel positions (rad at the wheel, not at the motor)")
     return f"Measure the wheel with a ruler. If it is as stated, check {', and '.join(causes)}."
+
+
+_IN_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # optical axes: x right, z forward
+
+
+@criterion(Metric("nominal.frame", "degrees"), gated=False)
+def camera_frame(made: Calibration, metric: Metric) -> Iterator[Check]:
+    """Whether the frame that the images carry is drawn as that of the camera's body (x forward), not as optical."""
+    rig, parameters = made.extraction.rig, made.solution.parameters
+    if rig.nominal.T_h_reference is None or made.extraction.measured:
+        return
+    drawn = rig.nominal.T_h_reference[:3, :3]
+    R = (parameters.T_h_c @ made.solution.cameras.T_c_reference)[:3, :3]
+    as_is, as_body = (
+        math.degrees(float(np.linalg.norm(se3.log_so3(of.T @ R)))) for of in (drawn, drawn @ _IN_BODY)
+    )
+    if as_body > as_is / 3:
+        return
+    frame = rig.cameras.of_reference.frame_id
+    yield metric.check(
+        as_is, 0.0, "axes of the camera's frame",
+        f"Let the camera's driver name the optical frame before you use {frame} from an exported description.",
+        why=f"The images carry {frame}, which is drawn with x forward, but the pose is that of the optical frame "
+        "(x right, y down, z forward).",
+        beyond="warning",
+    )  # fmt: skip
 
 
 @criterion(Metric("nominal.scale", "%"), gated=False)

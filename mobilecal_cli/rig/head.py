@@ -164,9 +164,16 @@ def _head_link_of(
         read: joints whose positions are read.
 
     Raises:
-        ConfigError: without a tilt joint, the URDF does not connect the base with the camera, or lacks it.
+        ConfigError: the camera's own frame is configured; without a tilt joint, the URDF does not connect the base with
+            the camera, or lacks it.
     """
     if config.head.head_frame is not None:
+        own = [joint.kind for joint in urdf.joints.values() if joint.child == camera_frame]
+        if config.head.head_frame == camera_frame and own == ["fixed"]:
+            raise ConfigError(
+                f"head.head_frame: {camera_frame} is the frame of the camera, not of the head",
+                "set head.head_frame to the last link that a joint moves",
+            )
         return config.head.head_frame
     way = _moving_to(urdf, base, camera_frame, tilt)
     if way is not None:

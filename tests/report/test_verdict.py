@@ -231,6 +231,23 @@ def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     assert judge(bad, extraction).next_step.startswith("Check the head chain")
 
 
+@pytest.mark.parametrize(("body", "warned"), [(True, True), (False, False)])
+def test_a_body_frame_in_the_images_is_a_warning(solution, extraction, body, warned):
+    """Exports then drew the camera's children turned by 120 degrees, without a word."""
+    seen = solution.parameters.T_h_c @ solution.cameras.T_c_reference @ se3.exp(np.full(6, 0.02))
+    optical_in_body = se3.transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
+    drawn_frame = seen @ se3.inverse(optical_in_body) if body else seen
+    verdict = judge(solution, with_nominal(extraction, Nominal(drawn_frame, WHEELS)))
+    assert ("which is drawn with x forward" in verdict.next_step) == warned
+    assert verdict.level == "PASS"
+
+
+def test_sizes_alike_differ_by_the_same_factor(solution, extraction):
+    """One radius that is 6 % off was "all sizes of the wheels"."""
+    stated = Nominal(wheels=replace(WHEELS, radius_right_m=WHEELS.radius_right_m / 1.06))
+    assert "Measure the wheel with a ruler" in judge(solution, with_nominal(extraction, stated)).next_step
+
+
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
     verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
     assert verdict.checks["stereo_error"].measured_text == "0.0031 px (median)"

@@ -464,6 +464,12 @@ def test_a_driver_that_names_the_head_itself(of_head):
         resolve_rig(RigConfig(), recorded)
 
 
+def test_the_optical_frame_is_no_head():
+    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
+    with pytest.raises(ConfigError, match="stereo_left_optical is the frame of the camera, not of the head"):
+        resolve_rig(config(head={"head_frame": "stereo_left_optical"}), description(urdf=urdf))
+
+
 def test_a_head_frame_before_a_joint_that_is_read_is_noted():
     urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
     said = [resolve_rig(config(head={"head_frame": of}), description(urdf=urdf))[1] for of in ("tilt", "pan")]
