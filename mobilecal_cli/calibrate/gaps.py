@@ -26,8 +26,6 @@ from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
-#: Notes on a recording in the hint of a refusal.
-_NOTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +145,7 @@ def require_stations(extraction: Extraction) -> None:
         cure = f"keep the whole board in {where_kept}, at rest, in good light, with {needed}"
         stage, reason = reasons[0][0] if reasons else ("", "")
         if have == looked_at or stage == "stations":
-            cure = "; noted: ".join(["stop at more places in front of the board", *extraction.notes[:_NOTED]])
+            cure = extraction.with_notes("stop at more places in front of the board")
         if reason in OTHER_BOARDS:
             cure = (
                 f"set the number of the board's inner corners with --board: {extraction.board.columns} x "

@@ -160,6 +160,9 @@ class LogSource:
     sha256: str
 
 
+_NOTED = 3  # notes that a hint repeats
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
     """All measurements that the solver needs, without images.
@@ -221,6 +224,10 @@ class Extraction:
     def board_distance_m(self) -> float:
         """Median distance from the first camera to the corners, m."""
         return float(np.median([np.linalg.norm(o.points_c, axis=-1).mean() for o in self.observations]))
+
+    def with_notes(self, hint: str) -> str:
+        """A hint, with the first notes on a recording that cannot be used."""
+        return "; noted: ".join([hint, *self.notes[:_NOTED]])
 
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""

@@ -172,7 +172,7 @@ def _head_link_of(
         if config.head.head_frame == camera_frame and own == ["fixed"]:
             raise ConfigError(
                 f"head.head_frame: {camera_frame} is the frame of the camera, not of the head",
-                "set head.head_frame to the last link that a joint moves",
+                "leave it out, or set the last link that a joint moves (the base link for a camera on the base)",
             )
         return config.head.head_frame
     way = _moving_to(urdf, base, camera_frame, tilt)

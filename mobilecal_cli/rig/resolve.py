@@ -141,7 +141,7 @@ def _named_frames(infos: dict[str, CameraInfo], head: Head | None) -> Iterator[s
         if named == of_head:
             raise ConfigError(
                 f"{of_head} is the frame of the {camera_words(name)}, not of the head",
-                "set head.head_frame to the last link that a joint moves",
+                "set head.head_frame to the last link that a joint moves (the base link for a camera on the base)",
             )
         yield f"{said} The outputs call its optical frame {named}."
 

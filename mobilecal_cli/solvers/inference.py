@@ -340,6 +340,7 @@ class Inference:
                 inliers = replace(inliers, legs=inliers.legs | across)
                 optimum = to_first_order(optimum.with_inliers(inliers))
                 ranked = jumps.likeliest(optimum)
+            ranked = [jump for jump in ranked if jumps.lasts(optimum, jump)]
             if not ranked or ranked[0].sigmas < _CANDIDATE_SIGMAS:
                 return None
             lin = to_first_order(jumps.without(optimum, ranked[0]))
@@ -348,7 +349,7 @@ class Inference:
             if jump.sigmas < _CANDIDATE_SIGMAS:
                 return None
             noise = lin.noise
-        if jump.sigmas < JUMP_SIGMAS or not jumps.lasts(optimum, ranked[0]):
+        if jump.sigmas < JUMP_SIGMAS:
             return None
         jump = replace(jump, sigmas=jumps.significance(fit.lin, lin, jump))
         if jump.sigmas < JUMP_SIGMAS:

@@ -65,7 +65,6 @@ _LENS_SIGMAS = 3.0
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
-_NOTED = 3  # of the notes on a recording that fits nothing are repeated
 
 
 def solve(
@@ -335,15 +334,17 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
         return None
     apart_px = float(np.median([o.reprojection_px for o in extraction.observations]))
     of_images = f", the reprojection error is {apart_px:.2g} px (usual: 0.3 px)"
-    measured, noted = extraction.measured, "; noted: ".join(["", *extraction.notes[:_NOTED]])
+    measured = extraction.measured
     return SolveError(
         "the recording does not fit the robot's description, and no known mistake explains it: the point error is "
         f"{100 * share:.0f} % of the distance to the board at most stations (usual: below {100 * FITS:.0f} %)"
         f"{'' if measured else of_images}. Tried: signs, sides, order and units of "
         "joints and wheels; late images, joints or wheels, if the robot stops; readings that stop, jump or "
         "change their scale; and readings of one joint or of the wheels that do not belong to the recording",
-        f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
-        f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved{noted}",
+        extraction.with_notes(
+            f"check that all {'poses and readings' if measured else 'topics'} belong to this drive and this robot, "
+            f"{'' if measured else 'camera_info, '}the head chain, and that neither the board nor a cable moved"
+        ),
     )
 
 

@@ -91,6 +91,17 @@ def moved_board(request):
 
 
 @pytest.mark.long
+def test_a_single_station_that_is_off_conceals_no_jump():
+    """Of the right camera's images at one station, which a jump of this camera would explain best: PASS before."""
+    case = RECORDINGS["40 images in motion"]
+    extraction, _, first, _ = changed_recording(case, "head mount", 10.0, 0, solve(case.extraction(0)))
+    solution = solve(extraction)
+    (jump,) = solution.jumps
+    assert (jump.part, jump.station) == ("head mount", first)
+    assert judge(solution, extraction).level == "FAIL"
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("part", ["head mount", "board", "right wheel"])
 def test_a_change_by_much_is_named_and_no_other_cause(part):
     """By a hundred standard deviations: 8 degrees and 0.2 m. The stations after it look like noise, or all like slips."""
