@@ -194,8 +194,8 @@ def _wheels(where: str, drive: Drive) -> WheelTrack:
     outside = [pose.time_s for pose in drive.poses if not time_s[0] <= pose.time_s <= time_s[-1]]
     if outside:
         raise ConfigError(
-            f"{where}: {len(outside)} of {len(drive.poses)} poses without wheel readings, as at {outside[0]:g} s: "
-            f"these are from {time_s[0]:g} to {time_s[-1]:g} s",
+            f"{where}: no wheel readings at {len(outside)} of {len(drive.poses)} poses (the first at {outside[0]:g} s; "
+            f"wheel readings from {time_s[0]:g} to {time_s[-1]:g} s)",
             "give the times of poses by the wheels' clock, in s",
         )
     return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
@@ -205,7 +205,7 @@ def _require_rigid(where: str, T: FloatArray) -> None:
     T = np.asarray(T, dtype=np.float64)
     rigid = T.shape == (4, 4) and bool(np.isfinite(T).all())
     if not rigid:
-        raise ConfigError(f"{where}: not (4, 4), or not finite", "leave out poses that were not measured")
+        raise ConfigError(f"{where}: not a finite 4 x 4 matrix", "leave out poses that were not measured")
     R = T[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     if off > _NO_ROTATION or np.linalg.det(R) < 0 or np.any(T[3] != [0.0, 0.0, 0.0, 1.0]):
@@ -216,7 +216,9 @@ def _require_rigid(where: str, T: FloatArray) -> None:
         )
     far_m = float(np.linalg.norm(T[:3, 3]))
     if far_m > _FARTHEST_M:
-        raise ConfigError(f"{where}: {far_m:.0f} m away", "give translations in m")
+        raise ConfigError(
+            f"{where}: a translation of {far_m:.0f} m (limit {_FARTHEST_M:g} m)", "give translations in m"
+        )
 
 
 def _require_positive(where: str, covariance: FloatArray, size: int, hint: str) -> None:

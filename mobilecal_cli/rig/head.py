@@ -104,8 +104,8 @@ def head_of(
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     notes += [
-        f"Joint {joint.name} is read and moves the camera against {head}, but is not in the head chain: "
-        f"head.head_frame is {head}, not {joint.child}."
+        f"Joint {joint.name} moves the camera, but the head chain ends before it, at {head}. "
+        f"Set head.head_frame to {joint.child}."
         for joint in _moving_to(urdf, head, camera_frame, tilt) or ()
         if joint.name in read
     ]

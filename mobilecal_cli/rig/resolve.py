@@ -133,7 +133,7 @@ def _named_frames(infos: dict[str, CameraInfo], head: Head | None) -> Iterator[s
         own, of_head = info.frame_id, "" if head is None else head.chain.head_frame
         said = f"Neither the images nor the camera info of the {camera_words(name)} name its optical frame."
         if own and own == of_head:
-            said = f"The images of the {camera_words(name)} carry the frame of the head, {own}."
+            said = f"The frame_id of the {camera_words(name)} is that of the head, {own}."
         elif own:
             continue
         infos[name] = replace(info, frame_id="")

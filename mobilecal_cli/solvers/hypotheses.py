@@ -168,8 +168,8 @@ def _poses(readings: Readings) -> Iterator[Hypothesis]:
     """The other direction of measured poses."""
     if readings.measured:
         yield Hypothesis(
-            "the measured poses are the inverse ones: sensor coordinates to target coordinates",
-            "give T_c_k, target coordinates to sensor coordinates: the inverse of each",
+            "the measured poses are inverted: they take sensor coordinates to target coordinates",
+            "give T_c_k, which takes target coordinates to sensor coordinates",
             lambda r: replace(r, T_c_k=se3.inverse(r.T_c_k)),
         )
 

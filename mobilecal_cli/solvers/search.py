@@ -391,7 +391,7 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
     wider = abs(wheels.separation_m) / nominal.separation_m
     if abs(wider / factor - 1) < _ALIKE_SIZES:  # readings in another unit leave the separation as it is
         return Diagnosis(
-            f"the wheels that fit have all sizes {factor:.2g} times the nominal ones (radii {right} and {left} mm)",
+            f"radii and separation that fit are all {factor:.2g} times the nominal ones (radii {right} and {left} mm)",
             "check the unit of board.square_m, of the camera poses and of nominal.wheels: all are in m",
         )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""

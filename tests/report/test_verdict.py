@@ -10,7 +10,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.nuisance import FREE, kind
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
-    NINE,
     ErrorPart,
     EstimatedConstant,
     Nominal,
@@ -178,21 +177,6 @@ def test_linear_solutions_that_do_not_fit_are_not_compared(solution, extraction)
 
 
 @pytest.mark.parametrize(
-    ("factor", "std_m", "warned"), [(1.04, 1e-4, 0), (1.15, 1e-4, 2), (1.15, 0.01, 0), (1.3, 1e-4, 0)]
-)
-def test_radii_off_their_nominal_values_are_a_warning(factor, std_m, warned):
-    """Ticks that are 20 % off: a PASS before, without a word. Between 5 and 25 %, and if it is no chance."""
-    solution, extraction = drawn()
-    uncertainty = replace(solution.uncertainty, covariance=np.eye(9) * std_m**2)
-    solution = replace(solution, uncertainty=uncertainty)
-    wheels = WheelGeometry(*(solution.parameters.wheels.vector / factor))
-    checks = judge(solution, with_nominal(extraction, Nominal(wheels=wheels))).checks
-    outcomes = [checks[f"nominal.{name}"].outcome for name in NINE[6:]]
-    assert outcomes.count("warning") == warned
-    assert outcomes.count("fail") == 3 * (factor > 1.25)
-
-
-@pytest.mark.parametrize(
     ("factors", "said", "unsaid"),
     [
         (
@@ -228,7 +212,7 @@ def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     """A head chain without the tilt joint: "Record on a flat floor"."""
     parts = {"corners": ErrorPart(0.3, 0.001), "floor": ErrorPart(40.0, 0.2)}
     bad = replace(solution, reprojection_rms_px=90.0, error_parts=parts)
-    assert judge(bad, extraction).next_step.startswith("Check the head chain")
+    assert judge(bad, extraction).next_step.startswith("Check that the head chain has all joints")
 
 
 @pytest.mark.parametrize(("body", "warned"), [(True, True), (False, False)])
@@ -238,14 +222,8 @@ def test_a_body_frame_in_the_images_is_a_warning(solution, extraction, body, war
     optical_in_body = se3.transform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.zeros(3))
     drawn_frame = seen @ se3.inverse(optical_in_body) if body else seen
     verdict = judge(solution, with_nominal(extraction, Nominal(drawn_frame, WHEELS)))
-    assert ("which is drawn with x forward" in verdict.next_step) == warned
+    assert ("is a body frame in the URDF" in verdict.next_step) == warned
     assert verdict.level == "PASS"
-
-
-def test_sizes_alike_differ_by_the_same_factor(solution, extraction):
-    """One radius that is 6 % off was "all sizes of the wheels"."""
-    stated = Nominal(wheels=replace(WHEELS, radius_right_m=WHEELS.radius_right_m / 1.06))
-    assert "Measure the wheel with a ruler" in judge(solution, with_nominal(extraction, stated)).next_step
 
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):

@@ -454,7 +454,7 @@ def test_a_driver_that_names_the_head_itself(of_head):
         assert (rig.chain.head_frame, rig.cameras.of_reference.frame_id) == ("tilt", "left_optical_frame")
         assert rig.nominal.T_h_reference is None
         assert notes[0] == (
-            "The images of the left camera carry the frame of the head, tilt. "
+            "The frame_id of the left camera is that of the head, tilt. "
             "The outputs call its optical frame left_optical_frame."
         )
         return
@@ -475,8 +475,7 @@ def test_a_head_frame_before_a_joint_that_is_read_is_noted():
     said = [resolve_rig(config(head={"head_frame": of}), description(urdf=urdf))[1] for of in ("tilt", "pan")]
     assert said[0] == ()
     assert said[1] == (
-        "Joint head_tilt_joint is read and moves the camera against pan, but is not in the head chain: "
-        "head.head_frame is pan, not tilt.",
+        "Joint head_tilt_joint moves the camera, but the head chain ends before it, at pan. Set head.head_frame to tilt.",
     )
 
 
