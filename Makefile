@@ -22,7 +22,7 @@ demo: $(VENV)/.run  ## install, then calibrate the robot of the paper from its s
 test: $(VENV)/.dev  ## install, then run the tests
 	$(BIN)/python -m pytest -n 2 --dist loadfile -m 'not slow and not pages and not long'
 
-long: $(VENV)/.dev  ## slow tests of complete commands
+long: $(VENV)/.dev  ## tests that take long
 	$(BIN)/python -m pytest -n 2 -m long
 
 pages: $(VENV)/.dev  ## run all commands of the tutorial and the how-to pages

@@ -129,6 +129,7 @@ def test_each_method(npz, workplace):
     assert rms["lm"] < rms["linear"]
 
 
+@pytest.mark.long
 def test_fixed_prior_and_more_numbers(npz, workplace):
     asked = [
         *("--fix", "separation=0.51", "--prior", "radius_left=0.2275±0.0001"),
@@ -211,6 +212,7 @@ def test_the_same_recording_twice_is_refused(npz, workplace, sample_logs):
         assert "paper_robot.mcap and again.bag are the same recording" in " ".join(result.err.split())
 
 
+@pytest.mark.long
 def test_a_recording_in_two_files_is_one(npz, workplace, sample_logs):
     """Files that follow one another are one recording, also in the extraction of it."""
     log = sample_logs / "paper_robot.mcap"
@@ -280,6 +282,7 @@ def fixed_camera(workplace):
     return path
 
 
+@pytest.mark.long
 def test_a_camera_that_is_fixed_to_the_base(workplace, sample_logs, fixed_camera):
     """The head of this recording stays at zero. Everything but the height of the camera is calibrated."""
     log, urdf = sample_logs / "head_fixed.mcap", ["--set", f"head.urdf={fixed_camera}"]

@@ -275,6 +275,7 @@ def test_motion_that_only_the_part_that_is_read_lacks_is_a_limit(sample_logs, ri
     assert (states(part)["motion"], part.exit_code) == ("limit", 0)
 
 
+@pytest.mark.long
 def test_the_height_of_a_camera_that_no_joint_tilts(sample_logs, tmp_path):
     """It ends with the exit code of `calibrate`, unless the nominal value is stated."""
     rig, log = tmp_path / "rig.yaml", sample_logs / "head_fixed.mcap"

@@ -36,6 +36,7 @@ def test_a_verdict_cannot_control_the_terminal():
     assert "\x1b" not in verdict_text("FAIL", "joint \x1b[2J", "topic \x1b[2J")
 
 
+@pytest.mark.long
 def test_the_verdict_stands_once(sample_logs, tmp_path):
     shown = run("calibrate", sample_logs / "straight.mcap", "-o", "out", cwd=tmp_path)
     assert shown.code == 6

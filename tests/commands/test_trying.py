@@ -73,6 +73,7 @@ def changed_params(source, target, key, factor):
     return target
 
 
+@pytest.mark.long
 def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
     """Found by content: the recording has another name here than the calibration states."""
     folder, _ = made

@@ -104,6 +104,7 @@ def test_the_urdf_keeps_its_wheels(made, tmp_path, robot, belongs):
     assert kept == drawn
 
 
+@pytest.mark.long
 def test_evaluate_and_compare(made, tmp_path):
     log, folder, _, _ = made["odometry_only"]
     second = made["skid_steer"][1] / "params.yaml"

@@ -22,6 +22,7 @@ def test_a_wrong_recording_is_refused_fails_or_does_no_harm(name):
         assert found.kind != "PASS, wrong", f"{found.sigmas:.1f} sigma"
 
 
+@pytest.mark.long
 def test_a_board_that_sinks_does_no_harm():
     """The floor's height takes it up: the result is right, and so are its standard deviations."""
     solution = solve(WRONG["board 3 cm lower from the middle"].change(recorded()))
@@ -31,9 +32,8 @@ def test_a_board_that_sinks_does_no_harm():
     assert all(jump.part == "board" for jump in solution.jumps)
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(0, marks=pytest.mark.long), pytest.param(1, marks=pytest.mark.long), 2]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
 def test_an_uneven_floor_is_no_step(seed):
     """Heights vary by 10 mm from station to station."""
     made = simulated("standard", replace(STATION_NOISE, floor_m=0.01), "tick", 20, seed)

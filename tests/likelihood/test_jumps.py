@@ -166,7 +166,8 @@ def test_nothing_jumps_nor_one_station_that_does_not_fit(whole):
     assert solve(whole).jumps == ()
 
 
-@pytest.mark.parametrize(("late_s", "seed"), [pytest.param(0.005, 1, marks=pytest.mark.long), (0.014, 0)])
+@pytest.mark.long
+@pytest.mark.parametrize(("late_s", "seed"), [(0.005, 1), (0.014, 0)])
 def test_a_late_camera_is_no_camera_that_moved(late_s, seed):
     """Images at sudden changes of speed are off by themselves, as the rates around their stamps are means."""
     case = Case(motion="moving", images=48, fixed={"time_right": late_s}, noise=USUAL)
@@ -175,6 +176,7 @@ def test_a_late_camera_is_no_camera_that_moved(late_s, seed):
     assert solution.constants["time_right"].value == pytest.approx(late_s, abs=5e-4)
 
 
+@pytest.mark.long
 def test_a_camera_that_moves_by_nothing_that_matters_is_not_named():
     """Sharp images show 0.003 degrees at 6 sigmas, where exposures vary by a millisecond and the rates are means."""
     noise = replace(USUAL, pixel_px=0.03, pair_s=0.001)
@@ -331,6 +333,7 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
     assert [(jump.part, jump.log) for jump in solution.jumps] == [(jumps.SHAPE, 1)] * other
 
 
+@pytest.mark.long
 def test_a_camera_that_moved_in_the_pair_fails_also_where_the_nine_stay():
     """By ten of its standard deviations, which move the nine by 1.4: PASS before, with the pair of before the move."""
     case = RECORDINGS["20 stations"]

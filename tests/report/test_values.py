@@ -111,6 +111,7 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
         assert off_deg < 0.45  # one sigma of the three rotations together is 0.31 degrees
 
 
+@pytest.mark.long
 def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
     """The left camera follows from the estimated pair; the right one is exactly as stated."""
     _, extraction = of_the_right_camera()

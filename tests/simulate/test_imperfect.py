@@ -289,6 +289,7 @@ def test_clocks_move_the_signals_against_the_pictures():
         np.testing.assert_allclose(a.joints, b.joints, atol=1e-12)
 
 
+@pytest.mark.long
 def test_the_floor_rolls_pitches_and_lifts_the_base_at_every_station():
     robot, route = tick_robot(), route_of("tick")
     noise = Noise(floor_rad=np.radians(0.1), floor_m=0.0005)
@@ -312,6 +313,7 @@ def test_the_floor_rolls_pitches_and_lifts_the_base_at_every_station():
     assert np.abs(np.corrcoef(found[:, [0, 1, 5]].T) - np.eye(3)).max() < 0.3
 
 
+@pytest.mark.long
 def test_each_wheel_has_a_scale_error_of_its_own_on_each_leg():
     route = route_of("tick")
     truth = seen("tick", {})
@@ -380,6 +382,7 @@ def test_sag_and_gravity_play_change_the_reading_of_the_tilt_alone():
     np.testing.assert_allclose(readings[:, 1], tilt - 0.02 * np.sin(tilt) - 0.005 * np.sign(tilt), atol=1e-15)
 
 
+@pytest.mark.long
 def test_heavy_tails_keep_the_variance_of_the_wheels_noise():
     route = plan_route(tick_robot(), "standard", 12, seed=5)
     level = Noise(wheel_rad_per_sqrt_rad=0.003)

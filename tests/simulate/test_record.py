@@ -151,6 +151,7 @@ def test_tick_counters_wrap_and_are_read_as_the_wheels_angles(once):
     assert (np.max(np.abs(np.diff(counts))) > 2**15) == (exact.max() - exact[0] > 0.78)
 
 
+@pytest.mark.long
 def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp_path):
     scenario = Scenario(motion="moving", stations=1)
     _, signals, _ = contents(recorded(tmp_path, scenario), scenario)

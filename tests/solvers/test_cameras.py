@@ -86,6 +86,7 @@ def test_each_camera_of_a_pair_alone_agrees_with_both(name):
         assert np.abs(difference / std).max() < 3
 
 
+@pytest.mark.long
 def test_a_station_counts_with_the_cameras_that_show_the_board():
     extraction, found = recorded(three_on_pan_tilt, 0)
     seen = dataset_of(extraction).seen.any(axis=2)

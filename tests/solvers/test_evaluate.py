@@ -118,6 +118,7 @@ def test_logs_stand_alone():
     assert found.before == found.after
 
 
+@pytest.mark.long
 def test_each_of_two_moving_recordings_is_tested_with_its_clocks():
     """With the offsets that a solution of the recordings gives, a late or early camera clock costs nothing."""
     noise = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)

@@ -48,6 +48,7 @@ def rotation_off(extraction):
     return error / np.sqrt(np.diag(found.covariance)[:3])
 
 
+@pytest.mark.long
 def test_a_floor_that_is_a_function_of_the_place_is_no_pitch_of_the_camera():
     """A robot that drives to and fro sees the same slope at the same place: r_y was off by 8 sigmas, with PASS."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=np.radians(0.1), floor_m=5e-4, floor_place_m=1.0)

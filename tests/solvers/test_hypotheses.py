@@ -171,9 +171,8 @@ def test_a_frozen_joint_is_no_jump_of_another_part():
     assert "the reading of pan_joint never changes" in said_of(MISTAKES["pan frozen"][0](made))
 
 
-@pytest.mark.parametrize(
-    ("seed", "images"), [(75, 16), *(pytest.param(seed, 40, marks=pytest.mark.long) for seed in (75, 77))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("seed", "images"), [(75, 16), (75, 40), (77, 40)])
 def test_a_wheel_whose_readings_stop_under_a_fixed_camera_is_named(seed, images):
     """Most legs fit without the stretch: it was "something changed"."""
     noise = Noise(0.2, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
@@ -205,6 +204,7 @@ def test_readings_of_pan_that_say_nothing_are_not_blamed_on_the_wheels():
     assert "the readings of pan_joint do not fit" in said_of(replace(made, observations=observations))
 
 
+@pytest.mark.long
 def test_the_named_mistake_is_the_only_one(recorded):
     """Wheels are not blamed for a joint: turned pan once said that both wheels were turned."""
     spoilt = WRONG["sign of pan"].change(recorded)
@@ -235,11 +235,12 @@ def test_a_change_of_the_wheels_is_named(recorded, right, left, cause):
     assert found.cause.endswith("s: the recording fits before and after, but not as a whole")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
         (lambda q: q * [-1, 1], "the sign of joint pan_joint is reversed"),
-        pytest.param(np.degrees, "the joint readings are in degrees", marks=pytest.mark.long),
+        (np.degrees, "the joint readings are in degrees"),
     ],
 )
 def test_joints_that_are_wrong_from_the_middle_on(change, cause):
@@ -256,6 +257,7 @@ def test_a_board_that_moves_with_the_robot(recorded):
     assert found.cause == "all stations show the board at the same place, but the base or the head moves"
 
 
+@pytest.mark.long
 def test_the_recording_with_the_mistake_is_named(recorded):
     second = simulated("standard", NOISE, ROBOT, seed=5)
     spoilt = wheels(meaning.times(-1), same)(second)
@@ -275,7 +277,8 @@ def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
     assert found.cause == "recording 2 of 2: the sign of joint tilt_joint is reversed"
 
 
-@pytest.mark.parametrize(("right_s", "left_s"), [pytest.param(0.0, 2.0, marks=pytest.mark.long), (3.0, 3.0)])
+@pytest.mark.long
+@pytest.mark.parametrize(("right_s", "left_s"), [(0.0, 2.0), (3.0, 3.0)])
 def test_delays_in_a_short_recording_leave_readings_of_both_wheels(right_s, left_s):
     """A delay longer than the recording left no time that both wheels cover, and an IndexError."""
     short = simulated("standard", NOISE, ROBOT, 5, 0)
@@ -336,12 +339,13 @@ def test_nothing_is_named_for_what_no_hypothesis_explains(name):
     assert Search(WRONG[name].change(meaning.recorded())).diagnosis is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "px"),
     [
         ("right images of the previous station", 18),
-        pytest.param("right images of the next station", 18, marks=pytest.mark.long),
-        pytest.param("infos of left and right exchanged", 18, marks=pytest.mark.long),
+        ("right images of the next station", 18),
+        ("infos of left and right exchanged", 18),
     ],
 )
 def test_images_of_a_station_that_do_not_show_one_board(name, px):
@@ -366,18 +370,15 @@ def test_wheels_that_stop_counting_on_the_way_are_named(recorded):
     assert diagnosis.cause.startswith("the readings of both wheels do not change between")
 
 
+@pytest.mark.long
 def test_images_that_freeze_are_named_with_their_time():
     diagnosis = Search(WRONG["both images frozen from the middle"].change(meaning.recorded())).diagnosis
     assert diagnosis.cause.startswith("from about 42.6 s on, all stations show the board at the same place")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("right wheel in steps of 1 rad", marks=pytest.mark.long),
-        "wheels of another drive",
-        pytest.param("wheels wrapped at one turn", marks=pytest.mark.long),
-    ],
+    "name", ["right wheel in steps of 1 rad", "wheels of another drive", "wheels wrapped at one turn"]
 )
 def test_wheels_that_do_not_belong_to_the_recording(name):
     cause = "the readings of the wheels do not fit the drive that the images and the head joints show"
@@ -391,6 +392,7 @@ def test_a_head_that_only_pans_fits():
     assert Search(made).diagnosis is None
 
 
+@pytest.mark.long
 def test_a_sign_that_nothing_confirms_is_no_cure(recorded):
     """Joint readings of other stations: the linear method finds negative wheels for some orders."""
     order = np.random.default_rng(1).permutation(len(recorded.observations))

@@ -66,6 +66,7 @@ def test_exact_observations_give_the_exact_answer():
     assert np.abs(errors(found.parameters, ROBOT) / found.uncertainty.std).max() < 0.01
 
 
+@pytest.mark.long
 def test_errors_are_of_the_size_that_is_stated():
     """NEES / 9 has the mean 1 and, over five runs of nine numbers, the standard deviation 0.21."""
     fits = [maximum_likelihood(with_noise(extraction_of(seed=seed))) for seed in range(5)]
@@ -334,6 +335,7 @@ def test_gross_corners_are_left_out_without_their_station(noisy, solution):
     assert np.all(np.abs(apart) < found.uncertainty.std / 3)
 
 
+@pytest.mark.long
 def test_a_late_camera_clock_is_found():
     found = solve(extraction_of("moving", seed=2, camera_late_s=0.025))
     for name in ("time_joints", "time_wheels"):
@@ -343,6 +345,7 @@ def test_a_late_camera_clock_is_found():
     assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
 
 
+@pytest.mark.long
 def test_a_pan_zero_is_found_and_named():
     """Two degrees, where half a degree is usual."""
     off = 0.035

@@ -57,7 +57,8 @@ def moving(apart_s: float, robot: str = "pan-tilt") -> imperfect.Case:
     return imperfect.Case(robot, motion="moving", images=32, noise=noise).drawn()
 
 
-@pytest.mark.parametrize("robot", ["pan-tilt", pytest.param("three cameras", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("robot", ["pan-tilt", "three cameras"])
 def test_cameras_without_a_common_trigger_leave_the_result_right(robot):
     """Without a level of their own: PASS at nine stated sigmas, or "the right camera moved"."""
     case = moving(0.001, robot)
@@ -74,6 +75,7 @@ def test_cameras_without_a_common_trigger_leave_the_result_right(robot):
     assert solution.point_rms_m < 1.2 * exact.point_rms_m  # each image counts where it is at one time
 
 
+@pytest.mark.long
 def test_cameras_with_a_common_trigger_lose_little_by_it():
     extraction = replace(moving(0.0), kinds={}).extraction(0)
     free = solve(extraction).uncertainty
@@ -89,7 +91,8 @@ def test_one_camera_and_stops_have_no_such_time(case):
     assert "pair_s" not in solve(case.extraction(0)).uncertainty.noise.estimated
 
 
-@pytest.mark.parametrize(("late_s", "seed"), [pytest.param(0.01, 2, marks=pytest.mark.long), (0.02, 1)])
+@pytest.mark.long
+@pytest.mark.parametrize(("late_s", "seed"), [(0.01, 2), (0.02, 1)])
 def test_a_late_camera_moves_no_scale(late_s, seed):
     """Squares and baseline that differ made both priors wide, and the world then shrank to a third: 54 and 12 sigmas.
 

@@ -29,9 +29,8 @@ from tests.robots import true_nominal
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
 
-@pytest.mark.parametrize(
-    "seed", [pytest.param(seed, marks=[pytest.mark.long] * (seed > 0)) for seed in range(8)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(8))
 def test_large_turns_with_bad_stations(seed):
     """Headings after an excluded leg are compared modulo a full turn."""
     ideal = simulated("large_turns", NOISE, ROBOT, seed=seed)
@@ -64,7 +63,8 @@ def test_a_station_whose_corners_are_all_wrong(station, size_px):
     assert nees(found) < 3
 
 
-@pytest.mark.parametrize("number", [pytest.param(n, marks=[pytest.mark.long] * (n != 1)) for n in range(25)])
+@pytest.mark.long
+@pytest.mark.parametrize("number", range(25))
 def test_far_starts_lead_to_the_same_estimate(number):
     """Starts that are wrong by 40 degrees, 0.3 m and up to 60 % of the wheels."""
     random = np.random.default_rng(number)
@@ -135,6 +135,7 @@ def on_a_lift(extraction, readings_m):
     return replace(extraction, rig=rig, observations=seen, joint_tracks=())
 
 
+@pytest.mark.long
 def test_a_wrong_reading_of_a_prismatic_joint_is_told_in_mm():
     readings_m = 5e-5 * np.random.default_rng(1).normal(size=12)
     readings_m[5] += 0.04
@@ -210,12 +211,13 @@ def test_a_recording_without_full_motion_and_a_wrong_fixed_value_is_no_mistake_o
     assert found.diagnosis is None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("case", "seed", "count"),
     [
         (imperfect.Case(stations=24), 2, 5),
-        pytest.param(imperfect.Case(stations=40), 2, 8, marks=pytest.mark.long),
-        pytest.param(imperfect.Case(motion="moving"), 5, 8, marks=pytest.mark.long),
+        (imperfect.Case(stations=40), 2, 8),
+        (imperfect.Case(motion="moving"), 5, 8),
     ],
 )
 def test_slips_that_are_scattered_are_no_jump(case, seed, count):

@@ -98,6 +98,7 @@ def test_a_parameter_that_one_recording_does_not_show(motion, stations, hidden, 
     assert logs["shown"][poor] == found.between.shown[poor].tolist()
 
 
+@pytest.mark.long
 def test_parameters_that_no_recording_shows_or_that_are_fixed_are_not_shown():
     extraction = joined(recorded("straight", 2), recorded("straight", 3))
     found = solve(extraction, constraints=constraints_of(["t_x"], [], []))
@@ -132,12 +133,10 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheel_is
     assert found.uncertainty.budget.sources[int(np.argmax(camera))] == "recordings"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("odd", "turn_rad", "stations", "level"),
-    [
-        *(pytest.param(*case, "FAIL", marks=pytest.mark.long) for case in ((0, 0.06, 12), (1, 0.06, 8))),
-        (1, 0.02, 12, "PASS"),
-    ],
+    [(0, 0.06, 12, "FAIL"), (1, 0.06, 8, "FAIL"), (1, 0.02, 12, "PASS")],
 )
 def test_a_head_mount_that_differs_in_one_of_three_recordings_is_named(odd, turn_rad, stations, level):
     """A warning where all expected errors are within their limits with the spread included."""
@@ -164,7 +163,8 @@ def test_recordings_that_hide_a_parameter_by_their_difference_need_no_more_motio
     assert check.next_step.startswith("Calibrate each recording alone")
 
 
-@pytest.mark.parametrize("off_m", [pytest.param(-0.001, marks=pytest.mark.long), 0.004])
+@pytest.mark.long
+@pytest.mark.parametrize("off_m", [-0.001, 0.004])
 def test_a_prior_weighs_against_the_spread_between_recordings(apart, off_m):
     """Radii 4 mm apart: a prior on one parameter combines with its pooled estimate as two measurements of it do."""
     extraction, free = apart
