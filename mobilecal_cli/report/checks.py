@@ -29,7 +29,7 @@ from mobilecal_cli.model import (
     camera_words,
 )
 from mobilecal_cli.model.text import capitalized, visible
-from mobilecal_cli.report.criteria import Calibration, Check, Metric, Outcome, criterion
+from mobilecal_cli.report.criteria import CHANGED, Calibration, Check, Metric, Outcome, criterion
 from mobilecal_cli.report.findings import contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
@@ -215,7 +215,7 @@ def _jumps(part: str) -> tuple[str, str]:
     return _JUMPS.get(part, at_joint)
 
 
-@criterion(Metric("jump", "sigma", section="stations"), gated=False)
+@criterion(Metric(CHANGED, "sigma", section="stations"), gated=False)
 def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
 
@@ -263,7 +263,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-@criterion(Metric("observable", at_least=True, section="stations"))
+@criterion(Metric("observable", at_least=True, section="stations"), of_change=True)
 def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
 
@@ -663,7 +663,7 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-criterion(_HEIGHT)(noise)
+criterion(_HEIGHT, of_change=True)(noise)
 
 
 def _warning_of(made: Calibration) -> Outcome:
@@ -750,7 +750,9 @@ def unexplained(solution: Solution, corners: int) -> ErrorPart:
 
 
 @criterion(
-    Metric("point_error", "%", section="stations"), Metric("reprojection_error", "px", section="stations")
+    Metric("point_error", "%", section="stations"),
+    Metric("reprojection_error", "px", section="stations"),
+    of_change=True,
 )
 def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration: see `unexplained`.
@@ -819,7 +821,7 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
-@criterion(Metric("outliers", "%", section="stations"))
+@criterion(Metric("outliers", "%", section="stations"), of_change=True)
 def outliers(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
     if made.solution.uncertainty is None:
@@ -852,7 +854,7 @@ def outliers_as_noise(made: Calibration, metric: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-criterion(*(metric for metric in _NOISE if metric is not _HEIGHT))(noise)
+criterion(*(metric for metric in _NOISE if metric is not _HEIGHT), of_change=True)(noise)
 
 
 def _moves(made: Calibration, figure: Figure) -> tuple[bool, bool]:
@@ -862,7 +864,7 @@ def _moves(made: Calibration, figure: Figure) -> tuple[bool, bool]:
     return figure.of_camera and not fixed[:6].all(), not of_camera_alone and not fixed[6:].all()
 
 
-@criterion(*(Metric(figure.name, figure.unit, section="limits") for figure in FIGURES))
+@criterion(*(Metric(figure.name, figure.unit, section="limits") for figure in FIGURES), of_change=True)
 def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
     if made.solution.uncertainty is None:

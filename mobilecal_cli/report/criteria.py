@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
@@ -13,6 +13,7 @@ from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.use import uses
 
 Outcome = Literal["pass", "warning", "fail", "not_enough"]
+CHANGED = "jump"  # id of the criterion of changes inside the recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,16 @@ class Calibration:
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:
-        """What every criterion finds, evaluated once; also figures alone."""
-        return tuple(check for each in CRITERIA for check in each.judge(self, *each.metrics))
+        """What every criterion finds, evaluated once; also figures alone.
+
+        Beside a change that fails, what may be its effect is a warning: the advice would be false.
+        """
+        found = [(each, check) for each in CRITERIA for check in each.judge(self, *each.metrics)]
+        changed = any(check.id == CHANGED and check.outcome == "fail" for _, check in found)
+        return tuple(
+            replace(check, outcome="warning") if changed and each.of_change and check.why else check
+            for each, check in found
+        )
 
     @property
     def accurate(self) -> bool:
@@ -175,11 +184,13 @@ class Criterion(NamedTuple):
     """A criterion, or several of one kind: a function of a calibration and the metrics, without checks where it does
     not apply.
 
-    Gates can limit the metrics of gated criteria: not those that arise only where something is wrong.
+    Gates can limit the metrics of gated criteria: not those that arise only where something is wrong. A change inside
+    the recording may be the cause `of_change`.
     """
 
     metrics: tuple[Metric, ...]
     gated: bool
+    of_change: bool
     judge: _Judge
 
 
@@ -187,11 +198,11 @@ class Criterion(NamedTuple):
 CRITERIA: list[Criterion] = []
 
 
-def criterion(*metrics: Metric, gated: bool = True) -> Callable[[_Judge], _Judge]:
+def criterion(*metrics: Metric, gated: bool = True, of_change: bool = False) -> Callable[[_Judge], _Judge]:
     """Add a function to the criteria of a calibration; see `Criterion`."""
 
     def registered(judge: _Judge) -> _Judge:
-        CRITERIA.append(Criterion(metrics, gated, judge))
+        CRITERIA.append(Criterion(metrics, gated, of_change, judge))
         return judge
 
     return registered

@@ -12,6 +12,7 @@ from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     ErrorPart,
     EstimatedConstant,
+    Jump,
     Nominal,
     Parameters,
     Rejection,
@@ -224,6 +225,21 @@ def test_a_body_frame_in_the_images_is_a_warning(solution, extraction, body, war
     verdict = judge(solution, with_nominal(extraction, Nominal(drawn_frame, WHEELS)))
     assert ("is a body frame in the URDF" in verdict.next_step) == warned
     assert verdict.level == "PASS"
+
+
+def test_what_a_change_may_cause_is_no_further_reason():
+    """A wheel that changed half-way: "Check the wheels for slip", "record more stops" and others beside it."""
+    solution, extraction = drawn()
+    noise = replace(solution.uncertainty.noise, wheel_rad_per_sqrt_rad=0.1)
+    noisy = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise), point_rms_m=0.2)
+    time_ns = extraction.observations[6].time_ns
+    change = Jump(
+        "right wheel", 0, 6, time_ns, (0, 0), sigmas=9.0, shift_sigmas=40.0, turn_rad=0.0, move_m=0.012
+    )
+    for jumps, reasons in (((), ["point_error", "noise.wheel"]), ((change,), ["jump"])):
+        checks = judge(replace(noisy, jumps=jumps), extraction).checks
+        assert [check.id for check in checks if check.outcome == "fail"] == reasons
+        assert (checks["noise.wheel"].outcome == "warning") == bool(jumps)
 
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
