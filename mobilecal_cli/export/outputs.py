@@ -243,7 +243,12 @@ def files_in(directory: Path, what: str, is_its: Callable[[Path], bool]) -> tupl
     Raises:
         OutputError: it is no directory, cannot be read, or contains something else.
     """
-    if directory.is_symlink() or not directory.is_dir():
+    if directory.is_symlink():
+        raise OutputError(
+            f"{directory}: a symbolic link, which would be replaced",
+            f"give its target: {directory.resolve()}",
+        )
+    if not directory.is_dir():
         raise OutputError(f"{directory}: exists and is not a directory", _ANOTHER)
     try:
         entries = sorted(directory.iterdir())

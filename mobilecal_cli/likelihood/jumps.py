@@ -27,8 +27,8 @@ _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
-#: The part that differs where recordings have different boards.
-SHAPE = "board's shape"
+#: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
+SHAPE, BOTH_WHEELS = "board's shape", "both wheels"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,8 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel" or `SHAPE`.
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel", `BOTH_WHEELS` or
+            `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
         tried: number of parts and moments that were compared.
@@ -45,7 +46,7 @@ class Jump:
             deviations; the rotation of a camera against the first one in those of its prior.
         value: (m,) the step: twist of the camera in the head (rad, m), rad or m of the joint, twist of the board in its
             own frame (rad, m), rotation and position of a camera against the first one (rad, m), m of the radius, or
-            constants of the board, in units of a few prior sigmas.
+            of both radii, or constants of the board, in units of a few prior sigmas.
         also: another part that explains about the same; "" if none does.
     """
 
@@ -89,10 +90,16 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
         units = math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]]
         parts[SHAPE] = of_images([6 + k for k in shape], np.diag(units))
-    for k, side in enumerate(("right", "left"), 6):
-        by_wheel = lin.legs.by_shared[:, :, k : k + 1]
-        parts[f"{side} wheel"] = _Part(np.zeros((*views.gradient.shape, 1)), by_wheel)
+    for name, columns in (("right wheel", [6]), ("left wheel", [7]), (BOTH_WHEELS, [6, 7])):
+        if len(columns) == 1 or data.logs > 1:
+            no_images = np.zeros((*views.gradient.shape, len(columns)))
+            parts[name] = _Part(no_images, lin.legs.by_shared[:, :, columns])
     return parts
+
+
+def of_wheels(part: str) -> bool:
+    """Whether a part is a wheel, or both."""
+    return part.endswith(("wheel", "wheels"))
 
 
 def _poses(lin: Posterior) -> dict[str, list[int]]:
@@ -228,10 +235,10 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
         return _in_sigmas(size, variance[:6])
     if jump.part.startswith("joint"):
         return _in_sigmas(size, variance[:3].min(keepdims=True))
-    if jump.part.endswith("wheel"):  # alone: all three may have a common scale that hardly shows
-        known = np.linalg.pinv(covariance[6:9, 6:9], hermitian=True)
-        k = int(jump.part == "left wheel")
-        return float(size[0] * math.sqrt(max(known[k, k], 0.0)))
+    if of_wheels(jump.part):  # alone: all three may have a common scale that hardly shows
+        known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))
+        mine = {"right wheel": known[:1], "left wheel": known[1:2]}.get(jump.part, known[:2])
+        return float(np.max(size * np.sqrt(np.maximum(mine, 0.0))))
     if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
         return _in_sigmas(size[:3], lin.priors.scales[lin.views.direct[poses[jump.part][:3]]] ** 2)
     return 0.0
@@ -325,7 +332,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
     tried = len(parts) * len(differing + inside)
     for name, part in parts.items():
         # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
-        moments = np.array({"board": inside, SHAPE: differing}.get(name, differing + inside), dtype=np.int64)
+        of_this = {"board": inside, SHAPE: differing, BOTH_WHEELS: differing}.get(name, differing + inside)
+        moments = np.array(of_this, dtype=np.int64)
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])
         if every > 1:

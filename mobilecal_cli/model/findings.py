@@ -182,15 +182,16 @@ class Jump:
     """A moment from which on a part of the robot, or the board, is not where it was before, or in other recordings.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel", or "board's shape"
-            in another recording; "" if unknown.
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel" or "left wheel", or "both wheels" or
+            "board's shape" in another recording; "" if unknown.
         log: index of the recording.
         station: index of the first observation after it; the first of a recording that differs from the others.
         time_ns: its time.
         rejected: stations whose images, and legs whose wheels, are not used around it; (0, 0) if it is explained.
         sigmas: its significance; infinite (math.inf) where some are rejected.
         shift_sigmas: how far it moves the result, or is itself, in standard deviations of the nine parameters.
-        turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius.
+        turn_rad, move_m: its size; 0 where it has no such part. Of a wheel: change of the radius, of both: the
+            larger one.
         also: another part that explains the recording about as well, and moves the result less; "" if none does.
     """
 

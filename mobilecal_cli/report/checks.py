@@ -205,6 +205,10 @@ _JUMPS = {
     "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
     "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
     "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+    "both wheels": (
+        "the sizes of both wheels",
+        "Check the tires, the load, and that all recordings show the same board",
+    ),
 }
 
 

@@ -129,7 +129,8 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
             beyond="not_enough",
         )  # fmt: skip
     return _CORNER_ERROR.check(
-        px, limit, name, "Check that params.yaml belongs to this robot and is in meters; otherwise calibrate again.",
+        px, limit, name,
+        "Check that params.yaml is of this robot, in meters. If tires, load or a mount changed, calibrate again.",
         measured=f"{px:.2f} px{best}",
         at_limit=f"at most {limit:.1f} px",
     )  # fmt: skip

@@ -93,11 +93,12 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
         stretch = longest_stretch(fit)
         return () if stretch is None else (_unexplained(extraction, fit, stretch),)
     value = jump.value
-    turns = jump.part not in ("", jumps.SHAPE) and not jump.part.endswith("wheel")
+    rolls = jumps.of_wheels(jump.part)
+    turns = jump.part not in ("", jumps.SHAPE) and not rolls
     slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
     move = float(np.linalg.norm(value[3:])) if turns and len(value) == 6 else 0.0
-    move = float(value[0]) if slides or jump.part.endswith("wheel") else move
+    move = float(value[np.argmax(np.abs(value))]) if slides or rolls else move
     if jump.shift_sigmas < MATERIAL_SIGMAS and turns and not slides and turn < SMALL_RAD:
         # The direction of a baseline is an angle: its length makes it a displacement.
         baseline_m = 1.0 if len(value) == 6 else float(np.linalg.norm(fit.data.cameras.T_c_each[-1][:3, 3]))

@@ -333,6 +333,21 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
     assert [(jump.part, jump.log) for jump in solution.jumps] == [(jumps.SHAPE, 1)] * other
 
 
+def test_both_wheels_that_differ_between_recordings_are_named_together():
+    """Both radii 1 % larger on another day, as by more pressure: the left wheel alone was named."""
+    case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
+    one, other = (extraction_of(OutsideRobot(robot, {}), case.route(seed), NOISE, seed) for seed in (23, 123))
+    (track,) = other.wheels
+    slower = {
+        side: replace(getattr(track, side), value=getattr(track, side).value / 1.01)
+        for side in ("right", "left")
+    }
+    solution = solve(joined(one, replace(other, wheels=(replace(track, **slower),))))
+    (jump,) = solution.jumps
+    assert (jump.part, jump.log) == ("both wheels", 1)
+    assert abs(jump.move_m) == pytest.approx(0.01 * robot.wheels.radius_right_m, rel=0.2)
+
+
 @pytest.mark.long
 def test_a_camera_that_moved_in_the_pair_fails_also_where_the_nine_stay():
     """By ten of its standard deviations, which move the nine by 1.4: PASS before, with the pair of before the move."""
