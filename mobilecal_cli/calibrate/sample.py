@@ -66,9 +66,13 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     stated, others = board, 0
     if board is None or not any(isinstance(find_board(image, board), Detection) for image in readable):
         vote = identify_size(readable)
-        if vote.size is not None and board is not None and set(vote.size) != {board.columns, board.rows}:
-            error = other_size(board, vote.size)
-            findings.append(Finding.of("board", error))
+        if vote.size is not None and board is not None:
+            if board.markers is not None:
+                findings.append(
+                    Finding.of("board", _no_markers(len(readable), board.markers.kind, *vote.size))
+                )
+            elif set(vote.size) != {board.columns, board.rows}:
+                findings.append(Finding.of("board", other_size(board, vote.size)))
         board = None if vote.size is None else Board(*vote.size)
         others = sum(count for size, count in vote.votes.items() if not _part_of(size, vote.size))
     if board is None:
@@ -93,6 +97,14 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     findings += _wrong_square(stated_m, pairs) if stated_m and pairs else []
     size = board.columns, board.rows
     return BoardView(len(readable), detected, size, squares_m, stated_m, others), findings
+
+
+def _no_markers(images: int, kind: str, columns: int, rows: int) -> ObservationError:
+    return ObservationError(
+        f"none of {images} images shows the markers of the stated {kind} board, but a checkerboard of "
+        f"{columns} x {rows} inner corners",
+        "correct board.dictionary in rig.yaml, or leave out board.kind if the board has no markers",
+    )
 
 
 def _part_of(size: tuple[int, int], whole: tuple[int, int] | None) -> bool:

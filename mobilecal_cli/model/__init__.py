@@ -55,6 +55,7 @@ from mobilecal_cli.model.rig import (
 from mobilecal_cli.model.robot_description import (
     CAMERA_INFO,
     CAMERA_INFO_CHANGES,
+    CHAIN_ENDS,
     IMAGES,
     JOINT_STATE,
     ODOMETRY,

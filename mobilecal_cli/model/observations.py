@@ -212,7 +212,7 @@ class Extraction:
     @property
     def measured(self) -> bool:
         """Whether poses were measured in place of corners."""
-        return not any(o.shown for o in self.observations)
+        return bool(self.observations) and not any(o.shown for o in self.observations)
 
     @property
     def square_m(self) -> float:

@@ -15,6 +15,8 @@ from mobilecal_cli.model.rig import CameraInfo
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 #: In notes on recordings with more than one calibration of a camera.
 CAMERA_INFO_CHANGES = "the camera calibration changes"
+#: In notes on joints that move the camera beside the head chain.
+CHAIN_ENDS = "the head chain ends"
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 JOINT_STATE = "sensor_msgs/msg/JointState"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -16,6 +16,7 @@ from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    CHAIN_ENDS,
     CONTRADICTION_SIGMAS,
     FACTORS,
     MATERIAL_SIGMAS,
@@ -228,7 +229,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     standard deviations wider, and only warns if all expected errors are within their limits all the same.
     """
     names, limit = station_names(made.extraction), MATERIAL_SIGMAS
-    usual = all(check.outcome != "fail" for check in noise(made, *_NOISE))
+    usual = not _noisy(made)
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
@@ -657,14 +658,36 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
     }
     moved_board = {(jump.part, jump.also) for jump in made.solution.jumps} == {("board", "")}
+    stated = ", and the priors in rig.yaml" if made.extraction.rig.prior_sigmas else ""
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         yield metric.check(
-            level, bad, f"noise of the {name}" if level else "", f"Check {cause}. Then record again.",
+            level, bad, f"noise of the {name}" if level else "", f"Check {cause}{stated}. Then record again.",
             measured=f"{level:.2g} {metric.unit}",
             why=f"The noise of the {name} is {level:.2g} {metric.unit} (below {usual:g} {metric.unit} is usual).",
             beyond="warning" if moved_board and metric in (_HEIGHT, _FLOOR) else "fail",
         )  # fmt: skip
+
+
+def _noisy(made: Calibration) -> bool:
+    """Whether a noise level is beyond its limit, of which something else may be the cause."""
+    return any(check.outcome == "fail" for check in noise(made, *_NOISE))
+
+
+@criterion(Metric("head_chain"), gated=False)
+def head_chain(made: Calibration, metric: Metric) -> Iterator[Check]:
+    """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit."""
+    for note in made.extraction.notes:
+        if CHAIN_ENDS in note:
+            why, _, cure = visible(note).partition(". ")
+            yield metric.check(
+                None, None, "head chain", cure,
+                measured="ends before a joint that moves the camera",
+                at_limit="all joints that move the camera",
+                why=f"{why}.",
+                passes=False,
+                beyond="fail" if _noisy(made) else "warning",
+            )  # fmt: skip
 
 
 criterion(_HEIGHT, of_change=True)(noise)

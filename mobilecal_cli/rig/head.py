@@ -12,6 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, chain_links, parse_urdf, vehicle_frame
 from mobilecal_cli.model import (
+    CHAIN_ENDS,
     TRANSFORMS,
     FixedLink,
     FloatArray,
@@ -104,7 +105,7 @@ def head_of(
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     notes += [
-        f"Joint {joint.name} moves the camera, but the head chain ends before it, at {head}. "
+        f"Joint {joint.name} moves the camera, but {CHAIN_ENDS} before it, at {head}. "
         f"Set head.head_frame to {joint.child}."
         for joint in _moving_to(urdf, head, camera_frame, tilt) or ()
         if joint.name in read

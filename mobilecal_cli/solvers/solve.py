@@ -90,7 +90,9 @@ def solve(
             or an unobservable parameter has no nominal value.
     """
     constraints = constraints or Constraints()
-    asked = constraints.given
+    rig = extraction.rig
+    stated = {"priors in rig.yaml": rig.prior_sigmas, "noise in rig.yaml": rig.noise}
+    asked = (*constraints.given, *(where for where, values in stated.items() if values))
     if extraction.motions:
         constraints = constraints.of_planar_sensor()
     legs = len(extraction.observations) - len({o.log for o in extraction.observations})

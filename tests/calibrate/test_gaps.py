@@ -72,6 +72,9 @@ def test_too_few_stations_count_the_reasons():
     with pytest.raises(ObservationError, match=r"at 1 of 1 stations \(at least 4 needed\)") as caught:
         require_stations(few)
     assert caught.value.hint == f"stop at more places in front of the board; noted: {note}"
+    none = replace(whole, observations=(), counts={"stations": 12}, rejections=tuple(lost[:1]) * 12)
+    with pytest.raises(ObservationError, match="the board was found at 0 of 12 stations"):
+        require_stations(none)  # "give poses at more places", as of measured poses
 
 
 def recordings(count, stations):

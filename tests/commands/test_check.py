@@ -26,6 +26,17 @@ def states(found):
     return {line.about: line.state for line in checklist(found)}
 
 
+def test_a_board_without_the_stated_markers(sample_logs, tmp_path):
+    """ "No problems.", and calibrate found no board."""
+    (tmp_path / "rig.yaml").write_text(
+        (sample_logs / "tick_robot.rig.yaml").read_text()
+        + "board: {kind: charuco, dictionary: DICT_5X5_100, marker_share: 0.7, columns: 8, rows: 5}\n"
+    )
+    done = run("check", "rig.yaml", sample_logs / "tick_robot.mcap", cwd=tmp_path)
+    assert done.code == 4
+    assert "shows the markers of the stated charuco board, but a" in done.out
+
+
 def test_a_rig_that_fits(sample_logs, tmp_path):
     rig, log = sample_logs / "tick_robot.rig.yaml", sample_logs / "tick_robot.mcap"
     done = succeeded("check", rig, log, cwd=tmp_path)

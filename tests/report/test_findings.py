@@ -180,6 +180,15 @@ def test_a_fixed_value_with_which_no_fit_ends_is_named(monkeypatch, fits):
     with pytest.raises(SolveError) as raised:
         solve(extraction, constraints=constraints_of(["t_x=0.1" if fits else "t_x=3.0"], [], []))
     assert raised.value.hint.startswith("leave out --fix t_x, or correct the value; or check the head chain")
+    if fits:
+        tight = replace(
+            extraction, rig=replace(extraction.rig, prior_sigmas={"all": 1e-6}, noise={"pixel_px": 1e-3})
+        )
+        with pytest.raises(SolveError) as raised:
+            solve(tight)
+        assert raised.value.hint.startswith(
+            "leave out priors in rig.yaml, noise in rig.yaml, or correct the value"
+        )
 
 
 def test_a_prior_of_the_user_that_the_data_confirm_is_not_named():

@@ -10,6 +10,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood.nuisance import FREE, kind
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
+    CHAIN_ENDS,
     ErrorPart,
     EstimatedConstant,
     Jump,
@@ -214,6 +215,18 @@ def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     parts = {"corners": ErrorPart(0.3, 0.001), "floor": ErrorPart(40.0, 0.2)}
     bad = replace(solution, reprojection_rms_px=90.0, error_parts=parts)
     assert judge(bad, extraction).next_step.startswith("Check that the head chain has all joints")
+
+
+@pytest.mark.parametrize(("floor_deg", "level"), [(0.1, "PASS"), (4.0, "FAIL")])
+def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, level):
+    """The tilt joint left out: "Check that the floor is flat". Unused, such a joint does no harm."""
+    solution, extraction = drawn()
+    note = f"Joint tilt moves the camera, but {CHAIN_ENDS} before it, at pan_link. Set head.head_frame to tilt_link."
+    noise = replace(solution.uncertainty.noise, floor_rad=np.radians(floor_deg))
+    found = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
+    verdict = judge(found, replace(extraction, notes=(note,)))
+    assert verdict.level == level
+    assert verdict.next_step.endswith("Set head.head_frame to tilt_link.")
 
 
 @pytest.mark.parametrize(("body", "warned"), [(True, True), (False, False)])
