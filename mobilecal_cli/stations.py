@@ -48,10 +48,10 @@ _ALONE_S = 1.0  # an image of one camera this near to a group of images is not u
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
 # Reasons for pairs that are not used, and what to do.
-_NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
+NO_READINGS, _FROZEN = "no readings around the image", "images do not change while the robot moves"
 _RATE = "joints and wheels at 20 Hz or more"
 _NOT_USED = {
-    _NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
+    NO_READINGS: "no readings around them ({0}). Check the cable and the driver.",
     FEW_READINGS: f"{FEW_READINGS} ({{0}}). Publish {_RATE}, or stop longer at each place.",
     _FROZEN: "the {0} images stay the same while the robot moves. Check the driver of the {0} camera.",
 }
@@ -351,7 +351,7 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
     lacking: dict[str, str] = {}
     for channel in channels:
         missing = ~channel.covers(times)
-        reason, detail = (FEW_READINGS, few) if channel.name in slow else (_NO_READINGS, channel.name)
+        reason, detail = (FEW_READINGS, few) if channel.name in slow else (NO_READINGS, channel.name)
         if missing.any():
             lacking[detail] = reason
         rejections += [Rejection("stations", reason, detail, int(at)) for at in times[missing & covered]]

@@ -22,6 +22,7 @@ from mobilecal_cli.kinematics import (
     unseen_height,
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
+from mobilecal_cli.stations import NO_READINGS
 from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
@@ -145,7 +146,10 @@ def require_stations(extraction: Extraction) -> None:
         cure = f"keep the whole board in {where_kept}, at rest, in good light, with {needed}"
         stage, reason = reasons[0][0] if reasons else ("", "")
         if have == looked_at or stage == "stations":
-            cure = extraction.with_notes("stop at more places in front of the board")
+            more = "stop at more places in front of the board"
+            if reason == NO_READINGS:
+                more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
+            cure = extraction.with_notes(more)
         if reason in OTHER_BOARDS:
             cure = (
                 f"set the number of the board's inner corners with --board: {extraction.board.columns} x "

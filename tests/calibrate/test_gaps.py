@@ -72,6 +72,10 @@ def test_too_few_stations_count_the_reasons():
     with pytest.raises(ObservationError, match=r"at 1 of 1 stations \(at least 4 needed\)") as caught:
         require_stations(few)
     assert caught.value.hint == f"stop at more places in front of the board; noted: {note}"
+    early = (Rejection("stations", "no readings around the image", "pan", 0),) * 9
+    with pytest.raises(ObservationError) as caught:
+        require_stations(replace(few, counts={"stations": 10}, rejections=early))
+    assert "recorded as long as the images, with stamps of one clock" in caught.value.hint
     none = replace(whole, observations=(), counts={"stations": 12}, rejections=tuple(lost[:1]) * 12)
     with pytest.raises(ObservationError, match="the board was found at 0 of 12 stations"):
         require_stations(none)  # "give poses at more places", as of measured poses
