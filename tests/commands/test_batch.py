@@ -146,6 +146,7 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
     assert then.items() <= records(out).items()
 
 
+@pytest.mark.long
 def test_a_scheduler_that_cannot_be_used(fleet, tmp_path):
     with pytest.raises(ConfigError, match="cannot connect to the scheduler"):
         batch_module.batch(

@@ -148,6 +148,7 @@ def test_fixed_prior_and_more_numbers(npz, workplace):
     assert "Estimated constants" in (workplace / "asked/report.html").read_text()
 
 
+@pytest.mark.long
 def test_ticks_that_wrap_round(workplace, sample_logs):
     log, rig = sample_logs / "tick_robot.mcap", sample_logs / "tick_robot.rig.yaml"
     succeeded("calibrate", log, "--config", rig, "--output", "tick", cwd=workplace)
@@ -169,6 +170,7 @@ def part_of(source, target, first_s, last_s, unstamped=True):
     return edited(source, target, edit)
 
 
+@pytest.mark.long
 def test_two_logs_of_one_robot(npz, workplace, sample_logs):
     """Two parts of one recording, the middle left out, are two logs: nearly the same answer."""
     whole = sample_logs / "paper_robot.mcap"

@@ -139,6 +139,7 @@ def test_several_recordings_are_checked_one_after_another(sample_logs, rig, tmp_
     assert "none.mcap" in missing.out
 
 
+@pytest.mark.long
 def test_a_camera_that_stops_is_named(sample_logs, rig, tmp_path):
     """A cable pulled in the middle: nothing said why one camera shows the board at fewer stations."""
     count = 0

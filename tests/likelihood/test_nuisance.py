@@ -64,6 +64,7 @@ def test_a_made_up_constant_is_estimated_and_reported():
     assert (unit, float(value)) == ("deg", pytest.approx(np.degrees(found.value), rel=0.01))
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("table")
 def test_a_made_up_constant_has_a_prior_and_a_share_of_the_budget():
     fit = maximum_likelihood(shaken(), constraints_of([], [], []), None)

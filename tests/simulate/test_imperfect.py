@@ -336,6 +336,7 @@ def test_each_wheel_has_a_scale_error_of_its_own_on_each_leg():
     assert np.abs(np.corrcoef(flat) - np.eye(8)).max() < 0.5  # four sigmas of 60 pairs
 
 
+@pytest.mark.long
 def test_stamps_jitter_in_motion_only():
     still = seen("tick", {}, noise=Noise(stamp_s=0.01))
     assert [o.time_ns for o in still.observations] == [o.time_ns for o in seen("tick", {}).observations]

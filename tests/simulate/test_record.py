@@ -253,6 +253,7 @@ def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(once, tmp_path
             assert track.at(np.array([o.time_ns]))[0] == pytest.approx(o.joints[j], abs=1e-8)
 
 
+@pytest.mark.long
 def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
     scenario = replace(SMALL, robot="tick", motion="moving", stations=1, pictures="mono8")
     robot, route = scenario.plan()

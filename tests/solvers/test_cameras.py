@@ -73,9 +73,8 @@ def test_stated_sigmas_are_true(cameras, chain, seed):
     assert nees(found.parameters, found.covariance, robot, shown(robot)) < 2.7  # chance 0.5 % of 8 or 9
 
 
-@pytest.mark.parametrize(
-    "name", ["tick", *(pytest.param(name, marks=pytest.mark.long) for name in ("paper", "fixed_camera"))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["tick", "paper", "fixed_camera"])
 def test_each_camera_of_a_pair_alone_agrees_with_both(name):
     robot = ROBOTS[name]()
     both, pair = recorded(ROBOTS[name], 3)
@@ -144,6 +143,7 @@ def test_a_pair_of_which_one_camera_sees_the_board(name, square_m):
     assert np.median(mixed / half) < 0.9
 
 
+@pytest.mark.long
 def test_other_cameras_have_priors_of_a_drawing():
     """Cameras that stand 0.6 degrees and 4 mm from where they are drawn do not move the result beyond its sigmas."""
     robot = three_on_pan_tilt()

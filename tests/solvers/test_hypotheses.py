@@ -63,9 +63,8 @@ def said_of(extraction):
     return verdict.reason if verdict.level == "FAIL" else verdict.level
 
 
-@pytest.mark.parametrize(
-    "factor", [0.5, *(pytest.param(factor, marks=pytest.mark.long) for factor in (2.0, 3.0))]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("factor", [0.5, 2.0, 3.0])
 def test_a_camera_info_of_another_resolution_is_named(factor):
     """The images of the board show the focal lengths, whatever the robot does."""
     said = said_of(meaning.focal(factor, factor)(meaning.recorded()))
@@ -357,6 +356,7 @@ def test_images_of_a_station_that_do_not_show_one_board(name, px):
     assert float(re.search(r"([\d.]+) px", diagnosis.cause)[1]) == pytest.approx(px, rel=0.1)
 
 
+@pytest.mark.long
 def test_wheels_that_stop_counting_on_the_way_are_named(recorded):
     """Half a leg is lost: the reading at the next station is wrong, too, though it is the first that does not change."""
     o = recorded.observations

@@ -229,6 +229,7 @@ def test_fixed_numbers_stay(noisy):
     assert not found.uncertainty.observable[NINE.index("t_x")]
 
 
+@pytest.mark.long
 def test_a_prior_weighs_as_much_as_it_states(noisy):
     """A prior of a tenth of the estimate's own sigma wins by 100 to 1."""
     free = solve(with_noise(noisy))

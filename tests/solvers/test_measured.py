@@ -141,6 +141,7 @@ def test_poses_count_in_any_order():
     assert times[0] == times[1] == sorted(times[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_inverse_poses_are_named(seed):
     robot, recorded = drive(seed)

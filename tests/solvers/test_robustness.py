@@ -233,6 +233,7 @@ def test_slips_that_are_scattered_are_no_jump(case, seed, count):
     assert judge(solution, extraction).level == "PASS"
 
 
+@pytest.mark.long
 def test_many_outliers_of_a_kind_are_noise():
     """Pan and tilt read wrong by about a degree at half of the stations, where 0.05 degrees are usual."""
     extraction, random = recorded("standard", 1), np.random.default_rng(0)
@@ -328,6 +329,7 @@ def test_corners_are_triangulated_again_in_cameras_far_from_the_stated():
     assert run.nees[3] < 2
 
 
+@pytest.mark.long
 def test_a_camera_fixed_to_the_base_with_a_bad_station():
     """Without joints no reading can be rejected instead of the images: the minimum of nothing raised ValueError."""
     drive = simulated("head_fixed", Noise(0.1, 0.003), "tick", 14, seed=0)
