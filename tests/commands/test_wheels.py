@@ -21,6 +21,8 @@ from tests.command import run, succeeded
 
 YAML_ = YAML(typ="safe", pure=True)
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
@@ -104,7 +106,6 @@ def test_the_urdf_keeps_its_wheels(made, tmp_path, robot, belongs):
     assert kept == drawn
 
 
-@pytest.mark.long
 def test_evaluate_and_compare(made, tmp_path):
     log, folder, _, _ = made["odometry_only"]
     second = made["skid_steer"][1] / "params.yaml"
