@@ -238,11 +238,17 @@ class Search:
     def _named(self, readings: Readings, stages: Stages, fits: float = FITS) -> Diagnosis | None:
         """The hypotheses of the first stage with which the readings fit, about as well as with the best one."""
         limit = self._limit(fits)
+        # Turned around, a camera on the base fits both wheels reversed as well as it fits them as they are.
+        farthest = math.inf if readings.rig.chain.joints else _AROUND_RAD
         for stage in stages:
             scored = [
                 (self._score(row.transform(readings)), row) for family in stage for row in family(readings)
             ]
-            fitting = [(fit, row) for fit, row in scored if fit is not None and fit.misfit < limit]
+            fitting = [
+                (fit, row)
+                for fit, row in scored
+                if fit is not None and fit.misfit < limit and fit.turned_rad < farthest
+            ]
             if not fitting:
                 continue
             least = min(fit.misfit for fit, _ in fitting)

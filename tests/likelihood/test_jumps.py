@@ -9,7 +9,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood import jumps
-from mobilecal_cli.model import Evidence, EvidenceValue, WheelTrack
+from mobilecal_cli.model import Evidence, EvidenceValue
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import findings, maximum_likelihood, solve
@@ -18,7 +18,7 @@ from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.actual import draw
-from tests.bench.imperfect import CORRELATED, USUAL, Case, judged
+from tests.bench.imperfect import CORRELATED, ROBOTS, USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS
 from tests.bench.jumps import changed as changed_recording
 from tests.extractions import (
@@ -254,6 +254,26 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_sl
     assert jumps_of(extraction, fit, None) == ()
 
 
+def with_wheel(whole, side, from_ns, change):
+    """A recording in which the radius of a wheel becomes so many times as large at some time."""
+    (wheels,) = whole.wheels
+    track = getattr(wheels, side)
+    rolled = np.diff(track.value, prepend=track.value[0])
+    rolled[track.time_ns > from_ns] /= change
+    changed = replace(track, value=track.value[0] + np.cumsum(rolled))
+    return replace(whole, wheels=(replace(wheels, **{side: changed}),))
+
+
+def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
+    """With the camera turned around, reversed wheels fit as well as the right ones: refused as swapped or reversed."""
+    case = Case(robot="camera on the base", stations=12).drawn(noise=CORRELATED)
+    robot = OutsideRobot(ROBOTS[case.robot](), case.constants(1000))
+    whole = extraction_of(robot, case.route(1000), case.noise, 1000)
+    half_way_ns = (whole.observations[3].time_ns + whole.observations[4].time_ns) // 2
+    (jump,) = solve(with_wheel(whole, "right", half_way_ns, 0.925)).jumps
+    assert (jump.part, abs(jump.station - 4) <= 1) == ("right wheel", True)
+
+
 @pytest.mark.parametrize(
     ("seed", "first", "change", "outliers"),
     [
@@ -267,12 +287,7 @@ def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_sl
 def test_a_wheel_that_changes_is_named(seed, first, change, outliers):
     """Near an end its legs look like slips, or the stations between them like wrong ones: the result is that of the other part."""
     whole = simulated("standard", NOISE, ROBOT, 24, seed)
-    track = whole.wheels[0]
-    rolled = np.diff(track.left_rad, prepend=track.left_rad[0])
-    rolled[track.time_ns > whole.observations[first - 1].time_ns] /= change
-    left = track.left_rad[0] + np.cumsum(rolled)
-    after = WheelTrack.at_same_times(track.time_ns, track.right_rad, left)
-    changed = replace(whole, wheels=(after,))
+    changed = with_wheel(whole, "left", whole.observations[first - 1].time_ns, change)
     solution = solve(changed)
     (jump,) = solution.jumps
     assert (jump.part, judge(solution, changed).level) == ("left wheel", "FAIL")
@@ -323,7 +338,7 @@ def test_an_estimate_without_an_end_names_the_moment(monkeypatch, whole):
 @pytest.mark.parametrize("other", [pytest.param(False, marks=pytest.mark.long), True])
 def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
     case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
-    constants = case.constants(23)
+    constants = case.constants(1000)
     redrawn = draw(robot, np.random.default_rng(24), 1.0, {"square_size", "board_bend"})
     both = [
         imperfect_extraction(robot, case.route(seed), Imperfection(drawn, case.noise_of(seed)), seed)
