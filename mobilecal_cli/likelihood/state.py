@@ -216,10 +216,11 @@ class State:
         clocks_s = self.clock_s("wheels"), self.clock_s("joints")
         for twist, delay_s in zip(rates, self.camera_change.delay_s[:, 0], strict=True):
             of_wheels, of_joints = (clock + delay_s / 2 for clock in clocks_s)
-            rolled = data.wheel_rates(of_wheels) * wheels.vector[:2]
+            joints, rolled = data.rates_in_images(of_joints, of_wheels)
+            rolled = rolled * wheels.vector[:2]
             twist[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
             twist[:, 3] = rolled.mean(axis=1)
-            twist += (self.frames.by_joints() @ data.joint_rates(of_joints)[..., None])[..., 0]
+            twist += (self.frames.by_joints() @ joints[..., None])[..., 0]
             twist[:] = (into_camera @ twist[..., None])[..., 0]
         return rates
 

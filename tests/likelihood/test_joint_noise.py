@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.likelihood.dataset import dataset_of
-from mobilecal_cli.model import Track
+from mobilecal_cli.model import Track, sampled
 from tests.bench import imperfect
 
 NOISE_RAD = np.radians(0.2)
@@ -49,6 +49,25 @@ def test_exact_readings_keep_the_least_width():
     )
     assert set(dataset_of(exact).joint_widths_ns[0]) == {40_000_000}
     assert set(dataset_of(noisy).joint_widths_ns[0]) == {100_000_000}
+
+
+@pytest.mark.parametrize(("step_rad", "share"), [(0.0015, 0.35), (0.0, 1.0)])
+def test_rates_in_images_hardly_see_steps_of_the_encoders(step_rad, share):
+    """Of steps within 40 ms, the rows of a rolling shutter made turns of the board: a robot was off by 17 sigmas."""
+    whole = imperfect.Case(motion="moving", noise=replace(imperfect.PERFECT, joint_rad=0.0)).extraction(0)
+    time_ns = whole.joint_tracks[0][0].time_ns
+    seconds = 1e-9 * (time_ns - time_ns[0])
+    values = 0.4 * np.sin(2 * seconds + [[0.0], [1.0]])  # of both joints
+    stepped = np.round(values / step_rad) * step_rad if step_rad else values
+    tracks = tuple(Track(time_ns, value) for value in stepped)
+    data = dataset_of(replace(whole, joint_tracks=(tracks,)))
+    smooth, _ = data.rates_in_images(np.zeros(1), np.zeros(1))
+    late, early = (sampled(tracks, data.times_ns + side * 20_000_000) for side in (1, -1))
+    true = 0.8 * np.cos(2e-9 * (data.times_ns[:, None] - time_ns[0]) + [0.0, 1.0])
+    error, over_40_ms = (
+        np.sqrt(np.mean((rates - true)[5:-5] ** 2)) for rates in (smooth, (late - early) / 0.04)
+    )
+    assert error < share * over_40_ms + 1e-3
 
 
 def test_a_robot_in_motion_with_noisy_joints_passes():
