@@ -40,7 +40,8 @@ class Jump:
             `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
-        tried: number of parts and moments that were compared.
+        tried: number of parts and moments of its kind, inside recordings or between them, that were compared; of both
+            kinds, where there are both.
         sigmas: standard deviations of a normal distribution with the same chance, for the best of all that were tried.
         shift_sigmas: how far the jump moves the nine parameters, or is itself in their units: the largest, in standard
             deviations; the rotation of a camera against the first one in those of its prior.
@@ -302,14 +303,18 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
 
 def alike(ranked: Sequence[Jump]) -> list[Jump]:
     """Other jumps that are hardly less probable than the first of `likeliest`."""
-    rank = _rank(np.array([jump.chi2 for jump in ranked]), np.array([jump.dof for jump in ranked]))
+    of_each = ([getattr(jump, name) for jump in ranked] for name in ("chi2", "dof", "tried"))
+    rank = _rank(*map(np.array, of_each))
     return [jump for jump, mine in zip(ranked[1:], rank[1:], strict=True) if mine > rank[0] - _ALIKE]
 
 
-def _rank(chi2: FloatArray, dof: IntArray) -> FloatArray:
-    """(k,) minus twice the logarithm of the chance of chi-squared values, far out in the tail; -inf for none."""
+def _rank(chi2: FloatArray, dof: IntArray, tried: IntArray) -> FloatArray:
+    """(k,) minus twice the logarithm of the chance of chi-squared values, far out in the tail; -inf for none.
+
+    Something changes between two recordings as likely as at any of the moments inside them together.
+    """
     rank = chi2 - (dof - 2) * np.log(np.maximum(chi2, 2.0) / 2) + 2 * gammaln(np.maximum(dof, 1) / 2)
-    return np.where(dof > 0, rank, -np.inf)
+    return np.where(dof > 0, rank - 2 * np.log(tried), -np.inf)
 
 
 def stations_after(lin: Posterior, first: int) -> BoolArray:
@@ -329,7 +334,7 @@ def likeliest(lin: Posterior) -> list[Jump]:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         inside += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
     parts, ranked = _parts(lin), []
-    tried = len(parts) * len(differing + inside)
+    kinds = len(parts) * (1 + bool(differing and inside))
     for name, part in parts.items():
         # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
         of_this = {"board": inside, SHAPE: differing, BOTH_WHEELS: differing}.get(name, differing + inside)
@@ -337,15 +342,18 @@ def likeliest(lin: Posterior) -> list[Jump]:
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])
         if every > 1:
-            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof))]
+            tried = kinds * np.where(np.isin(moments[::every], differing), len(differing), len(inside))
+            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof, tried))]
             moments = moments[np.abs(moments - near) < every]
             tests = _scores(lin, part, moments)
-        rank = _rank(tests.chi2, tests.dof)
+        tried = kinds * np.where(np.isin(moments, differing), len(differing), len(inside))
+        rank = _rank(tests.chi2, tests.dof, tried)
         if np.isfinite(rank).any():
             k = int(np.argmax(rank))
-            chi2, dof = float(tests.chi2[k]), int(tests.dof[k])
-            sigmas = _significance(chi2, dof, tried)
-            jump = Jump(name, int(moments[k]), chi2, dof, tried, sigmas, 0.0, tests.value[k])
+            chi2, dof, count = float(tests.chi2[k]), int(tests.dof[k]), int(tried[k])
+            jump = Jump(
+                name, int(moments[k]), chi2, dof, count, _significance(chi2, dof, count), 0.0, tests.value[k]
+            )
             ranked.append((-float(rank[k]), jump))
     return [jump for _, jump in sorted(ranked, key=lambda each: each[0])]
 

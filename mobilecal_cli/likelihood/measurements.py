@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -27,10 +26,8 @@ from mobilecal_cli.model import (
 
 LEAST_DEPTH_M = 0.01  # of a point that a camera may show
 _RATE_INTERVAL_S = 0.04  # rates are differences over this time
-_SMOOTH_NS, _SMOOTHEST = (
-    80_000_000,
-    (0.5, 2.5),
-)  # rates in an image are differences of means over about this time
+_SMOOTH_NS = 80_000_000  # rates in an image are differences of means over about this time
+_SMOOTHER = np.geomspace(0.25, 2.5, 41)  # times it: those that are compared
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
 _AT_REST_RAD = 1e-3  # a wheel that turns less between two stations stands still
 
@@ -51,16 +48,17 @@ def _smooth_rate(track: Track, times_ns: IntArray, width_ns: int) -> FloatArray:
 def _smooth_width_ns(track: Track, times_ns: IntArray) -> int:
     """Interval for `_smooth_rate` with the least error: noise and steps fall with its cube, the motion's bend grows.
 
-    With w in units of `_SMOOTH_NS`, the variance of white noise is v / w^3, and the square of the bias b w^4. The
-    difference between the rates of w and of w / 2 has about 7 and 0.56 times these.
+    With w in units of `_SMOOTH_NS`, the variance of white noise is ``v / w^3``, and the mean square of the bias ``k w``
+    where speeds change suddenly, ``b w^4`` where they change steadily. The difference between the rates of w and of
+    w / 2 has about 7, 0.21 and 0.56 times these.
     """
     widths = np.array([0.5, 1.0, 2.0, 4.0])
     rates = [_smooth_rate(track, times_ns, int(w * _SMOOTH_NS)) for w in widths]
     apart = np.array([np.mean((b - a) ** 2) for a, b in pairwise(rates)]) + np.finfo(np.float64).tiny
-    terms = np.stack([7 * widths[1:] ** -3, 0.56 * widths[1:] ** 4], axis=1)
-    v, b = nnls(terms / apart[:, None], np.ones(len(apart)))[0]
-    best = (3 * v / (4 * b)) ** (1 / 7) if b > 0 else math.inf
-    return int(min(max(best, _SMOOTHEST[0]), _SMOOTHEST[1]) * _SMOOTH_NS)
+    powers = np.array([-3.0, 1.0, 4.0])
+    terms = [7.0, 0.21, 0.56] * widths[1:, None] ** powers
+    errors = _SMOOTHER[:, None] ** powers @ nnls(terms / apart[:, None], np.ones(len(apart)))[0]
+    return int(_SMOOTHER[np.argmin(errors)] * _SMOOTH_NS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -941,7 +941,8 @@ def change(made: Calibration, metric: Metric) -> Iterator[Check]:
     moved = f"{NINE[worst]} by {float(difference.sigmas[worst]):+.1f} sigma"
     yield metric.check(
         100 * difference.p_value, 100 * unlikely, "change since the last calibration",
-        "Check for a loose camera and worn tires. If you find no cause, record and calibrate again.",
+        "Check that both are of this robot, and check for a loose camera and worn tires. If you find no cause, "
+        "record and calibrate again.",
         measured=f"largest: {moved}",
         at_limit=f"probability by chance at least {100 * unlikely:g} %",
         why=f"The robot has changed since {visible(difference.against)}: {moved}.",

@@ -352,7 +352,7 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
         )
     else:
         cause = f"the readings of the wheels do not fit the drive that {shown}"
-        cure = "check the topics, the clocks and the counters of both wheels: overflow, resets, gears"
+        cure = "check the topics and the clocks of both wheels, and their counters: bits in rig.yaml, resets, gears"
     yield Hypothesis(cause, cure, _wheels_as_seen)
 
 

@@ -7,6 +7,7 @@ import socket
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,7 @@ from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
+from mobilecal_cli.files import interruption
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.fleet import FleetRow, fleet_csv, fleet_text, standing_out
 from mobilecal_cli.rig.config import RigConfig, read_urdf
@@ -32,6 +34,21 @@ from tests.report.schema import validated
 
 NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
 ROBOTS_HERE = 2
+
+
+def test_a_robot_that_was_finished_before_an_interruption_is_named(fleet, tmp_path, monkeypatch):
+    """ "Nothing was written", it said."""
+    monkeypatch.setattr(interruption._State, "placed", [])
+
+    def run_one(jobs):
+        job = jobs[0]
+        (job.output / job.name).mkdir()
+        yield FleetRow(job.name, "PASS", 0, "all is well")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        batch_module.batch(fleet, tmp_path / "out", run=run_one)
+    assert [Path(path).parent for path in interruption.placed()] == [tmp_path / "out"]
 
 
 @pytest.fixture(scope="module")
