@@ -217,6 +217,19 @@ def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     assert judge(bad, extraction).next_step.startswith("Check that the head chain has all joints")
 
 
+@pytest.mark.parametrize(
+    ("times", "stated", "level"), [(20, {"all": 0.0}, "FAIL"), (2, {"all": 0.0}, "PASS"), (20, {}, "PASS")]
+)
+def test_priors_that_keep_wrong_cameras_are_named(times, stated, level):
+    """With all constants fixed, a wrong pair was PASS at 10 sigmas, with 16 times the noise of the corners."""
+    solution, extraction = drawn()
+    shown = np.median([view.sigma_px for o in extraction.observations for view in o.views])
+    noise = replace(solution.uncertainty.noise, pixel_px=min(times * shown, 1.1))
+    found = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
+    verdict = judge(found, replace(extraction, rig=replace(extraction.rig, prior_sigmas=stated)))
+    assert (verdict.level, "State wider priors" in verdict.next_step) == (level, level == "FAIL")
+
+
 @pytest.mark.parametrize(("floor_deg", "level"), [(0.1, "PASS"), (4.0, "FAIL")])
 def test_a_head_chain_that_ends_before_a_joint_is_the_cause_of_noise(floor_deg, level):
     """The tilt joint left out: "Check that the floor is flat". Unused, such a joint does no harm."""
