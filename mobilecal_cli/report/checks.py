@@ -595,7 +595,7 @@ def stereo_error(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 @criterion(Metric("stated_priors", section="description"), gated=False)
 def stated_priors(made: Calibration, metric: Metric) -> Iterator[Check]:
-    """Corner noise over what the images alone show, where rig.yaml states priors: constants that are kept on wrong values.
+    """Corner noise over what the images alone show, where rig.yaml states priors: some may keep wrong values.
 
     Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16.
     """
