@@ -597,19 +597,25 @@ def stereo_error(made: Calibration, metric: Metric) -> Iterator[Check]:
 def stated_priors(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Corner noise over what the images alone show, where rig.yaml states priors: some may keep wrong values.
 
-    Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16.
+    Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16. Real
+    boards and lenses may have more: a failure only where the cameras are fixed as stated.
     """
     uncertainty, views = made.solution.uncertainty, [v for o in made.extraction.observations for v in o.views]
     shown = [view.sigma_px for view in views if view.seen.any()]
     if uncertainty is None or not made.extraction.rig.prior_sigmas or not shown:
         return
     px, alone = uncertainty.noise.pixel_px, float(np.median(shown))
+    of_cameras = {each.kind for each in made.solution.constants.values()} & {
+        "focal_length",
+        "principal_point",
+    }
     yield metric.check(
         px / alone, 5.0, "corner noise over that of each image alone",
         "State wider priors in rig.yaml, or leave them out.",
         measured=f"{px / alone:.2g} ({std_text(px)} and {std_text(alone)} px)",
         why=f"With the priors in rig.yaml, the corner noise is {std_text(px)} px, but {std_text(alone)} px in each "
         "image.",
+        beyond="warning" if of_cameras else "fail",
     )  # fmt: skip
 
 

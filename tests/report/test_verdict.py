@@ -218,16 +218,26 @@ def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
 
 
 @pytest.mark.parametrize(
-    ("times", "stated", "level"), [(20, {"all": 0.0}, "FAIL"), (2, {"all": 0.0}, "PASS"), (20, {}, "PASS")]
+    ("times", "cameras_fixed", "stated", "outcome"),
+    [
+        (20, True, True, "fail"),
+        (2, True, True, "pass"),
+        (20, False, True, "warning"),
+        (20, True, False, None),
+    ],
 )
-def test_priors_that_keep_wrong_cameras_are_named(times, stated, level):
+def test_priors_that_keep_wrong_cameras_are_named(times, cameras_fixed, stated, outcome):
     """With all constants fixed, a wrong pair was PASS at 10 sigmas, with 16 times the noise of the corners."""
     solution, extraction = drawn()
     shown = np.median([view.sigma_px for o in extraction.observations for view in o.views])
     noise = replace(solution.uncertainty.noise, pixel_px=min(times * shown, 1.1))
     found = replace(solution, uncertainty=replace(solution.uncertainty, noise=noise))
-    verdict = judge(found, replace(extraction, rig=replace(extraction.rig, prior_sigmas=stated)))
-    assert (verdict.level, "State wider priors" in verdict.next_step) == (level, level == "FAIL")
+    found = replace(found, constants={} if cameras_fixed else solution.constants)
+    rig = replace(extraction.rig, prior_sigmas={"all": 0.0} if stated else {})
+    checks = judge(found, replace(extraction, rig=rig)).checks
+    assert [check.outcome for check in checks if check.id == "stated_priors"] == [outcome] * (
+        outcome is not None
+    )
 
 
 @pytest.mark.parametrize(("floor_deg", "level"), [(0.1, "PASS"), (4.0, "FAIL")])
