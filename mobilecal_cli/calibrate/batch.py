@@ -376,7 +376,7 @@ def batch(
     try:
         for row in run(jobs):
             rows[row.name] = row
-            if not row.skipped and (output / row.name).is_dir():
+            if not row.skipped and row.exit_code in (0, QualityError.exit_code):
                 note_placed(output / row.name)
             progress("robots", len(rows), len(jobs))
     except BaseException:

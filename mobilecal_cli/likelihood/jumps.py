@@ -29,6 +29,8 @@ _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than anothe
 _EXPLAINED = 0.3  # of a misfit, that a jump may leave
 #: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
 SHAPE, BOTH_WHEELS = "board's shape", "both wheels"
+#: Parts that are wheels → which of the radii they have, of the right and the left one.
+WHEELS = {"right wheel": [0], "left wheel": [1], BOTH_WHEELS: [0, 1]}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,16 +93,11 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
         units = math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]]
         parts[SHAPE] = of_images([6 + k for k in shape], np.diag(units))
-    for name, columns in (("right wheel", [6]), ("left wheel", [7]), (BOTH_WHEELS, [6, 7])):
-        if len(columns) == 1 or data.logs > 1:
-            no_images = np.zeros((*views.gradient.shape, len(columns)))
-            parts[name] = _Part(no_images, lin.legs.by_shared[:, :, columns])
+    for name, radii in WHEELS.items():
+        if name != BOTH_WHEELS or data.logs > 1:
+            no_images = np.zeros((*views.gradient.shape, len(radii)))
+            parts[name] = _Part(no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii])
     return parts
-
-
-def of_wheels(part: str) -> bool:
-    """Whether a part is a wheel, or both."""
-    return part.endswith(("wheel", "wheels"))
 
 
 def _poses(lin: Posterior) -> dict[str, list[int]]:
@@ -236,10 +233,9 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
         return _in_sigmas(size, variance[:6])
     if jump.part.startswith("joint"):
         return _in_sigmas(size, variance[:3].min(keepdims=True))
-    if of_wheels(jump.part):  # alone: all three may have a common scale that hardly shows
-        known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))
-        mine = {"right wheel": known[:1], "left wheel": known[1:2]}.get(jump.part, known[:2])
-        return float(np.max(size * np.sqrt(np.maximum(mine, 0.0))))
+    if jump.part in WHEELS:  # alone: all three may have a common scale that hardly shows
+        known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
+        return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))
     if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
         return _in_sigmas(size[:3], lin.priors.scales[lin.views.direct[poses[jump.part][:3]]] ** 2)
     return 0.0
@@ -309,9 +305,9 @@ def alike(ranked: Sequence[Jump]) -> list[Jump]:
 
 
 def _rank(chi2: FloatArray, dof: IntArray, tried: IntArray) -> FloatArray:
-    """(k,) minus twice the logarithm of the chance of chi-squared values, far out in the tail; -inf for none.
+    """(k,) minus twice the logarithm of the chance of the best of some chi-squared values, far out in the tail.
 
-    Something changes between two recordings as likely as at any of the moments inside them together.
+    It is -inf for none. Something changes between two recordings as likely as at all moments inside them together.
     """
     rank = chi2 - (dof - 2) * np.log(np.maximum(chi2, 2.0) / 2) + 2 * gammaln(np.maximum(dof, 1) / 2)
     return np.where(dof > 0, rank - 2 * np.log(tried), -np.inf)
@@ -334,7 +330,11 @@ def likeliest(lin: Posterior) -> list[Jump]:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
         inside += mine[_FEWEST_EACH_SIDE : len(mine) - _FEWEST_EACH_SIDE + 1].tolist()
     parts, ranked = _parts(lin), []
-    kinds = len(parts) * (1 + bool(differing and inside))
+    kinds = 1 + bool(differing and inside)
+
+    def tried(moments: IntArray) -> IntArray:
+        return kinds * len(parts) * np.where(np.isin(moments, differing), len(differing), len(inside))
+
     for name, part in parts.items():
         # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
         of_this = {"board": inside, SHAPE: differing, BOTH_WHEELS: differing}.get(name, differing + inside)
@@ -342,15 +342,13 @@ def likeliest(lin: Posterior) -> list[Jump]:
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])
         if every > 1:
-            tried = kinds * np.where(np.isin(moments[::every], differing), len(differing), len(inside))
-            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof, tried))]
+            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof, tried(moments[::every])))]
             moments = moments[np.abs(moments - near) < every]
             tests = _scores(lin, part, moments)
-        tried = kinds * np.where(np.isin(moments, differing), len(differing), len(inside))
-        rank = _rank(tests.chi2, tests.dof, tried)
+        rank = _rank(tests.chi2, tests.dof, tried(moments))
         if np.isfinite(rank).any():
             k = int(np.argmax(rank))
-            chi2, dof, count = float(tests.chi2[k]), int(tests.dof[k]), int(tried[k])
+            chi2, dof, count = float(tests.chi2[k]), int(tests.dof[k]), int(tried(moments)[k])
             jump = Jump(
                 name, int(moments[k]), chi2, dof, count, _significance(chi2, dof, count), 0.0, tests.value[k]
             )

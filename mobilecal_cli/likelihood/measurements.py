@@ -321,10 +321,10 @@ class Measurements:
         parts = []
         for number, (joints, wheels) in enumerate(zip(self.joint_tracks, self.tracks, strict=True)):
             mine, tracks = self.moving & (self.log == number), [*joints, wheels.right, wheels.left]
-            times_ns = self.times_ns[mine]
-            parts.append(
-                (mine, tracks, [_smooth_width_ns(track, times_ns) for track in tracks if len(times_ns)])
-            )
+            if mine.any():
+                parts.append(
+                    (mine, tracks, [_smooth_width_ns(track, self.times_ns[mine]) for track in tracks])
+                )
         return parts
 
     def rates_in_images(self, joints_s: FloatArray, wheels_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -338,7 +338,7 @@ class Measurements:
         rates = np.zeros((self.stations, self.joints.shape[1] + 2))
         stamps_ns = (*[self.stamps_ns(joints_s)] * self.joints.shape[1], *[self.stamps_ns(wheels_s)] * 2)
         for mine, tracks, widths_ns in self._moved_by:
-            for j, (track, width_ns) in enumerate(zip(tracks, widths_ns, strict=False)):  # none at rest
+            for j, (track, width_ns) in enumerate(zip(tracks, widths_ns, strict=True)):
                 rates[mine, j] = _smooth_rate(track, stamps_ns[j][mine], width_ns)
         return rates[:, :-2], rates[:, -2:]
 

@@ -7,6 +7,7 @@ A new criterion is a function with the decorator `criterion`.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
@@ -66,6 +67,8 @@ _ALIKE = 0.1
 #: Largest difference of a wheel's size, in percent, from the other wheel's, from its nominal value, or of a factor of
 #: odometry from 1: wrong ticks, gears and diameters make larger ones, a tape measure, tires and load a few percent.
 _SIZE_BAD = 25.0
+#: Largest share of outliers, in percent: what a robust estimate tolerates.
+_MOST_OUTLIERS = 30.0
 
 
 def rms(values: FloatArray) -> float:
@@ -226,9 +229,13 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
 
     One that moves the result by more than the limit makes it neither the old nor the new one. One that moves it less
     only warns, unless a noise level is beyond its limit: it is the likeliest cause. A recording that differs makes the
-    standard deviations wider, and only warns if all expected errors are within their limits all the same.
+    standard deviations wider, and only warns if all expected errors are within their limits all the same: if it is
+    used, and is not most of the outliers.
     """
     names, limit = station_names(made.extraction), MATERIAL_SIGMAS
+    stations = Counter(o.log for o in made.extraction.observations)
+    lost_of = Counter(outlier.log for outlier in made.solution.gross_outliers)
+    used = all(100 * lost_of[log] <= _MOST_OUTLIERS * count for log, count in stations.items())
     usual = not _noisy(made)
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
@@ -253,7 +260,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
         else:
             when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
-            harmless = small or made.accurate
+            harmless = small or (made.accurate and used)
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
@@ -879,7 +886,7 @@ def outliers(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
     if made.solution.uncertainty is None:
         return
-    bad, count, gross = 30.0, len(made.extraction.observations), made.solution.gross_outliers
+    bad, count, gross = _MOST_OUTLIERS, len(made.extraction.observations), made.solution.gross_outliers
     share = 100 * len(gross) / max(1, count)
     further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
     yield metric.check(
@@ -967,8 +974,8 @@ def change(made: Calibration, metric: Metric) -> Iterator[Check]:
     moved = f"{NINE[worst]} by {float(difference.sigmas[worst]):+.1f} sigma"
     yield metric.check(
         100 * difference.p_value, 100 * unlikely, "change since the last calibration",
-        "Check that both are of this robot, and check for a loose camera and worn tires. If you find no cause, "
-        "record and calibrate again.",
+        "Check that both calibrations are of this robot, and look for a loose camera and worn tires. If you find no "
+        "cause, record and calibrate again.",
         measured=f"largest: {moved}",
         at_limit=f"probability by chance at least {100 * unlikely:g} %",
         why=f"The robot has changed since {visible(difference.against)}: {moved}.",

@@ -93,7 +93,7 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
         stretch = longest_stretch(fit)
         return () if stretch is None else (_unexplained(extraction, fit, stretch),)
     value = jump.value
-    rolls = jumps.of_wheels(jump.part)
+    rolls = jump.part in jumps.WHEELS
     turns = jump.part not in ("", jumps.SHAPE) and not rolls
     slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
     turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
