@@ -43,7 +43,7 @@ from mobilecal_cli.solvers.noise import (
     lengths,
     widths,
 )
-from mobilecal_cli.solvers.optimize import MOST_STEPS, NEAR, optimize, to_first_order
+from mobilecal_cli.solvers.optimize import MOST_STEPS, optimize, to_first_order
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
 _NOISE_ROUNDS, _NOISE_FITS = 60, 20
@@ -56,7 +56,6 @@ _SEVERAL = 2  # outliers that a single number explains: one more than it has its
 _CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
 _COARSE, _FINE, _HELD = 0.1, 0.015, 2.0
-_QUICK = 1e-3  # `optimize`'s `near` of long recordings, while outliers are searched for
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -93,7 +92,6 @@ class Inference:
         nominal: where the linear method starts from.
         levels: noise levels that rig.yaml states.
         guess: noise levels before the residuals are known.
-        near: end of an optimization, see `optimize`, while outliers are searched for.
         scales_stay: the priors of each kind of constants keep their scale.
         on_step: called before each step of an optimization.
     """
@@ -104,7 +102,6 @@ class Inference:
     nominal: InitialPrior
     levels: Mapping[str, float]
     guess: Noise
-    near: float
     scales_stay: bool
     on_step: Callable[[], None]
 
@@ -130,7 +127,6 @@ class Inference:
             nominal=nominal_of(extraction.rig, head_eye_fixed),
             levels=extraction.rig.noise,
             guess=Noise(**Noise.limits("guess") | {"encoder_rad": encoder_rad}, wider={}),
-            near=_QUICK if data.stations >= outliers.LONG_RECORDING else NEAR,
             scales_stay=False,
             on_step=on_step,
         )
@@ -241,17 +237,16 @@ class Inference:
         return self.guess.with_levels({"pixel_px": max(float(np.median(own_px)), 1e-3), **self.levels})
 
     def fit(self, state: State, inliers: Inliers, noise: Noise, most_steps: int = MOST_STEPS) -> Fit:
-        """Optimize coarsely. Unobservable directions keep their prior; repeated until these do not change."""
-        start = Posterior.at(state, inliers, noise, self.priors(state))
-        return self._fit_from(start, self.near, most_steps)
+        """Optimize. Unobservable directions keep their prior; repeated until these do not change."""
+        return self._fit_from(Posterior.at(state, inliers, noise, self.priors(state)), most_steps)
 
-    def _fit_from(self, start: Posterior, near: float, most_steps: int = MOST_STEPS) -> Fit:
+    def _fit_from(self, start: Posterior, most_steps: int = MOST_STEPS) -> Fit:
         for _ in range(_OBSERVABILITY_ROUNDS):
             user = self._user_weight(start.priors)
             _, unobservable = directions(start, user)
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))
-            lin, costs = optimize(start, near, self.on_step, most_steps)
+            lin, costs = optimize(start, self.on_step, most_steps)
             singular_values, hidden = directions(lin, user)
             again = self.priors(lin.state, unobservable)
             still = bool(np.all(np.abs(again.mean - start.priors.mean)[again.fixed] < _STILL))
@@ -261,9 +256,9 @@ class Inference:
         return Fit(lin, costs, components(lin), singular_values, self.given)
 
     def refit(self, fit: Fit, inliers: Inliers) -> Fit:
-        """Optimize coarsely from a fit with other inliers and the same unobservable directions."""
+        """Optimize from a fit with other inliers and the same unobservable directions."""
         start = Posterior.at(fit.lin.state, inliers, fit.noise, fit.lin.priors)
-        lin, costs = optimize(start, self.near, self.on_step)
+        lin, costs = optimize(start, self.on_step)
         return replace(fit, lin=lin, costs=costs, components=components(lin))
 
     def refit_near(self, fit: Fit, inliers: Inliers) -> Fit:
@@ -278,15 +273,13 @@ class Inference:
 
     def estimate_noise(self, fit: Fit, fine: bool = False) -> Fit:
         """Estimate noise levels and parameters in turn until the levels converge."""
-        tolerance, near = (_FINE, NEAR) if fine else (_COARSE, self.near)
-        fitted = self.near <= near
+        tolerance = _FINE if fine else _COARSE
         for _ in range(_NOISE_FITS):
             noise = self._levels_near(fit.lin, tolerance)[1]
-            if fitted and converged(fit.noise, noise, _HELD * tolerance):
+            if converged(fit.noise, noise, _HELD * tolerance):
                 break
             lin = fit.lin.with_noise(noise).renewed()
-            fit = self._fit_from(lin.under(self.priors(lin.state)), near)
-            fitted = True
+            fit = self._fit_from(lin.under(self.priors(lin.state)))
         return fit
 
     def jump(self, fit: Fit) -> jumps.Jump | None:

@@ -14,12 +14,12 @@ from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
 MOST_STEPS = 250  # tried, of one optimization
-_LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e6
-#: Of the damping: growth after a step that does not help, twice as fast after each further one; largest fall after one
-#: that does.
-_GROWTH, _LARGEST_FALL = 2.0, 10.0
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
+#: Of the damping: growth after a second step that does not help, so many times faster after each further one; largest
+#: fall after one that does.
+_GROWTH, _LARGEST_FALL = 4.0, 10.0
 _CONVERGED = 1e-10  # of the cost
-NEAR, _ROUNDING = 1e-7, 1e-12  # 0.0003 standard deviations; and of the cost
+_NEAR, _ROUNDING = 1e-4, 1e-12  # 0.01 standard deviations, which the last step removes; and of the cost
 _SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
 # Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
 # for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
@@ -63,19 +63,17 @@ def to_first_order(lin: Posterior) -> Posterior:
 
 def optimize(
     start: Posterior,
-    near: float = NEAR,
     on_step: Callable[[], None] = lambda: None,
     most_steps: int = MOST_STEPS,
 ) -> tuple[Posterior, FloatArray]:
     """Minimize the sum of squares of all inliers and priors.
 
     The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
-    values is moved onto them first. A trial that leads to a singular matrix counts as a step that does not help.
+    values is moved onto them first. A trial that leads to a singular matrix counts as a step that does not help. The
+    last step, a short one, is taken to first order.
 
     Args:
         start: where to start.
-        near: a step that promises a smaller decrease of the cost is not taken. The result is about the root of this
-            from the minimum, in standard deviations.
         on_step: called before each step.
         most_steps: tried, within which a minimum must be reached.
 
@@ -99,8 +97,8 @@ def optimize(
             if damping > _LARGEST_DAMPING:
                 raise
             continue
-        if converged or (damping == 0 and gain <= near + _ROUNDING * lin.cost):
-            return lin, np.array(history)
+        if converged or (damping == 0 and gain <= _NEAR + _ROUNDING * lin.cost):
+            return lin if converged else lin.predicted(step), np.array(history)
         trial = lin.after(step)
         before = lin.cost
         with np.errstate(over="ignore", invalid="ignore"):  # far off, the cost may overflow: no improvement
@@ -117,7 +115,7 @@ def optimize(
             damping, growth = 0.0 if damping < _LEAST_DAMPING or converged else damping, _GROWTH
         else:
             damping, growth = max(damping * growth, _LEAST_DAMPING), growth * _GROWTH
-            if damping > _LARGEST_DAMPING or gain < max(near, _KINKED):
+            if damping > _LARGEST_DAMPING or gain < _KINKED:
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
     raise SolveError(

@@ -32,12 +32,12 @@ FEWEST_VIEWS = 4
 _STRETCH = 3  # longest run of legs that nothing confirms: beyond it, something moved
 _TOO_MANY = 1 / 3  # outliers among the measurements of a kind: that kind's noise is larger than supposed
 _NEARER = 0.01  # squared distance over the former one: what the first order leaves of a large change is less
-# Measurements that are judged at once, one more for every `LONG_RECORDING` stations, lie so many stations apart that
+# Measurements that are judged at once, one more for every `_LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
 _APART = 5
 #: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
 #: that their cost does not grow with the recording.
-LONG_RECORDING = 100
+_LONG_RECORDING = 100
 _MUCH = 4.0  # a first fit with statistics beyond this many times their limit is implausible
 #: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.
 _JUDGED_BY = {
@@ -135,7 +135,7 @@ def some_of(data: Dataset, kind: str, places: IntArray) -> list[tuple[int, ...]]
     One of each recording, of long ones a few.
     """
     log = data.log[data.legs[:, 0]] if kind == "legs" else data.log
-    left = 1 + np.bincount(data.log) // LONG_RECORDING
+    left = 1 + np.bincount(data.log) // _LONG_RECORDING
     some: dict[int, list[tuple[int, ...]]] = {}
     for at in places:
         mine = int(log[at[0]])
