@@ -73,12 +73,16 @@ class Images:
         Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
         delay d, and v the variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
         """
-        information, gradient, cost = self.information, self.gradient, self.cost
+        if before == after:
+            return self
+        information, gradient, cost = self.information.copy(), self.gradient, self.cost
         for k, delay in enumerate(self.delays):
             u, pull = self.across[:, k], self.pull[:, k]
             weight = before / (1 + before * u[:, delay]) - after / (1 + after * u[:, delay])
-            information = information + weight[:, None, None] * u[:, :, None] * u[:, None, :]
-            gradient = gradient + (weight * pull)[:, None] * u
+            weighted = weight[:, None] * u
+            for block in blocks_of(len(u)):
+                information[block] += weighted[block, :, None] * u[block, None, :]
+            gradient = gradient + pull[:, None] * weighted
             cost = cost + weight * pull**2
         return replace(self, information=information, gradient=gradient, cost=cost)
 
