@@ -25,13 +25,15 @@ _LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that ar
 #: far along a ridge on which the standard deviations stay.
 _LENGTH_TOLERANCE = 5.0
 _WORTH, _FADES_AT = 2.0, 4.0
-# Stated priors may be too narrow, those of one kind or all of them: the chance of more than s times falls as these
-# powers of 1 / s. What the data show of a kind's constants by less than `_SHOWN` is not used, see `widths`.
-_TOO_NARROW, _ALL_TOO_NARROW = 1.0, 1.5
+# Stated priors are right with this chance, or too narrow, those of one kind or all of them: by more than s times with a
+# chance that falls as these powers of 1 / s.
+_AS_STATED, _TOO_NARROW, _ALL_TOO_NARROW = 0.95, 1.0, 1.5
 _SHOWN, _WIDEST = 0.01, 1e3
+_LOG_FACTORS = np.linspace(0.0, math.log(_WIDEST), 500)  # that are compared
+_EXACT = 1e-12  # variance over the prior's of a constant that the data show completely
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 5, 3.0, 0.3
-_FURTHER = 1.8  # times the step of its fixed point that a prior's scale moves: below 2 it converges
+_HALF = 0.5  # of its way that a prior's scale moves at once: where two explain the same, neither takes all
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -164,54 +166,58 @@ def estimated(noise: Noise, shown: Mapping[str, Component], given: frozenset[str
 
 
 def widths(lin: Posterior) -> dict[str, float]:
-    """Kind of constants → how many times as wide as stated its priors are, after one step of the fixed point.
+    """Kind of constants → how many times as wide as stated its priors are expected to be, the others as they are.
 
-    The same estimate as a noise level's: the constants of a kind, as estimated, are its residuals, of which the data
-    show n directions with the sum of squares q. A kind's factor is the product of two, its own and that of the whole
-    description: where many kinds are off, those that the data do not show are likely off, too. Either factor is at
-    least 1, with the density of Pareto: stated priors are right, or too narrow.
+    In units of the stated priors, a kind's constants c have the posterior covariance C and mean m, under a prior of
+    variance f0^2. The measurements' gradient ``g = C^-1 m`` by them varies by their information
+    ``I = C^-1 - 1 / f0^2``, and by ``f^2 I^2`` as c varies under a prior of f^2: that is its likelihood for any f,
+    direction by direction. What the measurements show of a direction by less than `_SHOWN` is as good as nothing.
     """
-    priors = lin.priors
-    root, off = np.sqrt(priors.stated_weight), priors.displacement(lin.state) - priors.mean
-    used = priors.alike & (priors.weight > 0)
+    priors, off = lin.priors, lin.priors.displacement(lin.state) - lin.priors.mean
+    root, used = np.sqrt(priors.stated_weight), priors.alike & (priors.weight > 0)
     columns: dict[str, list[int]] = {}
     for k, row in enumerate(lin.data.layout.constants, len(NINE)):
         if used[k]:
             columns.setdefault(family(row.kind), []).append(k)
-    q, n = np.zeros((2, len(columns)))
+    misfit = np.zeros((len(columns), len(_LOG_FACTORS)))
     for i, (name, mine) in enumerate(columns.items()):
         along = np.eye(len(mine))
         if name in FAMILIES and len(mine) > 1:  # what all of them share is no contradiction
             along = np.linalg.svd(root[None, mine], full_matrices=True)[2][1:]
-        squares = (along @ (root[mine] * off[mine])) ** 2
-        covariance = lin.covariance[np.ix_(mine, mine)] * np.outer(root[mine], root[mine])
-        taken = np.diag(along @ covariance @ along.T) / priors.factors[mine[0]] ** 2
-        left = np.clip(1 - taken, 0.0, 1.0)  # rounding may leave less than nothing
-        n[i] = left.sum() ** 2 / max(np.sum(left**2), _SHOWN**2)
-        q[i] = n[i] * squares.sum() / (left.sum() + _SHOWN)
-    variance = np.clip(np.maximum(q / (n + _TOO_NARROW), common_variance(q, n)), 1.0, _WIDEST**2)
-    return dict(zip(columns, np.sqrt(variance).tolist(), strict=True))
+        along = along * root[mine]
+        values, vectors = np.linalg.eigh(along @ lin.covariance[np.ix_(mine, mine)] @ along.T)
+        values = np.maximum(values, _EXACT)
+        gradient = vectors.T @ (along @ off[mine]) / values
+        information = np.maximum(1 / values - 1 / priors.factors[mine[0]] ** 2, 0.0)
+        spread = information + _SHOWN + np.outer(np.exp(2 * _LOG_FACTORS), information**2)
+        misfit[i] = np.sum(np.log(spread) + gradient**2 / spread, axis=1)
+    return dict(zip(columns, expected_factors(misfit).tolist(), strict=True))
 
 
-def common_variance(q: FloatArray, n: FloatArray) -> float:
-    """Likeliest squared factor of the priors of all kinds, at least 1, beside a factor of each kind alone.
+def expected_factors(misfit: FloatArray) -> FloatArray:
+    """(K,) factors of the priors of all kinds whose precision is expected, from each kind's likelihood.
 
-    With u the logarithm of the common squared factor, and each kind's own factor at its optimum, minus twice the
-    logarithm of the posterior density is convex; its slope is ``b + sum_k max(-a, n_k - q_k exp(-u))``, a and b the
-    exponents of Pareto's density. With b > a, one kind alone is never worth a common factor, but several are. Those
-    that the common factor explains are the m with the least ``q / (n + a)``, and the slope is zero at
-    ``exp(u) = sum q / (sum n + (m - K) a + b)``, both sums over these.
+    Each is the product of a kind's own factor and that of the whole description: where many kinds are off, those that
+    the data do not show are likely off, too. Either is 1 (as stated), or more, with the density of Pareto.
 
     Args:
-        q, n: (K,) sum of squares of each kind, in units of the stated priors, and number of directions.
+        misfit: (K, F) minus twice the logarithm of each kind's likelihood, for `_LOG_FACTORS`.
     """
-    alone = q / (n + _TOO_NARROW)
-    order = np.argsort(alone)
-    explained, directions = (np.append(0.0, np.cumsum(part[order])) for part in (q, n))
-    freedom = directions + _TOO_NARROW * np.arange(-len(q), 1) + _ALL_TOO_NARROW
-    variance = explained / np.where(freedom > 0, freedom, math.nan)
-    explains = variance <= np.append(alone[order], np.inf)
-    return max(float(variance[np.argmax(explains)]), 1.0)
+    logs, step = _LOG_FACTORS, _LOG_FACTORS[1]
+    likelihood = np.exp((misfit.min(axis=1, keepdims=True) - misfit) / 2)
+
+    def of_own(values: FloatArray) -> FloatArray:
+        """(K, F) mean of values at the total factor over the own one, for each common factor."""
+        falling = np.cumsum((np.exp(-_TOO_NARROW * logs) * values)[:, ::-1], axis=1)[:, ::-1]
+        beyond = _TOO_NARROW * step * np.exp(_TOO_NARROW * logs) * falling
+        return np.asarray(_AS_STATED * values + (1 - _AS_STATED) * beyond)
+
+    each, precision = of_own(likelihood), of_own(likelihood * np.exp(-2 * logs))
+    common = (1 - _AS_STATED) * _ALL_TOO_NARROW * step * np.exp(-_ALL_TOO_NARROW * logs)
+    common[0] += _AS_STATED
+    chance = np.log(common) + np.log(each).sum(axis=0)
+    chance = np.exp(chance - chance.max())
+    return np.asarray(((precision / each) @ chance / chance.sum()) ** -0.5)
 
 
 class LevelSearch:
@@ -243,7 +249,7 @@ class LevelSearch:
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
         kinds = np.array([name in shown.wider for name in names])
-        step = np.where(kinds, _FURTHER * change, step)  # where two explain the same, neither is preferred
+        step = np.where(kinds, _HALF * change, step)
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)
         return noise.with_levels(

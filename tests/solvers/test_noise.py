@@ -6,38 +6,42 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.solvers import solve
-from mobilecal_cli.solvers.noise import _ALL_TOO_NARROW, _TOO_NARROW, common_variance
+from mobilecal_cli.solvers.noise import _LOG_FACTORS, expected_factors
 from tests.bench import imperfect
 from tests.bench.drawn import drawn
 
 
-def density(u, q, n):
-    """Minus twice the logarithm of the posterior density, each kind's own factor at its optimum."""
-    alone = np.log(np.maximum(q, 1e-300) / (n + _TOO_NARROW))
-    own = np.maximum(alone - u, 0.0)
-    return _ALL_TOO_NARROW * u + np.sum(n * (u + own) + q * np.exp(-(u + own)) + _TOO_NARROW * own)
+def factors(off, information):
+    """Expected factors of kinds of one constant that the measurements put at `off`, in units of its prior."""
+    off, information = np.array(off)[:, None], np.array(information)[:, None]
+    variance = np.exp(2 * _LOG_FACTORS) + 1 / information
+    return expected_factors(np.log(variance) + off**2 / variance)
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_the_common_factor_is_the_likeliest(seed):
-    random = np.random.default_rng(seed)
-    kinds = int(random.integers(1, 12))
-    n = random.choice([0.001, 0.3, 1.0, 2.0, 4.0], kinds)
-    q = random.gamma(n / 2, 2.0) * random.choice([1.0, 9.0, 25.0]) * random.choice([1.0, 1.0, 400.0], kinds)
-    u = np.linspace(0.0, 12.0, 4001)
-    best = u[np.argmin([density(each, q, n) for each in u])]
-    assert np.log(common_variance(q, n)) == pytest.approx(best, abs=2 * (u[1] - u[0]))
+def test_priors_of_what_nothing_shows_stay_as_stated():
+    assert np.all(factors([0.0] * 5, [1e-9] * 5) < 1.05)
+
+
+def test_constants_as_far_off_as_stated_are_not_wider():
+    assert np.all(factors(np.random.default_rng(1).normal(size=20), [1e4] * 20) < 1.1)
 
 
 def test_one_kind_that_is_off_says_nothing_of_the_others():
-    assert common_variance(np.array([400.0, 0.5, 0.0]), np.array([1.0, 1.0, 0.0])) == 1.0
-    assert common_variance(np.array([400.0]), np.array([1.0])) == 1.0
-    assert common_variance(np.array([]), np.array([])) == 1.0
+    one, *others = factors([20.0, 0.5, 0.0], [1e4, 1e4, 1e-9])
+    assert 10 < one < 21
+    assert max(others) < 1.2
 
 
 def test_where_most_kinds_are_off_so_are_those_that_the_data_do_not_show():
-    q, n = 9.0 * np.array([1.0, 2.0, 1.0, 3.0, 0.0]), np.array([1.0, 2.0, 1.0, 3.0, 0.0])
-    assert 6 < common_variance(q, n) < 9
+    *shown, hidden = factors([3.0, -4.0, 3.0, 5.0, 4.0, 0.0], [1e4] * 5 + [1e-9])
+    assert min(shown) > 1.8
+    assert hidden > 1.8
+
+
+def test_wider_only_if_the_measurements_show_so():
+    """A gradient of three of its sigmas by a constant that the measurements hardly show widened its prior for ever."""
+    (factor,) = factors([28.0], [1 / 88])
+    assert factor < 1.2
 
 
 def test_the_search_does_not_amplify_rounding():
