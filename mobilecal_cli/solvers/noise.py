@@ -195,16 +195,16 @@ def widths(lin: Posterior) -> dict[str, float]:
 
 
 def expected_factors(misfit: FloatArray) -> FloatArray:
-    """(K,) factors of the priors of all kinds whose precision is expected, from each kind's likelihood.
+    """(K,) factors of the priors of all kinds, at least 1, from each kind's likelihood.
 
     Each is the product of a kind's own factor and that of the whole description: where many kinds are off, those that
-    the data do not show are likely off, too. Either is 1 (as stated), or more, with the density of Pareto.
+    the data do not show are likely off, too. Either is 1 (as stated), or more, with the density of Pareto. The priors'
+    precision is the one that is expected then, over the one that is expected where nothing is known of any kind.
 
     Args:
         misfit: (K, F) minus twice the logarithm of each kind's likelihood, for `_LOG_FACTORS`.
     """
     logs, step = _LOG_FACTORS, _LOG_FACTORS[1]
-    likelihood = np.exp((misfit.min(axis=1, keepdims=True) - misfit) / 2)
 
     def of_own(values: FloatArray) -> FloatArray:
         """(K, F) mean of values at the total factor over the own one, for each common factor."""
@@ -212,12 +212,17 @@ def expected_factors(misfit: FloatArray) -> FloatArray:
         beyond = _TOO_NARROW * step * np.exp(_TOO_NARROW * logs) * falling
         return np.asarray(_AS_STATED * values + (1 - _AS_STATED) * beyond)
 
-    each, precision = of_own(likelihood), of_own(likelihood * np.exp(-2 * logs))
     common = (1 - _AS_STATED) * _ALL_TOO_NARROW * step * np.exp(-_ALL_TOO_NARROW * logs)
     common[0] += _AS_STATED
-    chance = np.log(common) + np.log(each).sum(axis=0)
-    chance = np.exp(chance - chance.max())
-    return np.asarray(((precision / each) @ chance / chance.sum()) ** -0.5)
+
+    def precision(misfit: FloatArray) -> FloatArray:
+        likelihood = np.exp((misfit.min(axis=1, keepdims=True) - misfit) / 2)
+        each, weighted = of_own(likelihood), of_own(likelihood * np.exp(-2 * logs))
+        chance = np.log(common) + np.log(each).sum(axis=0)
+        chance = np.exp(chance - chance.max())
+        return np.asarray((weighted / each) @ chance / chance.sum())
+
+    return np.sqrt(np.maximum(precision(np.zeros((1, len(logs)))) / precision(misfit), 1.0))
 
 
 class LevelSearch:
