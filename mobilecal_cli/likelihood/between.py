@@ -13,12 +13,15 @@ from mobilecal_cli.model import NINE, BetweenLogs, BoolArray, FloatArray
 _SHOWN = 1.0  # a recording shows a direction that it knows better than its scale
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
 _TWO_SIGMA = 0.97725  # probability below two standard deviations
-_CHANCE = 0.01  # recordings differ where chance alone would make as much in fewer cases
+#: What changes between recordings does so together: the mount, or the wheels. These differ where chance alone would
+#: make as much in fewer cases.
+_CHANGE_TOGETHER, _CHANCE = (slice(6), slice(6, 9)), 0.005
+_NO_VARIANCE = 1e-14  # in scaled units, of a direction that a recording does not show
 
 
 def _own(
     A: FloatArray, a: FloatArray, basis: FloatArray
-) -> tuple[FloatArray, FloatArray, BoolArray, float, int]:
+) -> tuple[FloatArray, FloatArray, BoolArray, list[float], list[int]]:
     """The estimate of the nine from one recording, for the common values of all constants, in scaled units.
 
     Args:
@@ -27,17 +30,23 @@ def _own(
 
     Returns:
         (9,) step from the common optimum and (9,) its standard deviation, both 0 where the recording does not show a
-        parameter; (9,) whether it does; the chi-squared of the common optimum, and its degrees of freedom.
+        parameter; (9,) whether it does; for each of `_CHANGE_TOGETHER`, the chi-squared of the common optimum and its
+        degrees of freedom.
     """
     values, vectors = np.linalg.eigh(A)
     known = values > _SHOWN**2
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
-    covariance = (vectors * inverse) @ vectors.T
-    step, std = basis @ (-covariance @ a), np.sqrt(np.einsum("nf,fg,ng->n", basis, covariance, basis))
+    covariance = basis @ (vectors * inverse) @ vectors.T @ basis.T
+    step, std = basis @ (-(vectors * inverse) @ vectors.T @ a), np.sqrt(np.diag(covariance))
     # Of fixed and unobservable parameters, the share is zero.
     shown = np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
-    distance = float(a @ covariance @ a)
-    return np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distance, int(known.sum())
+    distances, ranks = [], []
+    for of in _CHANGE_TOGETHER:
+        variances, along = np.linalg.eigh(covariance[of, of])
+        some = variances > _NO_VARIANCE
+        distances.append(float(np.sum((step[of] @ along[:, some]) ** 2 / variances[some])))
+        ranks.append(int(some.sum()))
+    return np.where(shown, step, 0.0), np.where(shown, std, 0.0), shown, distances, ranks
 
 
 def between_variance(values: FloatArray, std: FloatArray) -> float:
@@ -73,10 +82,10 @@ def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> flo
 def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
     """Weigh the recordings with the spread between them.
 
-    Where chance explains how far the recordings are apart (a chi-squared test of all nine together) there is no spread.
-    Else each recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the spread T, so that many stations
-    of one recording do not count for more than one robot's worth of evidence. What they say is then wider by
-    `few_logs_factor`.
+    Where chance explains how far the recordings are apart (a chi-squared test of the head-eye transform, and one of the
+    wheels) there is no spread. Else each recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the
+    spread T, so that many stations of one recording do not count for more than one robot's worth of evidence. What they
+    say is then wider by `few_logs_factor`.
 
     Args:
         lin: the optimum of all measurements.
@@ -93,11 +102,12 @@ def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
     nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
     own = slice(own_basis.shape[1])
     each = (_own(A[own, own], a[own], own_basis) for A, a in parts)
-    step, std, shown, distance, rank = (np.array(part) for part in zip(*each, strict=True))
+    step, std, shown, distances, ranks = (np.array(part) for part in zip(*each, strict=True))
     variance, factor = np.zeros(size), np.ones(size)
-    spare = rank.sum() - own_basis.shape[1]
-    if spare > 0 and chdtrc(spare, distance.sum()) < _CHANCE:
-        for k in range(len(NINE)):
+    for of, distance, rank in zip(_CHANGE_TOGETHER, distances.T, ranks.T, strict=True):
+        spare = int(rank.sum()) - int(np.linalg.matrix_rank(own_basis[of]))
+        differ = spare > 0 and chdtrc(spare, distance.sum()) < _CHANCE
+        for k in range(len(NINE))[of] if differ else ():
             of_shown = step[shown[:, k], k], std[shown[:, k], k]
             variance[k] = between_variance(*of_shown)
             factor[k] = few_logs_factor(*of_shown, variance[k])

@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
     WHEEL_NOISE,
     ErrorPart,
     Evaluation,
+    Extraction,
     FloatArray,
     Solution,
     camera_words,
@@ -203,10 +204,8 @@ def legs(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 _JUMPS = {
     "": ("something", "Check the mounts of head, cameras and board, the wheels, and the cables"),
-    "head mount": ("the camera on the head", "Fasten the camera to the head"),
     "board": ("the board", "Fasten the board"),
     "board's shape": ("the board's size or shape", "Use the same board in all recordings, on a flat plate"),
-    "right camera": ("the right camera against the left one", "Fasten both cameras to their mount"),
     "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
     "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
     "both wheels": (
@@ -216,11 +215,17 @@ _JUMPS = {
 }
 
 
-def _jumps(part: str) -> tuple[str, str]:
+def _jumps(part: str, extraction: Extraction) -> tuple[str, str]:
     """What a part that changed is called, and what to do about it."""
     joint = visible(part.removeprefix("joint "))
-    at_joint = (f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}")
-    return _JUMPS.get(part, at_joint)
+    if joint != part:
+        return f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}"
+    if part == "head mount":
+        on = "head" if extraction.rig.chain.joints else "base"
+        return f"the camera on the {on}", f"Fasten the camera to the {on}"
+    first = camera_words(extraction.rig.cameras.names[0])
+    camera = f"the {visible(part)} against the {first}", "Fasten the cameras to their mount"
+    return _JUMPS.get(part, camera)
 
 
 @criterion(Metric(CHANGED, "sigma", section="stations"), gated=False)
@@ -240,14 +245,15 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
-        what, cure = _jumps(change.part)
+        what, cure = _jumps(change.part, made.extraction)
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
         if change.also:
-            other, also = _jumps(change.also)
+            other, also = _jumps(change.also, made.extraction)
             what, size, cure = f"{what} or {other}", "", f"{cure}. {also}"
-        moved = "moved" if change.part in ("head mount", "board", "right camera") else "changed"
+        changed = change.part.startswith("joint ") or (change.part in _JUMPS and change.part != "board")
+        moved = "changed" if changed else "moved"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []

@@ -66,6 +66,8 @@ def contradiction_sentences(
         value, std = (number * kind.shown for number in known[name])
         difference = f"{value_text(value, std, 3, '+')} ± {std_text(std)} {kind.shown_unit}"
         differences.append(f"{meanings.get(name, name)} differs by {difference}")
+    if evidence.kind == "joint_scale" and any(value < -1 for value, _ in known.values()):
+        cure = "The readings of this joint have the wrong sign: reverse them, or its axis in head.chain or in the URDF."
     together = f"{' and '.join(meanings.get(name, name) for name in evidence.values)} together differ"
     shown = " and ".join(differences) or together
     return f"{_part(evidence)}: {shown} from {stated} (prior {priors} {kind.shown_unit}).", cure

@@ -14,9 +14,10 @@ from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
 MOST_STEPS = 250  # tried, of one optimization
-_LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e6
-#: Of the damping: growth after a second step that does not help, so many times faster after each further one; largest
-#: fall after one that does.
+#: Of the first step after one without damping that does not help; less than the least is none.
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e-6, 1e6
+#: Of the damping: growth after a step that does not help, so many times faster after each further one; largest fall
+#: after one that does.
 _GROWTH, _LARGEST_FALL = 4.0, 10.0
 _CONVERGED = 1e-10  # of the cost
 _NEAR, _ROUNDING = 1e-4, 1e-12  # 0.01 standard deviations, which the last step removes; and of the cost
@@ -93,7 +94,7 @@ def optimize(
         try:
             step, gain = proposed(lin, damping)
         except SolveError:
-            damping, growth = max(damping * growth, _LEAST_DAMPING), growth * _GROWTH
+            damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
             if damping > _LARGEST_DAMPING:
                 raise
             continue
@@ -114,7 +115,7 @@ def optimize(
             damping *= max(1 / _LARGEST_FALL, 1 - (2 * kept - 1) ** 3)
             damping, growth = 0.0 if damping < _LEAST_DAMPING or converged else damping, _GROWTH
         else:
-            damping, growth = max(damping * growth, _LEAST_DAMPING), growth * _GROWTH
+            damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
             if damping > _LARGEST_DAMPING or gain < _KINKED:
                 converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
                 history.append(lin.cost)
