@@ -75,7 +75,7 @@ def contradiction_sentences(
 
 _LISTED = 3  # outliers of one kind that are listed singly
 _KINDS = {
-    "station": "stations whose images do not fit the others: a moved or wrong board, or wrong joint readings",
+    "station": "stations whose images do not fit the others",
     "slip": "legs whose wheels do not fit the cameras: wheel slip or a moved board",
     "joint": "wrong joint readings",
     "corners": "stations with corners that do not fit the board",

@@ -343,7 +343,7 @@ STATED: dict[str, Stated] = {
                           "Record on a floor that is more even, or over less of it."),
     "joint_zero": Stated("head geometry", "Measure the zeros of the head joints", *_URDF),
     "joint_scale": Stated("head geometry", "Check the scale of the joint readings", "the reading",
-                          "Check the gear ratio or the encoder counts of this joint, or use the exported URDF."),
+                          "Check the gear ratio or the encoder counts of this joint."),
     "joint_axis": _HEAD,
     "joint_position": _HEAD,
     "turn_slip": Stated("wheels", "Turn at one rate", "no slip in turns",

@@ -174,17 +174,17 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
             f"differ by {by}. The odometry of this leg is excluded."
         )
         add("slip", (i, j), text)
-    expected = state.T_c_k
+    expected, joints, prismatic = state.T_c_k, extraction.rig.chain.joints, extraction.rig.chain.prismatic
+    why = "a moved or wrong board, or wrong joint readings" if joints else "a moved or wrong board"
     for i in np.flatnonzero(~inliers.views).tolist():
         off = se3.log(observations[i].T_c_k @ se3.inverse(expected[i]))
         shift = (observations[i].T_c_k[:3, 3] - expected[i][:3, 3]) * 1e3
         text = (
             f"Station {name(i)}, {clock(i)}: the board is {np.linalg.norm(shift):.0f} mm and "
             f"{math.degrees(float(np.linalg.norm(off[:3]))):.1f} degrees from the pose that the other stations "
-            "predict. Its images are excluded. Check for a moved or wrong board, or wrong joint readings."
+            f"predict. Its images are excluded. Check for {why}."
         )
         add("station", (i,), text)
-    joints, prismatic = extraction.rig.chain.joints, extraction.rig.chain.prismatic
     for i, j in np.argwhere(~inliers.readings).tolist():
         error = -state.own[i, j]
         by = f"{error * 1e3:+.1f} mm" if joints[j] in prismatic else f"{math.degrees(error):+.2f} degrees"

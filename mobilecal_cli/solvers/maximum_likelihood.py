@@ -26,6 +26,7 @@ _MOST_DECISIONS = 60
 _CORNER_ROUNDS = 4
 #: Scale of priors beyond which the outliers are decided again.
 _CLEARLY_WIDER = 1.5
+_FEWEST_TOGETHER = 4  # stations on either side of a change, that are fitted by themselves
 
 
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
@@ -46,13 +47,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
     fit = _of_all(inference, as_stated, first) if first.inliers.same(supposed.inliers) else None
     if fit is not None:
         return fit
-    try:
-        fit = _without_outliers(as_stated, first)
-    except (SolveError, np.linalg.LinAlgError) as error:
-        change = _change(first)
-        if change is None:
-            raise
-        raise change from error
+    fit = _without_outliers(as_stated, first)
     try:
         return _with_scales(inference, as_stated, fit)
     except SolveError:
@@ -61,20 +56,47 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         return as_stated.estimate_noise(fit, fine=True)
 
 
-def _change(first: Fit) -> SolveError | None:
-    """When something moved, for an estimate that did not converge: a long stretch of legs fits no others."""
-    stretch = outliers.longest_stretch(first)
-    if stretch is None:
-        return None
-    station, data = outliers.moved_before(first, stretch), first.data
-    log = int(data.log[station])
-    before_s, after_s = (data.times_ns[station - 1 : station + 1] - data.tracks[log].time_ns[0]) * 1e-9
-    where = f"recording {log + 1}: " if data.logs > 1 else ""
-    return SolveError(
-        f"{where}something moved between {before_s:.1f} and {after_s:.1f} s: {len(stretch)} legs one after another do "
-        "not fit the others",
-        "check what happened then to the camera's mount, the board and the base; record again without it",
-    )
+def moved_between(inference: Inference) -> SolveError | None:
+    """When something moved, for an estimate that did not converge: stations before and after it fit by themselves."""
+    data = inference.data
+    for log in np.unique(data.log).tolist():
+        mine = np.flatnonzero(data.log == log)
+        before = _longest_that_fits(inference, mine)
+        after = _longest_that_fits(inference, mine[::-1]) if 0 < before < len(mine) else 0
+        if not after or before + after < len(mine) - 1:
+            continue
+        begin, end = sorted([before, len(mine) - after])
+        around_s = (data.times_ns[mine[[begin - 1, end]]] - data.tracks[log].time_ns[0]) * 1e-9
+        where = f"recording {log + 1}: " if data.logs > 1 else ""
+        return SolveError(
+            f"{where}something moved between {around_s[0]:.1f} and {around_s[1]:.1f} s: the stations before and those "
+            "after fit by themselves, but not together",
+            "check what happened then to the camera's mount, the board and the base; record again without it",
+        )
+    return None
+
+
+def _longest_that_fits(inference: Inference, stations: IntArray) -> int:
+    """How many of a recording's stations, from the first of these on, have a fit without gross outliers; 0 for few."""
+
+    def fit(count: int) -> bool:
+        some = np.isin(np.arange(inference.data.stations), stations[:count])
+        driven = np.asarray(some[inference.data.legs].all(axis=1))
+        start = next(_linear_starts(inference, {}, np.flatnonzero(driven)), None)
+        if start is None:
+            return False
+        inliers = replace(start.inliers, views=start.inliers.views & some, legs=driven)
+        try:
+            return outliers.consistent(inference.fit(start.state, inliers, start.noise, FIRST_STEPS))
+        except (SolveError, np.linalg.LinAlgError):
+            return False
+
+    fits, not_all = 0, len(stations) + 1
+    tried = _FEWEST_TOGETHER
+    while fits < tried < not_all:
+        fits, not_all = (tried, not_all) if fit(tried) else (fits, tried)
+        tried = (max(fits, _FEWEST_TOGETHER) + not_all) // 2
+    return fits
 
 
 def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:
@@ -222,8 +244,8 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     # What lenses do beside their models decides on no gross error: as noise, steps are several times faster.
     rows = (row for row in inference.data.layout.constants if row.kind not in nuisance.PATTERNS)
     plain = replace(inference, data=inference.data.with_constants(tuple(rows)))
-    starts = _linear_starts(plain, supposed, legs) if fit is None else iter((fit.lin, supposed))
-    near = _linear_starts(plain, supposed, legs[::2], legs[1::2])
+    starts = _linear_starts(plain, supposed.noise.wider, legs) if fit is None else iter((fit.lin, supposed))
+    near = _linear_starts(plain, supposed.noise.wider, legs[::2], legs[1::2])
     try:
         state, inliers = agreeing(
             *((_patterns_as_noise(plain, lin) for lin in those) for those in (starts, near))
@@ -248,11 +270,11 @@ def _patterns_as_noise(inference: Inference, lin: Posterior) -> Posterior:
     return Posterior.at(state, lin.inliers, noise, inference.priors(state))
 
 
-def _linear_starts(inference: Inference, supposed: Posterior, *legs: IntArray) -> Iterator[Posterior]:
-    """Linear parameters from sets of legs, with the scales of the priors of `supposed`."""
+def _linear_starts(inference: Inference, wider: Mapping[str, float], *legs: IntArray) -> Iterator[Posterior]:
+    """First points with linear parameters from sets of legs, and with these scales of the priors."""
     for some in filter(len, legs):
         try:
-            yield _supposed(inference, inference.initial(some), supposed.noise.wider, some)
+            yield _supposed(inference, inference.initial(some), wider, some)
         except (SolveError, np.linalg.LinAlgError):
             continue
 

@@ -48,7 +48,7 @@ from mobilecal_cli.solvers.fit import Fit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
-from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
+from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, moved_between, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
 from mobilecal_cli.solvers.residuals import Shown, at_one_time, at_state, error_parts, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
@@ -102,7 +102,7 @@ def solve(
             f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )
-    search = Search(extraction)
+    search, inference = Search(extraction), None
     try:
         if method == "ml":
             inference = Inference.of(extraction, constraints, on_step)
@@ -111,7 +111,7 @@ def solve(
         else:
             solution = _by_points(extraction, method)
     except (SolveError, np.linalg.LinAlgError) as error:
-        refusal = _refusal(extraction, search)
+        refusal = _refusal(extraction, search) or (inference and moved_between(inference))
         if refusal is None and isinstance(error, SolveError):
             raise _with_request(error, asked) from error.__cause__
         raise refusal or SolveError(

@@ -9,7 +9,7 @@ import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import Inliers
-from mobilecal_cli.model import NINE, Outlier
+from mobilecal_cli.model import NINE, Evidence, EvidenceValue, Outlier
 from mobilecal_cli.report.findings import contradiction_sentences, outlier_sentences
 from mobilecal_cli.report.text import summary_text
 from mobilecal_cli.solvers import solve
@@ -197,6 +197,15 @@ def test_a_prior_of_the_user_that_the_data_confirm_is_not_named():
     agreeing = solve(extraction, constraints=constraints_of([], [prior], []))
     assert agreeing.uncertainty.asked["t_x"][0] < 1
     assert "--prior" not in judge(agreeing, extraction).next_step
+
+
+def test_a_joint_of_negative_scale_has_the_wrong_sign():
+    """Of a lift that was read upside down, the scale was "off by -199.7 %"."""
+    solution, extraction = drawn()
+    values = {"tilt_scale": EvidenceValue(-1.997, 0.005, 0.001)}
+    found = Evidence("joint_scale", "tilt", values, chi2=1e4, sigmas=90.0, shift_sigmas=1.0)
+    _, cure = contradiction_sentences(found, solution, extraction)
+    assert cure.startswith("The readings of this joint have the wrong sign: reverse them")
 
 
 def test_a_constant_is_compared_with_the_prior_of_the_user():

@@ -13,6 +13,7 @@ from mobilecal_cli.model import (
     CHAIN_ENDS,
     ErrorPart,
     EstimatedConstant,
+    FixedLink,
     Jump,
     Nominal,
     Parameters,
@@ -22,6 +23,7 @@ from mobilecal_cli.model import (
     WheelTrack,
 )
 from mobilecal_cli.report.criteria import Checks, Metric
+from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.solvers import solve
 from tests.judging import judge
 from tests.report.example import (
@@ -276,6 +278,49 @@ def test_what_a_change_may_cause_is_no_further_reason():
         checks = judge(replace(noisy, jumps=jumps), extraction).checks
         assert [check.id for check in checks if check.outcome == "fail"] == reasons
         assert (checks["noise.wheel"].outcome == "warning") == bool(jumps)
+
+
+@pytest.mark.parametrize(
+    ("part", "joints", "said"),
+    [
+        ("head mount", True, "the camera on the head moved by 12 mm. Fasten the camera to the head."),
+        ("head mount", False, "the camera on the base moved by 12 mm. Fasten the camera to the base."),
+        (
+            "side camera",
+            True,
+            "the side camera against the left camera moved by 12 mm. Fasten the cameras to",
+        ),
+        (
+            "joint pan",
+            True,
+            "the zero position of pan changed by 12 mm. Check the coupling and the encoder of pan.",
+        ),
+    ],
+)
+def test_what_changed_is_called_by_its_name(part, joints, said):
+    """A third camera was "the zero position of side camera", and a camera on the base "on the head"."""
+    solution, extraction = drawn()
+    chain = extraction.rig.chain
+    if not joints:
+        chain = replace(chain, links=tuple(link for link in chain.links if isinstance(link, FixedLink)))
+    time_ns = extraction.observations[6].time_ns
+    change = Jump(part, 0, 6, time_ns, (0, 0), sigmas=9.0, shift_sigmas=40.0, turn_rad=0.0, move_m=0.012)
+    known = replace(extraction, rig=replace(extraction.rig, chain=chain))
+    check = judge(replace(solution, jumps=(change,)), known).checks["jump"]
+    assert said in f"{check.why} {check.next_step}"
+
+
+def test_a_small_change_that_makes_the_floor_uneven_is_the_cause():
+    """A board that is pushed before a camera on the base: the floor was 95 % of "record twice as many stops"."""
+    solution, extraction = drawn()
+    floor = replace(solution.uncertainty.noise, floor_m=0.06)
+    time_ns = extraction.observations[6].time_ns
+    change = Jump("board", 0, 6, time_ns, (0, 0), sigmas=9.0, shift_sigmas=0.3, turn_rad=0.1, move_m=0.06)
+    noisy = replace(solution, uncertainty=replace(solution.uncertainty, noise=floor))
+    strict = gates_of(["predicted.camera_mm=0.1"], {})
+    for gates, level in (({}, "PASS"), (strict, "FAIL")):
+        verdict = judge(replace(noisy, jumps=(change,)), extraction, gates)
+        assert (verdict.level, verdict.checks["jump"].outcome == "fail") == (level, level == "FAIL")
 
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):

@@ -9,7 +9,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import head_pose
-from mobilecal_cli.likelihood import nuisance
+from mobilecal_cli.likelihood import between, nuisance
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, Noise, Nominal, Track, WheelTrack
 from mobilecal_cli.simulate.messages import nanoseconds
@@ -376,6 +376,21 @@ def test_two_logs_of_one_robot_are_better_than_one(noisy, solution):
     assert np.all(found.uncertainty.std < solution.uncertainty.std)
     assert nees(found.parameters, found.uncertainty.covariance, ROBOT) < 3
     assert solution.between is None
+
+
+def test_wheels_that_differ_between_recordings_are_compared_by_themselves(monkeypatch):
+    """Among all nine, tires of +0.6 and -0.4 % were chance: PASS, with the heading off by four sigmas."""
+    seen = {}
+
+    def recorded(dof, chi2):
+        seen[dof] = chi2
+        return 0.001 if dof == 3 else 0.5
+
+    monkeypatch.setattr(between, "chdtrc", recorded)
+    found = solve(joined(extraction_of(seed=1), extraction_of(seed=2))).between
+    assert seen.keys() == {6, 3}
+    assert found.between_std[6:].any()
+    assert not found.between_std[:6].any()
 
 
 @pytest.mark.parametrize(
