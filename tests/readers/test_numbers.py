@@ -18,6 +18,7 @@ def counter(span, step, count=400, start=None):
         (counter(2**16, 300), (16, None)),
         (counter(2**16, -300), (16, None)),
         (counter(2**8, 5), (8, None)),
+        (counter(2**8, 61), (8, None)),  # a fast wheel
         ([v - 2**15 for v in counter(2**16, 300)], (16, None)),  # signed
         (counter(2**32, 2**24), (32, None)),
         (counter(4096, 30), (None, 4096 - 30)),

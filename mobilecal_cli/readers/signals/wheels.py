@@ -32,8 +32,8 @@ GAP_RAD = 0.01
 PAUSE_S = 1.0
 _TURN = 2 * math.pi
 _SLACK = 1e-3  # of a turn, by which rounded positions leave it
-#: Widths at which counters start again. They jump then by more than this many times their usual step, at most.
-_WIDTHS, _JUMP = (8, 16, 32), 5
+#: Widths at which counters start again. They jump then by at least this many times their largest other step.
+_WIDTHS, _JUMP = (8, 16, 32), 3
 _MOST_BITS = 32  # no wheel turns by half the range of such a counter; wider ones start again there, too
 #: Steps between two readings that are no motion: they are few, larger than a turn, and so many times as fast as all
 #: others. No wheel accelerates like that from one reading to the next; a driver that starts again does.
