@@ -33,7 +33,6 @@ _LOG_FACTORS = np.linspace(0.0, math.log(_WIDEST), 500)  # that are compared
 _EXACT = 1e-12  # variance over the prior's of a constant that the data show completely
 # Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
 _MEMORY, _FARTHEST, _ANYWAY = 5, 3.0, 0.3
-_HALF = 0.5  # of its way that a prior's scale moves at once: where two explain the same, neither takes all
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -253,8 +252,6 @@ class LevelSearch:
             dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
             weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
             step = change - (dX + dF) @ weights
-        kinds = np.array([name in shown.wider for name in names])
-        step = np.where(kinds, _HALF * change, step)
         farthest = _FARTHEST * np.abs(change) + _ANYWAY
         step = np.clip(step, -farthest, farthest)
         return noise.with_levels(
