@@ -92,7 +92,7 @@ def _add_directory(recording: Recording, folder: Path) -> None:
     files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
     if listed:
         if files or inside:
-            _refuse(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
+            raise _several(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
         for path in listed:
             try:
                 with boundary(path):
@@ -105,18 +105,14 @@ def _add_directory(recording: Recording, folder: Path) -> None:
     storages = [_opened(recording, path) for path in files]
     groups = [", ".join(storages[i].path.name for i in group) for group in group_splits(storages)]
     if len(groups) > 1 or inside:
-        _refuse(folder, [*groups, *inside])
+        raise _several(folder, [*groups, *inside])
     recording.parts += storages
 
 
-def _refuse(folder: Path, recordings: Sequence[str]) -> None:
-    """Refuse a directory with several recordings, or with one in a directory of its own.
-
-    Raises:
-        RecordingError: always.
-    """
+def _several(folder: Path, recordings: Sequence[str]) -> RecordingError:
+    """Why a directory is refused: it has several recordings, or one in a directory of its own."""
     count = f"{len(recordings)} recordings" if len(recordings) > 1 else "a directory with a recording"
-    raise RecordingError(
+    return RecordingError(
         f"{folder}: contains {count}: {'; '.join(recordings)}",
         "give the recording to use, or give all recordings of one robot to calibrate them together",
     )

@@ -7,10 +7,11 @@ from abc import abstractmethod
 from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count, islice, pairwise
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -329,17 +330,6 @@ def _holds(block: Block, at_ns: IntArray) -> bool:
     return first < len(at_ns) and int(at_ns[first]) <= block.end_ns
 
 
-Answer = TypeVar("Answer")
-
-
-def _tried(question: Callable[[int], Answer], at: int) -> Answer | None:
-    """What a container says of the bytes from `at` on; None if they are damaged, and it raises for them."""
-    try:
-        return question(at)
-    except Exception:  # damaged bytes may raise anything
-        return None
-
-
 #: Bytes read at once where there are no chunks: of messages, and to search for the next record after damage.
 _SPAN_BYTES = 2**22
 
@@ -374,7 +364,9 @@ class Reindex:
             except Exception as error:  # no complete record begins there: search for the next one
                 if self._last is not None:  # registers its channels, by which messages are recognized
                     storage.scanned(self._last, lambda _: None)
-                rest = _tried(storage.rest_of_chunk, at)
+                rest = None
+                with suppress(Exception):  # damaged bytes may raise anything
+                    rest = storage.rest_of_chunk(at)
                 if rest is not None and self._next_record(at + 1, chunks=True) is None:
                     self._close()
                     self._last = Block(rest, storage.size - rest, False, LATEST_NS, 0, None)
@@ -410,8 +402,9 @@ class Reindex:
         while at < storage.size:
             window = storage.read_at(at, min(_SPAN_BYTES, storage.size - at))
             for place in storage.likely_records(window, chunks=chunks):
-                if _tried(storage.fits, at + place):
-                    return at + place
+                with suppress(Exception):  # damaged bytes may raise anything
+                    if storage.fits(at + place):
+                        return at + place
             if at + len(window) == storage.size:
                 return None
             at += len(window) - storage.LONGEST_HEAD

@@ -40,6 +40,7 @@ _CHUNKS = re.compile(rb"\x06(?=.{4}\x00{4})", re.DOTALL)
 _KINDS = re.compile(rb"[\x05\x06](?=.{4}\x00{4})", re.DOTALL)
 #: Channels and schemas are limited to 65,535 each.
 _MOST_DEFINITIONS = 2**17
+_NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")
 
 
 class McapStorage(BlockStorage):
@@ -174,12 +175,9 @@ class McapStorage(BlockStorage):
     def _register(self, channel: records.Channel) -> None:
         if channel.id in self.channels:
             return
-        schema = self._schemas.get(channel.schema_id)
-        kind = LANGUAGES.get(schema.encoding, "") if schema else ""
-        definition: str | bytes = schema.data if schema else ""
-        if isinstance(definition, bytes) and kind != "protobuf":
-            definition = definition.decode(errors="replace")
-        name = ros2_spelling(schema.name) if schema else ""
+        schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
+        name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
+        definition = schema.data if kind == "protobuf" else schema.data.decode(errors="replace")
         self.channels[channel.id] = Channel(
             channel.id, channel.topic, name, channel.message_encoding, definition, kind
         )
