@@ -95,18 +95,18 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
             pixels = cv2.cvtColor(np.ascontiguousarray(pixels), to_gray)
         return np.asarray(pixels, dtype=np.uint8)
     except (AttributeError, TypeError, ValueError) as error:
-        raise RecordingError(f"not a sensor_msgs image: {error}", "") from error
+        raise RecordingError(f"not a sensor_msgs image: {error}") from error
     except cv2.error as error:
         if error.code == _NO_MEMORY:
             raise MemoryError(error.err) from error
-        raise RecordingError(f"image damaged: {error.err}", "") from error
+        raise RecordingError(f"image damaged: {error.err}") from error
 
 
 def _decompressed(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
     """Pixels of a JPEG or PNG as they are stored, and their conversion to gray."""
     data, kind = np.frombuffer(message.data, dtype=np.uint8), str(message.format)
     if not data.size:
-        raise RecordingError("image empty: 0 bytes", "")
+        raise RecordingError("image empty: 0 bytes")
     mode = _check_header(data.tobytes(), kind)
     # A JPEG stores its gray image apart from the colors.
     is_jpeg = data[:2].tobytes() == _JPEG
@@ -124,7 +124,7 @@ def _decompressed(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
 def _not_a_picture(stored: bytes, kind: str) -> RecordingError:
     begin = stored[:_BEGIN]
     return RecordingError(
-        f"image damaged, or not JPEG or PNG: {len(stored)} bytes of {kind!r} that begin with {begin!r}", ""
+        f"image damaged, or not JPEG or PNG: {len(stored)} bytes of {kind!r} that begin with {begin!r}"
     )
 
 
@@ -140,13 +140,13 @@ def _check_header(stored: bytes, kind: str) -> str:
             with Image.open(io.BytesIO(stored), formats=_COMPRESSIONS) as picture:
                 (width, height), mode = picture.size, str(picture.mode)
     except Image.DecompressionBombError as error:  # far above the limit below
-        raise RecordingError(f"invalid image size: {error}", "") from error
+        raise RecordingError(f"invalid image size: {error}") from error
     except MemoryError:
         raise
     except Exception as error:  # damaged headers may raise anything
         raise _not_a_picture(stored, kind) from error
     if width * height > LARGEST_PIXELS:
-        raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels", "")
+        raise RecordingError(f"image size {width}x{height} exceeds the limit of {LARGEST_PIXELS} pixels")
     return mode
 
 
@@ -155,7 +155,7 @@ def _raw(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:
         raise RecordingError(
-            f"unknown image encoding {message.encoding!r}; known: {listed(sorted(_ENCODINGS))}", ""
+            f"unknown image encoding {message.encoding!r}; known: {listed(sorted(_ENCODINGS))}"
         )
     height, width = int(message.height), int(message.width)
     data = np.frombuffer(message.data, dtype=np.uint8)
@@ -167,8 +167,7 @@ def _raw(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
     if step < row or data.size < step * (int(height * encoding.rows) - 1) + row:
         raise RecordingError(
             f"image size {width}x{height} {message.encoding} with {step} bytes per row does not match "
-            f"its {data.size} bytes",
-            "",
+            f"its {data.size} bytes"
         )
     dtype = np.dtype(np.uint8 if encoding.depth == 1 else (">u2" if message.is_bigendian else "<u2"))
     shape: tuple[int, ...] = (height, width)
@@ -224,9 +223,9 @@ class Video:
         except self._errors as error:
             fact = "damaged" if self._whole else "damaged, or its key frame is missing"
             self._whole = False
-            raise RecordingError(f"video frame {fact}: {error}", "") from error
+            raise RecordingError(f"video frame {fact}: {error}") from error
         self._whole = self._whole or any(frame.key_frame for frame in frames)
         if not frames or not self._whole:
-            raise RecordingError("video frame without its key frame", "")
+            raise RecordingError("video frame without its key frame")
         # The first plane of the planar YUV formats that cameras send is the gray image.
         return np.asarray(frames[-1].to_ndarray(format="gray"), dtype=np.uint8)
