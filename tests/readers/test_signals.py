@@ -380,12 +380,8 @@ def test_counter_without_width_never_wraps_and_keeps_large_numbers_exact():
 @given(st.lists(st.integers(0, 30), min_size=1, max_size=40))
 def test_in_order_is_the_longest_increasing_choice(times):
     stamps = np.array(times, dtype=np.int64)
-    keep, duplicates, dropped, back_s = in_order(stamps)
-    kept = stamps[keep]
+    kept = stamps[in_order(stamps)]
     assert np.all(np.diff(kept) > 0)
-    assert len(kept) + duplicates + dropped == len(times)
-    assert duplicates == len(times) - len(set(times))
-    assert (back_s > 0) == bool(np.any(np.diff(stamps) < 0))
     firsts = list(dict.fromkeys(times))
     best = [1] * len(firsts)
     for i, late in enumerate(firsts):
@@ -396,9 +392,7 @@ def test_in_order_is_the_longest_increasing_choice(times):
 def test_one_stray_stamp_costs_one_sample():
     stamps = np.arange(100, dtype=np.int64)
     stamps[40] = 10**15
-    keep, _, dropped, _ = in_order(stamps)
-    assert dropped == 1
-    assert not keep[40]
+    assert np.flatnonzero(~in_order(stamps)).tolist() == [40]
 
 
 @pytest.mark.parametrize("topic", ["/j", "/head"])

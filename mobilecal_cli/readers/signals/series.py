@@ -61,11 +61,13 @@ class Samples:
 
     def kept(self, notes: list[str]) -> BoolArray:
         """`in_order` of the stamps; notes what is dropped."""
-        keep, duplicates, dropped, back_s = in_order(self.stamp_ns)
-        total = len(self)
-        if duplicates:
-            notes.append(f"{self.topic}: {duplicates} of {total} stamps occur twice; the first is kept")
-        if dropped:
+        keep, total, different = in_order(self.stamp_ns), len(self), len(np.unique(self.stamp_ns))
+        if different < total:
+            notes.append(
+                f"{self.topic}: {total - different} of {total} stamps occur twice; the first is kept"
+            )
+        if dropped := different - int(keep.sum()):
+            back_s = -float(np.diff(self.stamp_ns).min()) * 1e-9
             notes.append(
                 f"{self.topic}: the clock steps back by up to {back_s:.3f} s; {dropped} of {total} samples "
                 "are out of order and dropped"
@@ -98,7 +100,7 @@ class Series:
     Args:
         topic: where they come from.
         label: name for messages ("joint head_pan_joint on /joint_states").
-        width: numbers of one reading; 0 for events without a value.
+        width: numbers of one reading.
     """
 
     def __init__(self, topic: str, label: str, width: int = 1) -> None:
@@ -132,7 +134,7 @@ class Series:
             RecordingError: many do.
         """
         value = np.array(self._value, dtype=np.float64)
-        if self._width != 1 or len(value) < _ALTERNATING:
+        if len(value) < _ALTERNATING:
             return
         jump = np.minimum(np.abs(value[1:-1] - value[:-2]), np.abs(value[1:-1] - value[2:]))
         back = _RETURNS * np.abs(value[2:] - value[:-2])
@@ -313,8 +315,8 @@ def came_late(stamp_ns: IntArray, log_ns: IntArray) -> bool:
     )
 
 
-def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
-    """Which samples make time strictly increase.
+def in_order(time_ns: IntArray) -> BoolArray:
+    """Which samples make time strictly increase, (n,).
 
     Of equal stamps the first is kept. Where a clock steps back, the longest increasing run is kept and the rest is
     dropped. A single stray stamp costs one sample. After a step back, samples at times already covered are dropped, so
@@ -322,27 +324,18 @@ def in_order(time_ns: IntArray) -> tuple[BoolArray, int, int, float]:
 
     Args:
         time_ns: (n,) in order of arrival.
-
-    Returns:
-        (n,) True to keep; number of duplicates; number dropped for order; largest step back, s.
     """
-    steps = np.diff(time_ns)
-    keep = np.ones(len(time_ns), dtype=np.bool_)
-    if np.all(steps > 0):
-        return keep, 0, 0, 0.0
     _, first = np.unique(time_ns, return_index=True)
-    keep[:] = False
-    keep[first] = True
-    candidates = np.flatnonzero(keep)
-    if np.any(np.diff(time_ns[candidates]) < 0):
-        keep[:] = False
-        keep[candidates[_longest_increasing(time_ns[candidates])]] = True
-    duplicates = len(time_ns) - len(first)
-    return keep, duplicates, len(first) - int(keep.sum()), float(max(-int(steps.min()), 0) * 1e-9)
+    first.sort()
+    keep = np.zeros(len(time_ns), dtype=np.bool_)
+    keep[first[_longest_increasing(time_ns[first])]] = True
+    return keep
 
 
 def _longest_increasing(values: IntArray) -> IntArray:
     """Indices of the longest strictly increasing subsequence (patience sorting)."""
+    if np.all(np.diff(values) > 0):
+        return np.arange(len(values))
     tails: list[int] = []  # of the runs of each length, the smallest last value, and its index
     ends: list[int] = []
     before: list[int] = []
@@ -352,7 +345,7 @@ def _longest_increasing(values: IntArray) -> IntArray:
         tails[place : place + 1] = [value]
         ends[place : place + 1] = [index]
     chain = []
-    index = ends[-1] if ends else -1
+    index = ends[-1]
     while index >= 0:
         chain.append(index)
         index = before[index]
