@@ -229,7 +229,7 @@ def _odometry_topic(description: RobotDescription) -> str:
         RecordingError: there is none.
         ConfigError: several are equal candidates, or all are filtered.
     """
-    every = [t.name for t in description.topics if t.type == ODOMETRY and (t.count is None or t.count)]
+    every = [t.name for t in description.topics if t.type == ODOMETRY and t.count != 0]
     frames = {topic: description.odometry_frames.get(topic, ("", "")) for topic in every}  # parent, child
     told = {topic: {*words(topic), *words(child)} for topic, (_, child) in frames.items()}
     own = [topic for topic in every if not told[topic] & _NOT_WHEELS]

@@ -113,12 +113,10 @@ class SqliteStorage(Storage):
     def _check_size(self) -> None:
         """Note a file that is shorter than the pages that its header states."""
         with self.opened.open("rb") as stream:
-            header = stream.read(_HEADER.size)
-        if len(header) == _HEADER.size:
-            page, change, pages, counted_at = _HEADER.unpack(header)
-            whole = (65536 if page == 1 else page) * pages
-            if change == counted_at and self.path == self.opened and whole > self.path.stat().st_size:
-                self.note_share(whole)
+            page, change, pages, counted_at = _HEADER.unpack(stream.read(_HEADER.size))
+        whole = (65536 if page == 1 else page) * pages
+        if change == counted_at and self.path == self.opened and whole > self.path.stat().st_size:
+            self.note_share(whole)
 
     def close(self) -> None:
         self._copies.close()
