@@ -125,9 +125,6 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
     assert all(np.array_equal(picture, pictures[1][key]) for key, picture in pictures[0].items())
 
 
-EYE = ("/eye", START_NS, "foxglove.CompressedImage", {"timestamp": {"sec": 7, "nsec": 0}, "data": ""})
-
-
 def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     """Degrees in nested JSON, and a joint that some messages lack."""
 
@@ -142,13 +139,12 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     wheels = {side: WheelSource("/head", field=at, ticks_per_revolution=100) for side, at in fields.items()}
     pan = JointField("/head", "pan.angle", np.radians(1))
     joints = {"pan": pan, "tilt": JointField("/head", "tilts[0]")}
-    images = {"left": "/eye", "right": "/eye"}
-    with open_recording([path, written_in_json(tmp_path / "eyes.mcap", [EYE])]) as recording:
-        signals = r.one_log(recording, Sources(images, {}, (), wheels, joints), ("pan", "tilt"))
+    with open_recording([path]) as recording:
+        signals = r.one_log(recording, Sources({}, {}, (), wheels, joints), ("pan", "tilt"))
         wrong = {"pan": JointField("/head", "pan.angel")}
         said = r"/head: no field pan\.angel .*fields present: .*pan\.angle"
         with pytest.raises(RecordingError, match=said):
-            r.one_log(recording, Sources(images, {}, (), wheels, wrong), ("pan",))
+            r.one_log(recording, Sources({}, {}, (), wheels, wrong), ("pan",))
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
     assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])
@@ -169,10 +165,10 @@ def test_dynamic_joint_states(tmp_path):
 
     topic, kind = "/dynamic_joint_states", "control_msgs/DynamicJointState"
     messages = [(topic, START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
-    images, wheel = {"left": "/eye", "right": "/eye"}, WheelSource(topic, joint="wheel")
-    with open_recording([written_in_json(tmp_path / "log.mcap", [*messages, EYE])]) as recording:
+    wheel = WheelSource(topic, joint="wheel")
+    with open_recording([written_in_json(tmp_path / "log.mcap", messages)]) as recording:
         assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
-        sources = Sources(images, {}, (topic,), {"left": wheel, "right": wheel})
+        sources = Sources({}, {}, (topic,), {"left": wheel, "right": wheel})
         signals = r.one_log(recording, sources, ("pan",))
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
     assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)

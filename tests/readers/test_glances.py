@@ -15,6 +15,10 @@ ITEMS = r.world()
 TOPICS = {item.topic for item in ITEMS}
 
 
+def blocks_of(recording):
+    return [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+
+
 @pytest.fixture(params=r.CONTAINERS)
 def recording(request, tmp_path):
     with open_recording([r.CONTAINERS[request.param](tmp_path / "log", ITEMS)]) as opened:
@@ -32,14 +36,14 @@ def test_pictures_near_moments_and_the_share_that_an_extent_leaves(recording):
     for topic, found in times.items():
         assert found.tolist() == [item.log_ns for item in ITEMS if item.topic == topic]
     topics = ["/joint_states"]
-    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    blocks = blocks_of(recording)
     assert recording.share(topics, Extent()) == recording.share(topics, Extent(2**30)) == 1
     if len(blocks) > 5 and all(block.is_chunk for block in blocks):
         assert 0 < recording.share(topics, Extent(20_000)) < 1
 
 
 def test_a_part_is_read_where_blocks_are_large(recording):
-    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    blocks = blocks_of(recording)
     if blocks and not all(block.is_chunk for block in blocks):
         pytest.skip("one stretch outside chunks holds all of this small file's messages of a topic")
     whole = r.one_log(recording, replace(r.SOURCES, image={}), r.JOINTS)
@@ -71,7 +75,7 @@ def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatc
         left, right = (found[side, int(signals.images[side].time_ns[k])] for side in ("left", "right"))
         np.testing.assert_array_equal(left, r.picture(10 * k))
         np.testing.assert_array_equal(right, r.picture(10 * k + 1))
-    blocks = [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
+    blocks = blocks_of(recording)
     if len(blocks) > 5:
         assert len(loaded) <= 4
     assert recording.damage == ()

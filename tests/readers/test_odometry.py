@@ -10,7 +10,7 @@ from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import check_speed, rotations
 from tests.readers.recordings import START_NS, STEP_NS
-from tests.readers.test_encodings import EYE, written_in_json
+from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
 
@@ -45,11 +45,11 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         pose = {"pose": {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": upright}}
         return ("/odom", START_NS + i * STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
 
-    path = written_in_json(tmp_path / "log.mcap", [*(odometry(i, x) for i, x in enumerate(xs)), EYE])
+    path = written_in_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
     source = WheelSource("/odom", baked_in=WHEELS)
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
-        sources = Sources({"left": "/eye", "right": "/eye"}, {}, (), {"left": source, "right": source})
+        sources = Sources({}, {}, (), {"left": source, "right": source})
         signals = r.one_log(recording, sources, ())
     assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
     assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]

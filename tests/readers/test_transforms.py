@@ -12,7 +12,7 @@ from mobilecal_cli.model import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.joints import reading
 from tests.readers.recordings import START_NS, STEP_NS
-from tests.readers.test_encodings import EYE, written_in_json
+from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
 
@@ -69,11 +69,10 @@ def tf_message(i, *frames):
 
 def signals_of(folder, messages, sources):
     counts = [("/count", START_NS + i, "std_msgs/Int32", {"data": 7}) for i in range(2)]
-    path = written_in_json(folder / "log.mcap", [*messages, EYE, *counts])
-    images = {"left": "/eye", "right": "/eye"}
+    path = written_in_json(folder / "log.mcap", [*messages, *counts])
     wheels = dict.fromkeys(("left", "right"), WheelSource("/count", field="data"))
     with open_recording([path]) as recording:
-        return r.one_log(recording, Sources(images, {}, (), wheels, elsewhere=sources), tuple(sources))
+        return r.one_log(recording, Sources({}, {}, (), wheels, elsewhere=sources), tuple(sources))
 
 
 def test_joints_over_time_with_their_own_stamps(tmp_path):
