@@ -107,6 +107,8 @@ class BoardConfig(_Section):
 class Pose(_Section):
     """A pose."""
 
+    example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
+
     translation_m: Position
     quaternion_xyzw: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
 
@@ -172,7 +174,7 @@ class CamerasConfig(_Section):
 
     def of(self, name: str) -> CameraTopics:
         """What is configured of a camera."""
-        topics: CameraTopics = self.named.get(name) or getattr(self, name, None) or CameraTopics()
+        topics = self.named.get(name) or getattr(self, name, None)
         return topics if isinstance(topics, CameraTopics) else CameraTopics()
 
     @model_validator(mode="after")
@@ -276,9 +278,7 @@ class WheelConfig(_Section):
         signs = self.signs or (self.sign,) * len(names)
         count = self.ticks_per_revolution, self.bits
         return tuple(
-            WheelSource(topic, name, None, *count, sign)
-            if joints
-            else WheelSource(topic, None, name, *count, sign)
+            WheelSource(topic, name if joints else None, None if joints else name, *count, sign)
             for name, topic, sign in zip(names, topics, signs, strict=True)
         )
 
@@ -353,12 +353,6 @@ chain:
         return self
 
 
-class HeadEyeNominal(Pose):
-    """Nominal head-eye transform."""
-
-    example: ClassVar[str] = "{translation_m: [0, 0, 0], quaternion_xyzw: [0, 0, 0, 1]}"
-
-
 class WheelsNominal(_Section):
     """Nominal wheels."""
 
@@ -375,7 +369,7 @@ class WheelsNominal(_Section):
 class NominalConfig(_Section):
     """Nominal values, used only for parameters that the recording does not determine."""
 
-    head_eye: HeadEyeNominal | None = None
+    head_eye: Pose | None = None
     wheels: WheelsNominal | None = None
 
 
@@ -476,7 +470,7 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots
         _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
-    todo = sorted(_places_of(data, TODO))
+    todo = sorted(_left_out(data))
     if todo:
         raise ConfigError(
             f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
@@ -522,15 +516,15 @@ def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None
     return next(filter(None, (_section_of(each, inside) for each in get_args(annotation))), None)
 
 
-def _places_of(data: object, value: str, prefix: str = "") -> Iterator[str]:
-    """Dotted keys, below a mapping or list, that have a value."""
+def _left_out(data: object, prefix: str = "") -> Iterator[str]:
+    """Dotted keys, below a mapping or list, that a draft leaves to the user."""
     if isinstance(data, Mapping):
         for key, inner in data.items():
-            yield from _places_of(inner, value, f"{prefix}.{key}" if prefix else str(key))
+            yield from _left_out(inner, f"{prefix}.{key}" if prefix else str(key))
     elif isinstance(data, list):
         for number, inner in enumerate(data):
-            yield from _places_of(inner, value, f"{prefix}[{number}]")
-    elif data == value:
+            yield from _left_out(inner, f"{prefix}[{number}]")
+    elif data == TODO:
         yield prefix
 
 

@@ -32,9 +32,9 @@ from mobilecal_cli.rig.config import (
     BoardConfig,
     CamerasConfig,
     HeadConfig,
-    HeadEyeNominal,
     JointFieldConfig,
     NoiseConfig,
+    Pose,
     WheelsConfig,
     WheelsNominal,
     read_urdf,
@@ -398,4 +398,4 @@ def _nominal(draft: Draft) -> None:
         draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {_flow(sizes)}")
     if drawn.T_h_reference is None:
         why = "pose of the camera's optical frame in the head frame, by a ruler; only needed if the motion does not "
-        draft.ask("nominal.head_eye", f"{why}show it", f"head_eye: {HeadEyeNominal.example}")
+        draft.ask("nominal.head_eye", f"{why}show it", f"head_eye: {Pose.example}")
