@@ -187,10 +187,10 @@ def _each_camera(topics: Iterable[str], rectified: bool | None) -> dict[tuple[st
     return cameras
 
 
-def named_cameras(config: RigConfig, description: RobotDescription) -> dict[str, str]:
+def named_cameras(description: RobotDescription) -> dict[str, str]:
     """Image topic of every camera of a recording, by names for rig.yaml: the words in which their topics differ."""
     present = _image_topics(description)
-    cameras = _each_camera(present, config.cameras.rectified)
+    cameras = _each_camera(present, None)
     alike = set.intersection(*map(set, cameras)) if len(cameras) > 1 else set()
     named: dict[str, str] = {}
     for own, topics in cameras.items():

@@ -28,7 +28,6 @@ from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.rig.cameras import named_cameras
 from mobilecal_cli.rig.config import (
     TODO,
-    UNCONFIGURED,
     BoardConfig,
     CamerasConfig,
     HeadConfig,
@@ -272,7 +271,7 @@ def _cameras(draft: Draft) -> None:
     present = (topic.name for topic in description.topics if topic.type in IMAGES)
     draft.lines.append(_listing("image topics in the recording", present))
     if images is None:
-        named = named_cameras(UNCONFIGURED, description)
+        named = named_cameras(description)
         several = "\n".join(f"{name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())
         draft.ask_for("cameras", "cameras", several or CamerasConfig.example)
         return
@@ -342,7 +341,7 @@ def _joints(draft: Draft) -> None:
     chain = None if survey.head is None else survey.head.chain
     if survey.joints and len(survey.joints) == 1 and not survey.elsewhere:
         draft.fill("joints.topic", survey.joints[0], "recording: the only one with the head's joints")
-    found = _tried(lambda: pan_and_tilt(UNCONFIGURED, names)) or ("", "")
+    found = _tried(lambda: pan_and_tilt(survey.config, names)) or ("", "")
     for role, name in zip(("pan", "tilt"), (chain.pan, chain.tilt) if chain else found, strict=True):
         if name:
             draft.fill(f"joints.{role}", name, "name of the joint")
