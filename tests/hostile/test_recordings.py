@@ -251,7 +251,7 @@ def chain_of(depth: int, line: str, last: str) -> str:
 )
 @pytest.mark.parametrize("encoding", ["ros1", "cdr"])
 def test_message_definitions_without_end(definition, payload, encoding):
-    channel = Channel(1, "/t", "a/msg/T0", encoding, definition, "msg")
+    channel = Channel("/t", "a/msg/T0", encoding, definition, "msg")
     head = b"\x00\x01\x00\x00" if encoding == "cdr" else b""
     with bounded():
         try:
@@ -272,7 +272,7 @@ def test_a_protobuf_definition_in_a_chain_of_files():
         file.message_type.add(name="M")
         file.dependency.extend([f"f{k - 1}"] if k else [])
     with bounded():
-        Channel(1, "/t", "p7.M", "protobuf", definition.SerializeToString(), "protobuf").check()
+        Channel("/t", "p7.M", "protobuf", definition.SerializeToString(), "protobuf").check()
 
 
 def test_json_that_is_deeper_than_the_stack(tmp_path):

@@ -38,7 +38,7 @@ def payload(ros1: bool, names, position, velocity=(), stamp_ns=r.START_NS, littl
 
 
 def channel(ros1: bool) -> Channel:
-    return Channel(1, "/joint_states", JOINT_STATE, "ros1" if ros1 else "cdr")
+    return Channel("/joint_states", JOINT_STATE, "ros1" if ros1 else "cdr")
 
 
 def write(path: Path, ros1: bool, payloads: list[bytes]) -> Path:
@@ -91,7 +91,7 @@ def test_the_limit_holds_for_each_message_that_says_what_a_joint_state_says():
     message = replace(dynamic(store, 1, r.START_NS), joint_names=[*MOVING, "x" * LARGEST_JOINT_STATE])
     definition, _ = store.generate_msgdef(name, ros_version=2)
     with pytest.raises(RecordingError, match=r"a joint state of 10\d{5} bytes"):
-        Channel(0, "/joint_states", name, "cdr", definition).decode(store.serialize_cdr(message, name))
+        Channel("/joint_states", name, "cdr", definition).decode(store.serialize_cdr(message, name))
 
 
 CONTROL = {

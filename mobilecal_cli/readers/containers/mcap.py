@@ -178,9 +178,7 @@ class McapStorage(BlockStorage):
         schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
         name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
         definition = schema.data if kind == "protobuf" else schema.data.decode(errors="replace")
-        self.channels[channel.id] = Channel(
-            channel.id, channel.topic, name, channel.message_encoding, definition, kind
-        )
+        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, definition, kind)
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, body, end = self._head(at)

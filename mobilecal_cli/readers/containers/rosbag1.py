@@ -192,7 +192,7 @@ class BagStorage(BlockStorage):
         inner = _fields(memoryview(data))
         name, text = inner[b"type"].decode(), inner.get(b"message_definition", b"").decode(errors="replace")
         topic = fields[b"topic"].decode()
-        self.channels[number] = Channel(number, topic, ros2_spelling(name), "ros1", text, "msg")
+        self.channels[number] = Channel(topic, ros2_spelling(name), "ros1", text, "msg")
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         fields, body, end = self._head(at)

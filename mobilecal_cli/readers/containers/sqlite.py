@@ -149,7 +149,7 @@ class SqliteStorage(Storage):
                 continue
             language, text = definitions.get(str(name), ("", ""))
             self.channels[number] = Channel(
-                number, str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
+                str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
             )
 
     def _scan(self) -> None:

@@ -38,7 +38,6 @@ class Channel:
     """One message stream in one container.
 
     Attributes:
-        id: number of the channel in the container.
         topic: the topic.
         type: message type; ROS's in ROS 2 spelling.
         encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or another value from the container.
@@ -46,7 +45,6 @@ class Channel:
         definition_format: language of the definition.
     """
 
-    id: int
     topic: str
     type: str
     encoding: str
