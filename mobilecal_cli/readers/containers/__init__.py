@@ -89,7 +89,7 @@ def _add_directory(recording: Recording, folder: Path) -> None:
     entries = sorted(folder.iterdir())
     inside = [f"{path.name}/" for path in entries if path.is_dir() and looks_recorded(path)]
     # The player unpacks a compressed file next to it.
-    files = [p for p in entries if _unpacked(p.name) not in names and p.is_file() and recognised(p)]
+    files = [p for p in entries if _unpacked(p.name) not in names and recognised(p)]
     if listed:
         if files or inside:
             raise _several(folder, [", ".join(p.name for p in listed), *(p.name for p in files), *inside])
