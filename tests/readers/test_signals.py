@@ -49,6 +49,11 @@ SOURCES = Sources(
 NAMES = ["pan", "wl", "wr"]
 
 
+def with_left(topic="/j", **of_wheel):
+    """The sources with another left wheel."""
+    return replace(SOURCES, wheels={**SOURCES.wheels, "left": WheelSource(topic, **of_wheel)})
+
+
 def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
     path = r.write_mcap(tmp_path / "log.mcap", items)
     with open_recording([path]) as recording:
@@ -250,23 +255,21 @@ def test_a_counter_in_joint_states_wraps_at_its_width(tmp_path, signed):
     ticks = np.arange(65_000, 67_000, 40)
     readings = (ticks + 2**15) % 2**16 - 2**15 if signed else ticks % 2**16
     rows = [(0.05 * k, at(0.05 * k), NAMES, [0, float(n), 0]) for k, n in enumerate(readings)]
-    wheels = {**SOURCES.wheels, "left": WheelSource("/j", joint="wl", ticks_per_revolution=1000, bits=16)}
-    signals = signals_of(tmp_path, [*images(), *joints(rows)], replace(SOURCES, wheels=wheels))
+    sources = with_left(joint="wl", ticks_per_revolution=1000, bits=16)
+    signals = signals_of(tmp_path, [*images(), *joints(rows)], sources)
     turned = signals.wheels["left"].value
     np.testing.assert_allclose(turned - turned[0], (ticks - ticks[0]) * 2 * np.pi / 1000, atol=1e-9)
 
 
 def test_readings_beyond_the_width_of_a_counter_are_refused(tmp_path):
-    wheels = {**SOURCES.wheels, "left": WheelSource("/j", joint="wl", ticks_per_revolution=1000, bits=8)}
+    width = {"ticks_per_revolution": 1000, "bits": 8}
     rows = [(0.1 * k, at(0.1 * k), NAMES, [0, 100.0 * k, 0]) for k in range(5)]
     said = "joint wl on /j: a reading of 400 does not fit a counter of 8 bits"
     with pytest.raises(RecordingError, match=said):
-        signals_of(tmp_path, [*images(), *joints(rows)], replace(SOURCES, wheels=wheels))
-    left = WheelSource("/t", field="data", ticks_per_revolution=1000, bits=8)
+        signals_of(tmp_path, [*images(), *joints(rows)], with_left(joint="wl", **width))
     ticks = [r.Item("/t", "std_msgs/msg/UInt16", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
-    sources = replace(SOURCES, wheels={**SOURCES.wheels, "left": left})
     with pytest.raises(RecordingError, match="a reading of 360 does not fit a counter of 8 bits"):
-        signals_of(tmp_path, [*images(), *joints(steady()), *ticks], sources)
+        signals_of(tmp_path, [*images(), *joints(steady()), *ticks], with_left("/t", field="data", **width))
 
 
 def test_sparse_positions_are_left_alone(tmp_path):
@@ -276,34 +279,35 @@ def test_sparse_positions_are_left_alone(tmp_path):
 
 
 def test_sign_turns_a_wheel_round(tmp_path):
-    backwards = replace(SOURCES, **left(joint="wl", sign=-1))
-    signals = signals_of(tmp_path, [*images(), *joints(steady())], backwards)
+    signals = signals_of(tmp_path, [*images(), *joints(steady())], with_left(joint="wl", sign=-1))
     np.testing.assert_array_equal(signals.wheels["left"].value, -2.0 * np.arange(10))
 
 
-def left(**of_wheel):
-    return {"wheels": {**SOURCES.wheels, "left": WheelSource("/j", **of_wheel)}}
-
-
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("sources", "message"),
     [
-        ({"joints": ("/nope",)}, r"no topic /nope; topics present: /j \(sensor_msgs/msg/JointState\), /l"),
-        ({"joints": ("/l",)}, "/l has the type sensor_msgs/msg/Image, expected sensor_msgs/msg/JointState"),
         (
-            {"image": {"left": "/j", "right": "/r"}},
+            replace(SOURCES, joints=("/nope",)),
+            r"no topic /nope; topics present: /j \(sensor_msgs/msg/JointState\), /l",
+        ),
+        (
+            replace(SOURCES, joints=("/l",)),
+            "/l has the type sensor_msgs/msg/Image, expected sensor_msgs/msg/JointState",
+        ),
+        (
+            replace(SOURCES, image={"left": "/j", "right": "/r"}),
             "/j has the type sensor_msgs/msg/JointState, expected sens",
         ),
-        (left(joint="x"), "no joint x on /j; joints present: pan"),
-        (left(field="ticks"), "no field ticks .*velocity"),
-        (left(field="name"), "is a list, not a number"),
-        (left(field="a..b"), "not a field path"),
+        (with_left(joint="x"), "no joint x on /j; joints present: pan"),
+        (with_left(field="ticks"), "no field ticks .*velocity"),
+        (with_left(field="name"), "is a list, not a number"),
+        (with_left(field="a..b"), "not a field path"),
     ],
 )
-def test_wrong_sources_are_refused(tmp_path, change, message):
+def test_wrong_sources_are_refused(tmp_path, sources, message):
     items = [*images(), *joints(steady())]
     with pytest.raises(RecordingError, match=message) as caught:
-        signals_of(tmp_path, items, replace(SOURCES, **change))
+        signals_of(tmp_path, items, sources)
     assert caught.value.hint
     with pytest.raises(RecordingError, match="no position of joint tilt on /j; joints present: pan, wl, wr"):
         signals_of(tmp_path, items, names=("tilt",))
@@ -412,14 +416,12 @@ def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
 def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
     names = [*NAMES, "rear"]
     rows = [(0.1 * k, at(0.1 * k), names, [k, 2.0 * k, 3.0 * k, np.nan]) for k in range(30)]
-    left = replace(SOURCES.wheels["left"], others=(WheelSource("/j", joint="rear"),))
-    sources = replace(SOURCES, wheels={**SOURCES.wheels, "left": left})
+    sources = with_left(joint="wl", others=(WheelSource("/j", joint="rear"),))
     signals = signals_of(tmp_path, [*images(), *joints(rows)], sources)
     np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(30))
     assert "joint rear on /j: all readings are NaN or infinite; left out" in signals.notes
-    alone = replace(SOURCES, wheels={**SOURCES.wheels, "left": WheelSource("/j", joint="rear")})
     with pytest.raises(RecordingError, match="joint rear on /j: all 30 readings are NaN or infinite"):
-        signals_of(tmp_path, [*images(), *joints(rows)], alone)
+        signals_of(tmp_path, [*images(), *joints(rows)], with_left(joint="rear"))
 
 
 @pytest.mark.parametrize(
