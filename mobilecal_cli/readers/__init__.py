@@ -7,8 +7,7 @@ images.
 
 from mobilecal_cli.readers.containers import join_splits, looks_recorded, open_recording, sha256_of
 from mobilecal_cli.readers.containers.recording import Recording
-from mobilecal_cli.readers.containers.storage import Extent, Message
+from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.description import number_fields, read_description
 from mobilecal_cli.readers.pictures import pictures_near, read_images
-from mobilecal_cli.readers.pixels import decode_image
 from mobilecal_cli.readers.signals import read_signals

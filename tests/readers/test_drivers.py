@@ -6,7 +6,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.readers import open_recording
-from tests.readers.recordings import START_NS, STEP_NS, header
 
 from . import recordings as r
 
@@ -35,12 +34,12 @@ DRIVERS = {
 }
 
 
-def value(kind, store, types, left, right, stamp_ns):
+def value(kind, store, left, right, stamp_ns):
     """A message with the two wheels' readings, all other fields 0."""
     fields = {}
     for name, (node, _) in store.fielddefs[kind][1]:
         if name == "header":
-            fields[name] = header(store, stamp_ns)
+            fields[name] = r.header(store, stamp_ns)
         elif name == "encoders":
             inner = store.types["husky_msgs/msg/Encoder"]
             fields[name] = [inner(left, 0.0), inner(right, 0.0)]
@@ -55,17 +54,16 @@ def value(kind, store, types, left, right, stamp_ns):
 def test_wheels_by_field_path(driver, tmp_path):
     kind, definition, paths, (bits, per_turn) = DRIVERS[driver]
     store = get_typestore(Stores.ROS2_JAZZY)
-    types = get_types_from_msg(definition, kind)
-    store.register(types)
+    store.register(get_types_from_msg(definition, kind))
     turns = np.linspace(0, 40, 60)
     messages = []
     for k, turn in enumerate(turns):
-        stamp = START_NS + k * STEP_NS
+        stamp = r.START_NS + k * r.STEP_NS
         left, right = turn * per_turn, -turn * per_turn
         if bits:
             low = -(2**31) if bits == 32 else 0
             left, right = ((round(v) + 60_000 - low) % 2**bits + low for v in (left, right))
-        data = bytes(store.serialize_cdr(value(kind, store, types, left, right, stamp), kind))
+        data = bytes(store.serialize_cdr(value(kind, store, left, right, stamp), kind))
         messages.append(r.Raw("/sensors", stamp + 5, data, r.schema_of(store, kind)))
     r.write_raw(tmp_path / "log.mcap", messages)
     counters = (
@@ -74,7 +72,7 @@ def test_wheels_by_field_path(driver, tmp_path):
     wheels = dict(zip(("left", "right"), counters, strict=True))
     with open_recording([tmp_path / "log.mcap"]) as recording:
         signals = r.one_log(recording, Sources({}, {}, (), wheels), ())
-    np.testing.assert_array_equal(signals.wheels["left"].time_ns, START_NS + np.arange(60) * STEP_NS)
+    np.testing.assert_array_equal(signals.wheels["left"].time_ns, r.START_NS + np.arange(60) * r.STEP_NS)
     for side, sign in (("left", 1), ("right", -1)):
         found = signals.wheels[side].value
         np.testing.assert_allclose(found - found[0], sign * 2 * np.pi * turns, atol=2 * np.pi / per_turn)

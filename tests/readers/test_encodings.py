@@ -18,7 +18,6 @@ from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
-from tests.readers.recordings import START_NS
 
 from . import recordings as r
 
@@ -133,7 +132,7 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
         angles = {"pan": {"angle": 90.0 + i}, "tilts": [0.1 * i] if i != 3 else []}
         return {"timestamp": {"sec": 7, "nsec": i}, "odometer": counters, **angles}
 
-    messages = [("/head", START_NS + i * STEP_NS, "my.Head", head(i)) for i in range(6)]
+    messages = [("/head", r.START_NS + i * STEP_NS, "my.Head", head(i)) for i in range(6)]
     path = written_in_json(tmp_path / "log.mcap", messages)
     fields = {side: f"odometer.{side}" for side in ("left", "right")}
     wheels = {side: WheelSource("/head", field=at, ticks_per_revolution=100) for side, at in fields.items()}
@@ -164,7 +163,7 @@ def test_dynamic_joint_states(tmp_path):
         return {"header": header, "joint_names": ["wheel", "pan"], "interface_values": interfaces}
 
     topic, kind = "/dynamic_joint_states", "control_msgs/DynamicJointState"
-    messages = [(topic, START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
+    messages = [(topic, r.START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
     wheel = WheelSource(topic, joint="wheel")
     with open_recording([written_in_json(tmp_path / "log.mcap", messages)]) as recording:
         assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
@@ -176,15 +175,15 @@ def test_dynamic_joint_states(tmp_path):
 
 def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     pixels = np.arange(48, dtype=np.uint8).reshape(6, 8)
-    time = Timestamp(seconds=START_NS // 10**9, nanos=7)
+    time = Timestamp(seconds=r.START_NS // 10**9, nanos=7)
     size = {"width": 8, "height": 6, "step": 8}
     raw = RawImage(timestamp=time, frame_id="eye", encoding="mono8", data=pixels.tobytes(), **size)
     with (tmp_path / "log.mcap").open("wb") as stream, ProtobufWriter(stream) as writer:
-        writer.write_message("/eye", raw, START_NS)
+        writer.write_message("/eye", raw, r.START_NS)
     with open_recording([tmp_path / "log.mcap"]) as recording:
         assert recording.topic("/eye").type == "sensor_msgs/msg/Image"
-        ((_, time_ns, picture),) = r.read_images(recording, {"left": "/eye"}, {"left": [START_NS + 7]})
-    assert time_ns == START_NS + 7
+        ((_, time_ns, picture),) = r.read_images(recording, {"left": "/eye"}, {"left": [r.START_NS + 7]})
+    assert time_ns == r.START_NS + 7
     assert np.array_equal(picture, pixels)
 
 
@@ -198,7 +197,7 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     ],
 )
 def test_json_that_is_no_message(tmp_path, payload, said):
-    raw = r.Raw("/eye", START_NS, payload, ("foxglove.CompressedImage", "jsonschema", b"{}"), "json")
+    raw = r.Raw("/eye", r.START_NS, payload, ("foxglove.CompressedImage", "jsonschema", b"{}"), "json")
     with open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording:
         (message,) = recording.messages(["/eye"])
         with pytest.raises(RecordingError, match=said):
@@ -207,7 +206,7 @@ def test_json_that_is_no_message(tmp_path, payload, said):
 
 @pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])
 def test_a_protobuf_definition_that_cannot_be_used(tmp_path, definition):
-    raw = r.Raw("/eye", START_NS, b"", ("foxglove.RawImage", "protobuf", definition), "protobuf")
+    raw = r.Raw("/eye", r.START_NS, b"", ("foxglove.RawImage", "protobuf", definition), "protobuf")
     with (
         open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording,
         pytest.raises(RecordingError, match=r"definition of the protobuf type foxglove\.RawImage"),

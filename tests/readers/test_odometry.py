@@ -9,7 +9,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import check_speed, rotations
-from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
@@ -43,7 +42,7 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         header = {"stamp": {"sec": 9, "nanosec": i * 1000}, "frame_id": "odom"}
         upright = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
         pose = {"pose": {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": upright}}
-        return ("/odom", START_NS + i * STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
+        return ("/odom", r.START_NS + i * r.STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
 
     path = written_in_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
     source = WheelSource("/odom", baked_in=WHEELS)

@@ -60,7 +60,7 @@ def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
         return r.one_log(recording, sources, names)
 
 
-def steady(count=10, **changes):
+def steady(count=10):
     return [(0.1 * k, at(0.1 * k), NAMES, [k, 2.0 * k, 3.0 * k]) for k in range(count)]
 
 

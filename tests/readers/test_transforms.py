@@ -11,7 +11,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.joints import reading
-from tests.readers.recordings import START_NS, STEP_NS
 from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
@@ -64,11 +63,11 @@ def tf_message(i, *frames):
         header = {"stamp": {"sec": 5, "nanosec": 1000 * i}, "frame_id": parent}
         transform = fields_of(place, quaternion)
         transforms.append({"header": header, "child_frame_id": child, "transform": transform})
-    return ("/tf", START_NS + i * STEP_NS, "tf2_msgs/TFMessage", {"transforms": transforms})
+    return ("/tf", r.START_NS + i * r.STEP_NS, "tf2_msgs/TFMessage", {"transforms": transforms})
 
 
 def signals_of(folder, messages, sources):
-    counts = [("/count", START_NS + i, "std_msgs/Int32", {"data": 7}) for i in range(2)]
+    counts = [("/count", r.START_NS + i, "std_msgs/Int32", {"data": 7}) for i in range(2)]
     path = written_in_json(folder / "log.mcap", [*messages, *counts])
     wheels = dict.fromkeys(("left", "right"), WheelSource("/count", field="data"))
     with open_recording([path]) as recording:

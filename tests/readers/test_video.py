@@ -14,7 +14,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Rejection, Sources
 from mobilecal_cli.readers import open_recording, pictures_near
 from mobilecal_cli.vision import Detection, detect
-from tests.readers.recordings import START_NS, STEP_NS
 
 from . import recordings as r
 
@@ -49,7 +48,7 @@ def encoded(pictures, kind: str) -> list[bytes]:
 def written(path, packets, kind):
     with path.open("wb") as stream, ProtobufWriter(stream) as writer:
         for k, data in enumerate(packets):
-            stamp = START_NS + k * STEP_NS
+            stamp = r.START_NS + k * r.STEP_NS
             time = Timestamp(seconds=stamp // 10**9, nanos=stamp % 10**9)
             message = CompressedVideo(timestamp=time, data=data, format=kind)
             writer.write_message("/left/video", message, stamp)
@@ -57,7 +56,7 @@ def written(path, packets, kind):
 
 
 def at(*numbers):
-    return {"left": {START_NS + k * STEP_NS for k in numbers}}
+    return {"left": {r.START_NS + k * r.STEP_NS for k in numbers}}
 
 
 @pytest.mark.parametrize("kind", ENCODERS)
@@ -66,9 +65,9 @@ def test_wanted_frames_come_out_whatever_they_build_on(pictures, tmp_path, kind)
     assert len(packets) == len(pictures)
     with open_recording([written(tmp_path / "log.mcap", packets, kind)]) as recording:
         found = {ns: p for _, ns, p in r.read_images(recording, {"left": "/left/video"}, at(2, 5, 7))}
-    assert [(ns - START_NS) // STEP_NS for ns in sorted(found)] == [2, 5, 7]
+    assert [(ns - r.START_NS) // r.STEP_NS for ns in sorted(found)] == [2, 5, 7]
     for ns, picture in found.items():
-        original = pictures[(ns - START_NS) // STEP_NS]
+        original = pictures[(ns - r.START_NS) // r.STEP_NS]
         assert picture.shape == original.shape
         # Gray levels are carried in 16 to 235 and back: 1 of rounding beside the loss.
         assert np.abs(picture.astype(int) - original).mean() < 3
@@ -85,7 +84,7 @@ def test_frames_without_their_key_frame_and_damaged_ones_are_rejections(pictures
         found = {ns: p for _, ns, p in r.read_images(recording, {"left": "/left/video"}, at(*range(7)))}
     kinds = [isinstance(found[ns], Rejection) for ns in sorted(found)]
     assert kinds[:5] == [True, True, True, False, True]
-    assert "key frame" in found[START_NS].detail
+    assert "key frame" in found[r.START_NS].detail
 
 
 def test_a_glance_sees_key_frames(pictures, tmp_path):
@@ -94,7 +93,8 @@ def test_a_glance_sees_key_frames(pictures, tmp_path):
     sources = Sources({"left": "/left/video"}, {}, (), {})
     with open_recording([path]) as recording:
         seen = [
-            picture for _, picture in pictures_near(recording, sources, [START_NS, START_NS + 2 * STEP_NS])
+            picture
+            for _, picture in pictures_near(recording, sources, [r.START_NS, r.START_NS + 2 * r.STEP_NS])
         ]
     assert len(seen) == 2
     for picture, original in zip(seen, (pictures[0], pictures[4]), strict=True):

@@ -185,13 +185,13 @@ class InfoChanges:
         self.infos: list[CameraInfo] = []
         #: Calibration in each message, and the log time.
         self._which, self._log_ns = array("q"), array("q")
-        #: Bytes of the last message after its stamp.
-        self._last = b""
+        #: Bytes of the last usable message after its stamp, None before the first.
+        self._last: bytes | None = None
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Take one message. Only one that differs from the one before is decoded."""
         own = bytes(payload[_STAMP_BYTES:])
-        if self._last != own or not self._which:
+        if self._last != own:
             try:
                 decoded = camera_info(channel.decode(payload), self.topic)
             except (RecordingError, *NOT_ITS_TYPE):
