@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mobilecal_cli.model import Sources
 from mobilecal_cli.readers import Extent, open_recording, pictures_near, read_images
 from mobilecal_cli.readers.containers.blocks import BlockStorage
 
@@ -27,8 +26,7 @@ def recording(request, tmp_path):
 
 def test_pictures_near_moments_and_the_share_that_an_extent_leaves(recording):
     moments = [r.START_NS + k * r.STEP_NS for k in (0, 17, 25, 41, 999)]
-    sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
-    found = [(name, picture.tobytes()) for name, picture in pictures_near(recording, sources, moments)]
+    found = [(name, picture.tobytes()) for name, picture in pictures_near(recording, r.SOURCES, moments)]
     places = [("left", 0), ("right", 1)]
     assert found == [(name, r.picture(k + own).tobytes()) for name, own in places for k in (0, 20, 30, 50)]
     times = recording.log_times()

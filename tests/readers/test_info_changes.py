@@ -7,18 +7,13 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
-from mobilecal_cli.readers import Extent, open_recording
+from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 
 from . import recordings as r
 
 P = np.array([[480.0, 0, 310, -57.6], [0, 480, 235, 0], [0, 0, 1, 0]])
 D = [-0.2, 0.1, 0, 0, 0]
-WRITERS = {
-    "mcap": lambda path, items: r.write_mcap(path, items),
-    "mcap-ros1": lambda path, items: r.write_mcap(path, items, profile="ros1", ros1=True),
-    "bag": lambda path, items: r.write_bag(path, items),
-    "rosbag2": lambda path, items: r.write_bag2(path, items),
-}
 
 
 def world(after=None, count=10, at=6, **before):
@@ -33,19 +28,18 @@ def world(after=None, count=10, at=6, **before):
     return sorted(items, key=lambda item: item.log_ns)
 
 
-def notes_of(tmp_path, items, writer="mcap", extent=None):
-    path = WRITERS[writer](tmp_path / "log", items)
+def notes_of(tmp_path, items, container="mcap-zstd", extent=EVERYTHING):
+    path = r.CONTAINERS[container](tmp_path / "log", items)
     with open_recording([path]) as recording:
-        options = {} if extent is None else {"extent": extent}
-        notes = r.one_log(recording, r.SOURCES, r.JOINTS, **options).notes
+        notes = r.one_log(recording, r.SOURCES, r.JOINTS, extent).notes
     return [note for note in notes if CAMERA_INFO_CHANGES in note]
 
 
-@pytest.mark.parametrize("writer", WRITERS)
-@pytest.mark.parametrize("extent", [None, Extent(10**9)], ids=["together", "alone"])
-def test_a_change_is_told_with_its_time_and_size(tmp_path, writer, extent):
+@pytest.mark.parametrize("container", ["mcap-zstd", "mcap-ros1", "bag", "rosbag2-sqlite3"])
+@pytest.mark.parametrize("extent", [EVERYTHING, Extent(10**9)], ids=["together", "alone"])
+def test_a_change_is_told_with_its_time_and_size(tmp_path, container, extent):
     moved = r.K_LEFT + np.array([[0.0, 0, 2.5], [0, 0, 0], [0, 0, 0]])
-    assert notes_of(tmp_path, world({"K": moved}), writer, extent) == [
+    assert notes_of(tmp_path, world({"K": moved}), container, extent) == [
         "/left/camera_info: the camera calibration changes 0.6 s after the start: K by up to 2.5 px; 4 of 10 messages "
         "differ from the others, which are used; images recorded while it differs are left out"
     ]

@@ -17,7 +17,7 @@ from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.draft import draft_rig
 from mobilecal_cli.rig.names import may_be_a_reading
 from mobilecal_cli.rig.resolve import survey_rig
-from tests.rig.test_resolve import AT_BASE, CAMERA, HEAD_ONLY, TF, URDF, description, resolve_rig
+from tests.rig.test_resolve import AT_BASE, HEAD_ONLY, TF, URDF, WITH_CAMERA, description, resolve_rig
 
 
 def drafted(log, name="log", **given):
@@ -42,9 +42,9 @@ def board(seen=12, squares_m=(0.0799, 0.08, 0.0801), **changes):
 
 
 def test_a_draft_loads_and_settles_the_same_rig():
-    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
-    draft = drafted(description(urdf=urdf), "some log.mcap", board=board())
-    again, first = (resolve_rig(config, description(urdf=urdf))[0] for config in (loaded(draft), RigConfig()))
+    log = description(urdf=WITH_CAMERA)
+    draft = drafted(log, "some log.mcap", board=board())
+    again, first = (resolve_rig(config, log)[0] for config in (loaded(draft), RigConfig()))
     assert again.sources == first.sources
     assert again.chain.joints == first.chain.joints
     assert again.nominal.wheels == first.nominal.wheels

@@ -245,6 +245,7 @@ def test_exchanged_readings_leave_the_wheels_where_they_are():
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
 <joint name="optical" type="fixed"><parent link="cam"/><child link="stereo_left_optical"/><origin rpy="0 0 1"/></joint>
 </robot>"""
+WITH_CAMERA = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
 
 
 @pytest.mark.parametrize(
@@ -465,14 +466,13 @@ def test_a_driver_that_names_the_head_itself(of_head):
 
 
 def test_the_optical_frame_is_no_head():
-    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
     with pytest.raises(ConfigError, match="stereo_left_optical is the frame of the camera, not of the head"):
-        resolve_rig(config(head={"head_frame": "stereo_left_optical"}), description(urdf=urdf))
+        resolve_rig(config(head={"head_frame": "stereo_left_optical"}), description(urdf=WITH_CAMERA))
 
 
 def test_a_head_frame_before_a_joint_that_is_read_is_noted():
-    urdf = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
-    said = [resolve_rig(config(head={"head_frame": of}), description(urdf=urdf))[1] for of in ("tilt", "pan")]
+    log = description(urdf=WITH_CAMERA)
+    said = [resolve_rig(config(head={"head_frame": of}), log)[1] for of in ("tilt", "pan")]
     assert said[0] == ()
     assert said[1] == (
         "Joint head_tilt_joint moves the camera, but the head chain ends before it, at pan. Set head.head_frame to tilt.",
@@ -759,13 +759,6 @@ def test_transforms_in_a_circle_come_to_an_end():
 SQUARE = config(board={"square_m": 0.08})
 
 
-def calibration(frame):
-    K = np.array([[500.0, 0, 320], [0, 500, 240], [0, 0, 1]])
-    return CameraInfo(
-        frame, 640, 480, K, np.zeros(5), "plumb_bob", np.eye(3), np.hstack([K, np.zeros((3, 1))])
-    )
-
-
 def recorded(*topics, baseline_m=0.0):
     """A recording of images, each with a camera info of its own; those with a 2 or _1 are right cameras."""
     infos = {}
@@ -840,7 +833,7 @@ def test_depth_alone_is_no_camera():
 def test_named_cameras_stand_where_they_are_configured_or_drawn():
     names = {"front": {"image": "/front/image_raw"}, "side": {"image": "/side/image_raw"}}
     T = se3.transform(se3.from_rpy(np.array([0.0, 0.4, 0.0])), np.array([0.1, 0.2, 0.3]))
-    infos = {"front": calibration("front_frame"), "side": calibration("side_frame")}
+    infos = {name: info(name) for name in names}
     square = {"square_m": 0.08}
     rig = camera_rig(infos, False, config(board=square, cameras=names), lambda frame, other: T)
     np.testing.assert_array_equal(rig.T_c_each[1], T)
