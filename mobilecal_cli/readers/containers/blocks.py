@@ -27,7 +27,7 @@ from mobilecal_cli.readers.containers.storage import (
     goes_back,
     steps_back,
 )
-from mobilecal_cli.readers.messages import Channel, Payload
+from mobilecal_cli.readers.messages import Payload
 
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
 _MOST_MESSAGES = 2**19
@@ -180,7 +180,7 @@ class BlockStorage(Storage):
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         blocks = self._blocks_of(topics, extent)
         # A heap; the second is the number in reading order.
-        waiting: list[tuple[int, int, Channel, Payload]] = []
+        waiting: list[tuple[int, int, Message]] = []
         order = count()
         read: Counter[int] = Counter()
         for place, block in enumerate(blocks, 1):
@@ -189,10 +189,9 @@ class BlockStorage(Storage):
                 channel = self.channels.get(number)
                 if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
                     read[number] += 1
-                    heapq.heappush(waiting, (time_ns, next(order), channel, payload))
+                    heapq.heappush(waiting, (time_ns, next(order), Message(channel, time_ns, payload)))
             while waiting and waiting[0][0] < following_ns:
-                time_ns, _, channel, payload = heapq.heappop(waiting)
-                yield Message(channel, time_ns, payload)
+                yield heapq.heappop(waiting)[-1]
         if len(blocks) == len(self._blocks_with(topics)):
             self.compare_counts(topics, read)
 
