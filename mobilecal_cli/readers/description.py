@@ -146,18 +146,17 @@ def _infos(
     unusable: dict[str, RecordingError] = {}
     messages = _first(recording, topics, lambda message: message)
     for topic in topics:
-        count = recording.topic(topic).count
-        try:
-            if topic in messages:
+        if topic in messages:
+            try:
                 infos[topic] = camera_info(messages[topic], topic)
-            elif count:
-                reason = next((note for note in recording.damage if topic in note), "log times are invalid")
-                raise RecordingError(
-                    f"{topic}: none of its {count} messages can be read ({reason})",
-                    "copy the recording again, or record a new one",
-                )
-        except RecordingError as error:
-            unusable[topic] = error
+            except RecordingError as error:
+                unusable[topic] = error
+        elif count := recording.topic(topic).count:
+            reason = next((note for note in recording.damage if topic in note), "log times are invalid")
+            unusable[topic] = RecordingError(
+                f"{topic}: none of its {count} messages can be read ({reason})",
+                "copy the recording again, or record a new one",
+            )
     return infos, unusable
 
 

@@ -136,8 +136,7 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
             if decode is not decode_image:
                 continue
             picture = Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
-        while waiting and waiting[0] <= message.log_time_ns:
-            waiting.pop(0)
+        waiting = [time_ns for time_ns in waiting if time_ns > message.log_time_ns]
         yield picture
 
 
