@@ -259,13 +259,11 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
     require_topic("wheels.odometry", topic, present, ODOMETRY)
     wheels = config.nominal.wheels
     if wheels is not None:
-        return {side: WheelSource(topic, baked_in=wheels.geometry) for side in SIDES}
+        return dict.fromkeys(SIDES, WheelSource(topic, baked_in=wheels.geometry))
     stated_m = config.wheels.odometry_separation_m
     assumed = replace(ASSUMED, separation_m=stated_m or ASSUMED.separation_m)
     share = 0.0 if stated_m else UNKNOWN_SHARE
-    return {
-        side: WheelSource(topic, baked_in=assumed, assumed=True, separation_share=share) for side in SIDES
-    }
+    return dict.fromkeys(SIDES, WheelSource(topic, baked_in=assumed, assumed=True, separation_share=share))
 
 
 def as_drawn(

@@ -51,11 +51,10 @@ class Samples:
         """In order of their stamps, if they only arrived late; notes how many. Otherwise, as they are."""
         if not came_late(self.stamp_ns, self.log_ns):
             return self
-        late = self.stamp_ns < np.maximum.accumulate(self.stamp_ns)
-        behind_s = float((np.maximum.accumulate(self.stamp_ns) - self.stamp_ns).max()) * 1e-9
+        behind_ns = np.maximum.accumulate(self.stamp_ns) - self.stamp_ns
         notes.append(
-            f"{self.topic}: {int(late.sum())} of {len(self)} samples are recorded after later ones, by up to "
-            f"{behind_s:.3f} s; they are put in order of their stamps"
+            f"{self.topic}: {np.count_nonzero(behind_ns)} of {len(self)} samples are recorded after later ones, by "
+            f"up to {float(behind_ns.max()) * 1e-9:.3f} s; they are put in order of their stamps"
         )
         return self.rows(np.argsort(self.stamp_ns, kind="stable"), self.shift_ns)
 
