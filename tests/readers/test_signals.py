@@ -24,10 +24,10 @@ def at(k: float) -> int:
     return r.START_NS + round(k * S)
 
 
-def images(count: int = 3) -> list[r.Item]:
+def images(count: int = 3, every_s: float = 1, stamp=at) -> list[r.Item]:
     return [
-        r.Item(topic, "sensor_msgs/msg/Image", at(k), r.image(r.picture(k), "mono8", at(k)))
-        for k in range(count)
+        r.Item(topic, "sensor_msgs/msg/Image", at(time_s), r.image(r.picture(k), "mono8", stamp(time_s)))
+        for k, time_s in enumerate(every_s * np.arange(count))
         for topic in ("/l", "/r")
     ]
 
@@ -441,18 +441,12 @@ def test_a_joint_with_one_good_reading_of_several_does_not_count_as_still(tmp_pa
 
 def test_a_clock_that_steps_early_is_not_another_clock(tmp_path):
     """Few images: most of their stamps are those after the step."""
-    late = [(0.02 * k, at(0.02 * k + 5 * (k >= 150)), NAMES, [k, k, k]) for k in range(400)]
-    few = [
-        r.Item(
-            topic,
-            "sensor_msgs/msg/Image",
-            at(0.2 * k),
-            r.image(r.picture(k), "mono8", at(0.2 * k + 5 * (k >= 15))),
-        )
-        for k in range(40)
-        for topic in ("/l", "/r")
-    ]
-    items = sorted([*few, *joints(late)], key=lambda item: item.log_ns)
+
+    def stamp(time_s):
+        return at(time_s + 5 * (time_s >= 3))
+
+    late = [(0.02 * k, stamp(0.02 * k), NAMES, [k, k, k]) for k in range(400)]
+    items = sorted([*images(40, 0.2, stamp), *joints(late)], key=lambda item: item.log_ns)
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
         first, *_ = read_signals(recording, SOURCES, ("pan",))
     assert any("steps forward by 5.000 s" in note for note in first.notes)
