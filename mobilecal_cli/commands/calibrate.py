@@ -11,6 +11,7 @@ import typer
 from typer import Option
 
 from mobilecal_cli.commands import options
+from mobilecal_cli.errors import OutputError
 
 
 def calibrate(
@@ -98,10 +99,12 @@ def calibrate(
                 progress=progress,
                 jobs=jobs or os.cpu_count() or 1,
             )
-        with options.results_written(output):
+        try:
             if summary is not None:
                 append_text(summary, report.markdown)
             write_junit(junit_xml(str(logs[0]), report.verdict, time.perf_counter() - began_s))
+        except OutputError as error:
+            raise OutputError(f"{error.message}; the results are written to {output}", error.hint) from error
     if as_json:
         typer.echo(report.json, nl=False)
     elif not quiet:

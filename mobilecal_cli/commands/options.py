@@ -145,15 +145,6 @@ def junit_file(
         raise
 
 
-@contextmanager
-def results_written(output: Path) -> Iterator[None]:
-    """Write further outputs inside the block; an error says that the results are written, and where."""
-    try:
-        yield
-    except OutputError as error:
-        raise OutputError(f"{error.message}; the results are written to {output}", error.hint) from error
-
-
 def conclude(
     level: str,
     reason: str,

@@ -709,14 +709,10 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _noisy(made: Calibration) -> bool:
-    """Whether a noise level is beyond its limit, of which something else may be the cause."""
-    return any(check.outcome == "fail" for check in noise(made, *_NOISE))
-
-
 @criterion(Metric("head_chain"), gated=False)
 def head_chain(made: Calibration, metric: Metric) -> Iterator[Check]:
     """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit."""
+    noisy = any(check.outcome == "fail" for check in noise(made, *_NOISE))
     for note in made.extraction.notes:
         if CHAIN_ENDS in note:
             why, _, cure = visible(note).partition(". ")
@@ -726,7 +722,7 @@ def head_chain(made: Calibration, metric: Metric) -> Iterator[Check]:
                 at_limit="all joints that move the camera",
                 why=f"{why}.",
                 passes=False,
-                beyond="fail" if _noisy(made) else "warning",
+                beyond="fail" if noisy else "warning",
             )  # fmt: skip
 
 
