@@ -204,9 +204,6 @@ def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> N
     Raises:
         OutputError: see `check_output`; or writing failed.
     """
-    foreign = sorted(files.keys() - OUTPUT_NAMES)
-    if foreign:
-        raise ValueError(f"unknown output files: {foreign}")
     check_output(directory, force)
     target = Path(os.path.abspath(directory))  # noqa: PTH100  (not resolve(): a link stays one, which is refused)
     with _writing(directory, "--output"), partial_of(target, recognized_output) as partial:
