@@ -115,8 +115,7 @@ def test_where_processes_cannot_be_started_this_one_looks_and_keeps_its_threads(
         cv2.setNumThreads(before)
 
 
-def test_an_error_in_a_process_keeps_its_words(log, monkeypatch):
-    monkeypatch.setattr(detecting, "SEGMENT_SHOTS", 12)
+def test_an_error_in_a_process_keeps_its_words(log, segmented, monkeypatch):
     resolve = EXTRACTING.complete_rig
 
     def other_size(*args):

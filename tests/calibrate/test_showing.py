@@ -15,15 +15,14 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from pytransform3d.rotations import matrix_from_quaternion
 from pytransform3d.transformations import concat, transform_from
-from typer.testing import CliRunner
 
 import mobilecal_cli as mc
-from mobilecal_cli.commands import app
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import Parameters, Rejection
 from mobilecal_cli.solvers.residuals import at_constants
 from mobilecal_cli.vision import Detection, find_board
+from tests.command import run, succeeded
 
 IMAGES = ("left", "right")
 
@@ -224,17 +223,15 @@ def test_outliers_and_rejections_are_shown_with_their_interval(result, extractio
 
 
 def test_the_command_writes_both_files_and_refuses_what_does_not_belong(result, tmp_path, sample_logs):
-    out = tmp_path / "scene.mcap"
-    arguments = ["export", str(result / "params.yaml"), "--to", "foxglove", "--output", str(out)]
-    assert CliRunner().invoke(app, arguments).exit_code == 0
+    out, params = tmp_path / "scene.mcap", result / "params.yaml"
+    arguments = ["export", params, "--to", "foxglove"]
+    succeeded(*arguments, "--output", out)
     assert out.read_bytes()[:5] == b"\x89MCAP"
     assert "configById" in json.loads((tmp_path / "scene.layout.json").read_text())
-    assert CliRunner().invoke(app, arguments).exception.exit_code == 7  # both exist
-    params = result / "params.yaml"
+    assert run(*arguments, "--output", out).code == 7  # both exist
     with pytest.raises(ConfigError, match="not a recording of this calibration"):
         mc.export_to(params, "foxglove", logs=sample_logs / "paper_robot.mcap")
-    done = CliRunner().invoke(app, ["export", str(params), "--to", "foxglove"])
-    assert "writes two files" in done.exception.message
+    assert "writes two files" in run(*arguments).err
     copy = tmp_path / "result"
     shutil.copytree(result, copy)
     (copy / "report.json").write_text("[]")

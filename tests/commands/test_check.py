@@ -193,8 +193,7 @@ FOUND = {
 
 @pytest.mark.parametrize("name", FOUND)
 def test_what_needs_no_solution_is_found(sample_logs, rig, few, name):
-    """These passed, and ended the calibration with exit code 5 or 6."""
-    """None of these stops `calibrate`."""
+    """These passed, and ended the calibration with exit code 5 or 6. None of these stops `calibrate`."""
     flags, about, state, words = FOUND[name]
     found = inspect.check(rig, [sample_logs / "paper_robot.mcap"], flags)
     lines = [line for line in checklist(found) if line.about == about and words in line.what]

@@ -71,7 +71,6 @@ def test_odometry_alone(made):
     assert {name for name in data["metrics"] if "odometry" in name} == {
         f"std.odometry.{name}" for name in FACTORS
     }
-    folder = made["odometry_only"][1]
     controller = YAML_.load(export(folder / "params.yaml", "ros2_control").content.decode())
     values = controller["diff_drive_controller"]["ros__parameters"]
     assert values == pytest.approx({name: found.factors[name] for name in FACTORS[:3]})
@@ -80,7 +79,7 @@ def test_odometry_alone(made):
     assert "radius_left_m" not in exported
     assert b"mobilecal_odometry_angular_scale" in export(folder / "params.yaml", "xacro").content
     assert export(folder / "params.yaml", "odometry_covariance").content
-    text = (made["odometry_only"][1] / "params.yaml").read_text()
+    text = (folder / "params.yaml").read_text()
     robot = parameters_from_yaml(text)
     assert robot.odometry.topic == "/odom"
     for before, after, said in (

@@ -36,10 +36,7 @@ def verdict(folder, solution, made, evaluated):
 
 
 def with_wheels(solution, right=1.0, left=1.0, separation=1.0):
-    was = solution.parameters.wheels
-    wheels = WheelGeometry(
-        was.radius_right_m * right, was.radius_left_m * left, was.separation_m * separation
-    )
+    wheels = WheelGeometry.of(solution.parameters.wheels.vector * [right, left, separation])
     return replace(solution, parameters=replace(solution.parameters, wheels=wheels))
 
 

@@ -24,9 +24,7 @@ from mobilecal_cli.report.verdict import (
     gate_metrics,
     gates_of,
 )
-from mobilecal_cli.solvers import solve
 from tests.conftest import REPOSITORY
-from tests.extractions import Noise, simulated
 from tests.judging import judge
 from tests.report.example import made, make_solution
 
@@ -100,20 +98,10 @@ def test_each_side_of_a_limit():
     assert "unknown (limit 100)" in checks[4].why
 
 
-def test_figures_of_a_calibration_are_those_of_its_files():
-    extraction = simulated(noise=Noise(pixel_px=0.2, joint_rad=1e-3), seed=1)
-    solution = solve(extraction)
-    figures = figures_of(Calibration(solution, extraction, trial=EVALUATION))
-    assert figures["std.wheels.separation_m"] == pytest.approx(solution.uncertainty.std[8])
-    assert figures["std.head_eye.r_x_rad"] == pytest.approx(solution.uncertainty.std[0])
-    assert figures["hold_out.drift_mm_per_m"] == pytest.approx(4.0)
-    assert all(
-        figures[name] is not None
-        for name in figures
-        if name.startswith(("std.", "predicted.", "noise.", "motion."))
-        and not name.startswith("std.odometry.")
-    )
-    unknown = figures_of(Calibration(solve(extraction, "lm"), extraction))
+def test_the_default_method_gives_figures_that_others_do_not(extraction, report):
+    kinds = ("std.", "predicted.", "noise.", "motion.")
+    assert None not in [value for name, value in report.metrics.items() if name.startswith(kinds)]
+    unknown = figures_of(Calibration(make_solution(extraction, "lm"), extraction))
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
 
