@@ -54,11 +54,7 @@ _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the join
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
 
-def params_yaml(
-    solution: Solution,
-    extraction: Extraction,
-    provenance: Provenance,
-) -> str:
+def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
     """The calibrated robot as commented YAML, the same bytes for the same values; without a verdict.
 
     ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,

@@ -13,13 +13,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import (
-    CalibratedRobot,
-    Evaluation,
-    Extraction,
-    Parameters,
-    Solution,
-)
+from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, Parameters, Solution
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome

@@ -178,8 +178,7 @@ def test_wrong_cameras_are_refused(rgbd, settings, words):
 
 
 @pytest.mark.parametrize(
-    ("name", "robot"),
-    [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())],
+    ("name", "robot"), [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())]
 )
 def test_samples_of_other_robots(name, robot, tmp_path):
     report = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)

@@ -62,10 +62,7 @@ def test_the_commands_need_no_docstrings():
     assert python("-OO", "-m", "mobilecal_cli", "compare", "--help").returncode == 0
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["calibrate", "a"], ["board", "--corners", "8x5", "--square", "0.08"]],
-)
+@pytest.mark.parametrize("arguments", [["calibrate", "a"], ["board", "--corners", "8x5", "--square", "0.08"]])
 def test_a_system_that_is_not_supported_is_named(arguments):
     """Windows lacks these names; nothing else can be said there before."""
     code = (

@@ -176,10 +176,7 @@ def test_the_robot_stands_as_its_chain_says(browser, tmp_path):
     browser.evaluate("document.getElementById('robot').click()")
     said = browser.evaluate("document.getElementById('picked').textContent")
     T_v_h = head_pose(chain, joints)
-    for label, T in (
-        ("estimated", solution.T_h_reference),
-        ("nominal", T_nominal),
-    ):
+    for label, T in (("estimated", solution.T_h_reference), ("nominal", T_nominal)):
         numbers = re.search(rf"{label} camera at ([-\d., ]+) m", said).group(1)
         np.testing.assert_allclose([float(n) for n in numbers.split(", ")], (T_v_h @ T)[:3, 3], atol=6e-5)
     assert browser.evaluate(picture) != before

@@ -138,10 +138,7 @@ def test_junit():
     ]
     failed, text = cases[2].find("failure"), [case.find("system-out").text for case in cases]
     assert (failed.get("message"), failed.get("type"), failed.text) == ("often <&>\\x00", "fail", "again")
-    assert text[:2] == [
-        "measured: 9; limit: at least 8",
-        "measured: 1; limit: none; warning: why\\x1b",
-    ]
+    assert text[:2] == ["measured: 9; limit: at least 8", "measured: 1; limit: none; warning: why\\x1b"]
     assert [case.find("failure") is not None for case in cases] == [False, False, True, True]
     broken = ET.fromstring(junit_error_xml("log", RecordingError("no\x00thing", "look")))
     assert broken.find("testsuite/testcase/error").get("type") == "recording"

@@ -67,10 +67,7 @@ def test_a_gate_on_an_unknown_expected_error_fails():
     extraction = make_extraction()
     gates = gates_of(["predicted.camera_mm=10"], {})
     verdict = judge(make_solution(extraction), extraction, gates)
-    assert (verdict.level, verdict.reason) == (
-        "GATE FAILED",
-        "predicted.camera_mm = unknown (limit 10).",
-    )
+    assert (verdict.level, verdict.reason) == ("GATE FAILED", "predicted.camera_mm = unknown (limit 10).")
 
 
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():

@@ -70,11 +70,7 @@ def test_the_files_hold_budget_and_constants():
     assert data["constants"]["stereo_r_x"]["used_prior"] > data["constants"]["stereo_r_x"]["prior"]
     assert data["contradictions"][0]["cure"].startswith("Recalibrate the stereo pair")
     page = page_of(solution, extraction)
-    for said in (
-        "Robot description",
-        "contradicts",
-        "error budget: what each",
-    ):
+    for said in ("Robot description", "contradicts", "error budget: what each"):
         assert said in page
 
 
