@@ -133,41 +133,37 @@ def require_stations(extraction: Extraction) -> None:
     """
     have = len(extraction.observations)
     logs = len({o.log for o in extraction.observations})
-    if have < FEWEST_STATIONS or have - logs < FEWEST_LEGS:
-        reasons = Counter(
-            (rejection.stage, rejection.reason) for rejection in extraction.rejections
-        ).most_common()
-        counted = ", ".join(f"{n} x {reason}" for (_, reason), n in reasons)
-        rejected = f"; rejected: {counted}" if counted else ""
-        looked_at = extraction.counts.get("stations", have)
-        where = f"the board was found at {have} of {looked_at} stations"
-        where_kept = extraction.rig.cameras.images_words
-        needed = readable_words(extraction.board)
-        cure = f"keep the whole board in {where_kept}, at rest, in good light, with {needed}"
-        stage, reason = reasons[0][0] if reasons else ("", "")
-        if have == looked_at or stage == "stations":
-            more = "stop at more places in front of the board"
-            if reason == NO_READINGS:
-                more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
-            cure = extraction.with_notes(more)
-        if reason in OTHER_BOARDS:
-            cure = (
-                f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
-                f"{extraction.board.rows} was used; keep other checkerboards out of view"
-            )
-        if reason == SQUARES_UNKNOWN:
-            cure = (
-                "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
-            )
-        if extraction.measured:
-            where, cure = f"poses of {have} stations", "give poses at more places in front of the target"
-        if have < FEWEST_STATIONS:
-            raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
-        raise ObservationError(
-            f"{where} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
-            f"(at least {FEWEST_LEGS} needed){rejected}",
-            f"record more stations in each recording; {cure}",
+    if have >= FEWEST_STATIONS and have - logs >= FEWEST_LEGS:
+        return
+    reasons = Counter((item.stage, item.reason) for item in extraction.rejections).most_common()
+    counted = ", ".join(f"{n} x {reason}" for (_, reason), n in reasons)
+    rejected = f"; rejected: {counted}" if counted else ""
+    looked_at = extraction.counts.get("stations", have)
+    where, needed = f"the board was found at {have} of {looked_at} stations", readable_words(extraction.board)
+    images = extraction.rig.cameras.images_words
+    cure = f"keep the whole board in {images}, at rest, in good light, with {needed}"
+    stage, reason = reasons[0][0] if reasons else ("", "")
+    if have == looked_at or stage == "stations":
+        more = "stop at more places in front of the board"
+        if reason == NO_READINGS:
+            more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
+        cure = extraction.with_notes(more)
+    if reason in OTHER_BOARDS:
+        cure = (
+            f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
+            f"{extraction.board.rows} was used; keep other checkerboards out of view"
         )
+    if reason == SQUARES_UNKNOWN:
+        cure = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
+    if extraction.measured:
+        where, cure = f"poses of {have} stations", "give poses at more places in front of the target"
+    if have < FEWEST_STATIONS:
+        raise ObservationError(f"{where} (at least {FEWEST_STATIONS} needed){rejected}", cure)
+    raise ObservationError(
+        f"{where} in {logs} recordings: only {have - logs} legs join consecutive stations of one recording "
+        f"(at least {FEWEST_LEGS} needed){rejected}",
+        f"record more stations in each recording; {cure}",
+    )
 
 
 def require_observable(extraction: Extraction) -> None:
