@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -286,17 +285,6 @@ def _detect(rig: Rig, board: Board, segment: Segment) -> tuple[list[StationDetec
     return detect_segment(_Here.recording, rig, board, segment), _Here.recording.damage
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """OpenCV in one thread inside the block: an image is too small for several, long recordings use processes."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(before)
-
-
 def detect_all(
     recording: Recording,
     rig: Rig,
@@ -332,7 +320,10 @@ def detect_all(
     detections: list[StationDetections] = []
     waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
     done, ahead, processes = 0, iter(segments), min(jobs, len(segments) // 2)
-    with _one_thread(), Processes() as workers:
+    with Processes() as workers:
+        # An image is too small for several threads of OpenCV; long recordings use processes.
+        workers.callback(cv2.setNumThreads, cv2.getNumThreads())
+        cv2.setNumThreads(1)
         if processes > 1:
             workers.start(processes, _begin, [part.opened for part in recording.parts])
         while workers.started and len(segments) > done:
