@@ -10,7 +10,7 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
-from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution, WheelGeometry
+from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
@@ -44,7 +44,6 @@ def evaluate(
     """
     robot = read_params(params)
     limits = gates_of(gates, config.gates, evaluating=True)
-    wheels: WheelGeometry | None = None
     extraction = load(logs, config, progress).extraction
     if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
         raise ObservationError(
@@ -52,8 +51,7 @@ def evaluate(
             "give a recording with more stops in front of the board",
         )
     robot = _for_recording(robot, extraction, params)
-    if before is not None:
-        wheels = _for_recording(read_params(before), extraction, before).wheels
+    earlier = None if before is None else _for_recording(read_params(before), extraction, before)
     parameters = parameters_of(robot, extraction, params)
     progress("solving", 0, None)
     own = _solved(extraction, robot)
@@ -69,7 +67,7 @@ def evaluate(
     evaluation = evaluate_parameters(
         extraction,
         parameters,
-        wheels or nominal,
+        nominal if earlier is None else earlier.wheels,
         offsets_s=offsets,
         reference=reference or nominal,
         constants=constants,

@@ -39,16 +39,14 @@ Result = TypeVar("Result")
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
     """Limit the numerical libraries of processes started inside the block to one thread."""
-    before = {name: os.environ.get(name) for name in _THREADS}
+    before = {name: os.environ[name] for name in _THREADS if name in os.environ}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        for name in _THREADS:
+            os.environ.pop(name, None)
+        os.environ.update(before)
 
 
 def _leave_with_the_caller(files: Path | None) -> None:

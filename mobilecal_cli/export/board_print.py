@@ -38,7 +38,7 @@ def one_page(
     scale, (width, height) = _number(_POINTS_PER_MM), (_number(side * _POINTS_PER_MM) for side in size_mm)
     drawing = [f"{scale} 0 0 -{scale} 0 {height} cm"]  # y down
     drawing += [" ".join(_number(value) for value in row) + " re" for row in rectangles_mm]
-    drawing += ["f" if len(rectangles_mm) else "", "BT"]
+    drawing += ["f", "BT"]
     for text, x_mm, y_mm in lines:
         place = f"1 0 0 -1 {_number(x_mm)} {_number(y_mm)} Tm"
         drawing.append(f"/F {_number(_TEXT_MM)} Tf {place} {_text(text)} Tj")
