@@ -1,9 +1,7 @@
 """Garbage as arguments of the Python surface: an error of the package, a TypeError or a ValueError, with a sentence."""
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,23 +20,9 @@ def but(values, *right):
     return [value for value in values if repr(value) not in {repr(each) for each in right}]
 
 
-@dataclass
-class Things:
-    """What the calls need that is right."""
-
-    npz: Path
-    data: Any
-    fit: Any
-    report: Any
-    folder: Path
-
-    @property
-    def params(self) -> Path:
-        return self.folder / "result" / "params.yaml"
-
-
 @pytest.fixture(scope="module")
 def right(tmp_path_factory):
+    """What the calls need that is right."""
     folder = tmp_path_factory.mktemp("garbage")
     npz = folder / "extraction.npz"
     npz.write_bytes(extraction_to_npz(make_extraction()))
@@ -46,7 +30,8 @@ def right(tmp_path_factory):
     fit = mc.solve(data)
     report = mc.Report(data, fit)
     report.save(folder / "result")
-    return Things(npz, data, fit, report, folder)
+    params = folder / "result" / "params.yaml"
+    return SimpleNamespace(npz=npz, data=data, fit=fit, report=report, folder=folder, params=params)
 
 
 def calls():
@@ -109,20 +94,15 @@ CALLS = list(calls())
 
 def called(right, function, argument, value):
     function, _, target = function.partition(":")
-    if function == "extract":
-        return mc.extract(**({"logs": right.npz} | {argument: value}))
-    if function == "solve":
-        return mc.solve(**({"data": right.data} | {argument: value}))
-    if function == "Report":
-        return mc.Report(**({"data": right.data, "fit": right.fit} | {argument: value}))
-    if function == "save":
-        return right.report.save(value)
-    if function == "compare":
-        both = {"first": right.report.robot, "second": right.report.robot} | {argument: value}
-        return mc.compare(*both.values())
-    if function == "load":
-        return mc.load(value)
-    return mc.export_to(**({"params": right.params, "target": target or "json"} | {argument: value}))
+    given = {
+        "extract": {"logs": right.npz},
+        "solve": {"data": right.data},
+        "Report": {"data": right.data, "fit": right.fit},
+        "compare": dict.fromkeys(("first", "second"), right.report.robot),
+        "export_to": {"params": right.params, "target": target or "json"},
+    }
+    call = right.report.save if function == "save" else getattr(mc, function)
+    return call(**given.get(function, {}) | {argument: value})
 
 
 @pytest.mark.parametrize(

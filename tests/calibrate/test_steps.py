@@ -58,7 +58,7 @@ def test_a_group_stands_for_its_kinds_of_constants():
 
 @pytest.fixture(scope="module")
 def data():
-    return Data(make_extraction(), (), {})
+    return Data(make_extraction())
 
 
 @pytest.fixture(scope="module")

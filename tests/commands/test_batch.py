@@ -78,11 +78,12 @@ def local(fleet, tmp_path_factory):
 
 
 def table(out):
-    return (out / "summary.csv").read_text(encoding="utf-8")
+    """The rows of summary.csv."""
+    return list(csv.DictReader((out / "summary.csv").read_text(encoding="utf-8").splitlines()))
 
 
 def without_skipped(out):
-    return [{**row, "skipped": ""} for row in csv.DictReader(table(out).splitlines())]
+    return [{**row, "skipped": ""} for row in table(out)]
 
 
 def records(out):
@@ -95,7 +96,7 @@ def test_a_failure_stops_no_other_robot(local):
     out, done = local
     assert f"FAIL: 1 of {ROBOTS_HERE + 1} robots did not pass: broken." in done.stdout
     assert done.stderr == ""
-    rows = list(csv.DictReader(table(out).splitlines()))
+    rows = table(out)
     assert [row["robot"] for row in rows] == ["broken", *(f"robot_{n}" for n in range(ROBOTS_HERE))]
     assert [row["verdict"] for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert rows[0]["exit_code"] == "3"
@@ -125,9 +126,7 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     said = "Skipped, already done: 2 (robot_0, robot_1)."
     assert fleet_text(rows).splitlines()[-1] == said
     assert said in (out / "summary.html").read_text(encoding="utf-8")
-    assert [row["skipped"] for row in csv.DictReader(table(out).splitlines())] == [
-        row.skipped for row in rows
-    ]
+    assert [row["skipped"] for row in table(out)] == [row.skipped for row in rows]
 
 
 def in_this_process(jobs):
@@ -233,8 +232,7 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
     page = (out / "summary.html").read_text(encoding="utf-8")
     assert "1 of 1 robots pass" in page
     assert said in page
-    lines = list(csv.DictReader((out / "summary.csv").read_text(encoding="utf-8").splitlines()))
-    assert [line["skipped"] for line in lines] == ["", "no recording", "no recording"]
+    assert [row["skipped"] for row in table(out)] == ["", "no recording", "no recording"]
 
 
 @pytest.mark.parametrize(
@@ -350,10 +348,6 @@ def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
     source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
     refused_before_the_work(source, tmp_path, monkeypatch, OutputError, r"summary\.csv: already exists")
     assert (tmp_path / "summary.csv").read_text() == "precious"
-
-
-def outcome(out, name="a"):
-    return next(row for row in csv.DictReader(table(out).splitlines()) if row["robot"] == name)
 
 
 @pytest.fixture
@@ -479,9 +473,8 @@ def test_the_table_for_programs(junk, fleet, tmp_path, without_processes):
         assert content["exit_code"] == 3
         bad, good = content["robots"]
         assert (good["robot"], good["verdict"], good["exit_code"]) == ("good", "PASS", 0)
-        assert good["separation_mm"] == pytest.approx(
-            float(outcome(tmp_path / "out", "good")["separation_mm"])
-        )
+        *_, last = table(tmp_path / "out")
+        assert good["separation_mm"] == pytest.approx(float(last["separation_mm"]))
         assert (bad["verdict"], bad["exit_code"], bad["separation_mm"]) == ("ERROR", 3, None)
         assert bad["hint"]
         suite = ET.parse(tmp_path / "junit.xml").getroot()

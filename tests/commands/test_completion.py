@@ -24,11 +24,8 @@ EACH = {line: CASES[line] for line in list(CASES)[:3]}
 
 def script(shell):
     """What `--install-completion` installs."""
-    command = ["mobilecal", "--show-completion"]
-    # The shell is the parent process of the command.
-    done = subprocess.run(
-        [shell, "-c", f"{' '.join(command)}; true"], capture_output=True, text=True, env=environment()
-    )
+    command = "mobilecal --show-completion; true"  # the shell is the parent process of mobilecal
+    done = subprocess.run([shell, "-c", command], capture_output=True, text=True, env=environment())
     return done.stdout
 
 

@@ -45,7 +45,7 @@ def recorded(motion, name="paper", seed=3, log="0"):
 
 
 def saved(folder, extraction, fit=None):
-    data = Data(extraction, (), {})
+    data = Data(extraction)
     mc.Report(data, fit or mc.solve(data)).save(folder)
     (folder.parent / "robot.urdf").write_text(urdf_text(ROBOT), encoding="utf-8")
     return folder / "params.yaml"
@@ -60,7 +60,7 @@ def straight(tmp_path_factory):
 @pytest.fixture(scope="module")
 def fit():
     """A fit with the verdict PASS."""
-    return mc.solve(Data(recorded("standard"), (), {}))
+    return mc.solve(Data(recorded("standard")))
 
 
 @pytest.fixture(scope="module")
@@ -262,13 +262,13 @@ def test_measurements_of_another_robot_are_refused(passed, tmp_path, target):
 
 
 def test_a_report_on_the_data_of_another_robot_is_refused(fit):
-    other = Data(recorded("standard", "tick", log="1"), (), {})
+    other = Data(recorded("standard", "tick", log="1"))
     with pytest.raises(ConfigError, match="the fit was not made from these data: recordings"):
         mc.Report(other, fit)
-    again = Data(recorded("standard", seed=4), (), {})
+    again = Data(recorded("standard", seed=4))
     with pytest.raises(ConfigError, match=r"\d+ of 12 stations of the fit are not in the data"):
         mc.Report(again, fit)
-    same = Data(recorded("standard"), (), {})
+    same = Data(recorded("standard"))
     assert mc.Report(same, fit).verdict.level == "PASS"
 
 
