@@ -23,6 +23,12 @@ def made(sample_logs, tmp_path_factory):
     return folder, done
 
 
+@pytest.fixture(scope="module")
+def result(made):
+    """Its output directory."""
+    return made[0] / "out"
+
+
 def test_hold_out_gates_and_json(made):
     folder, done = made
     printed = json.loads(done.out)
@@ -39,15 +45,13 @@ def test_hold_out_gates_and_json(made):
     assert suite.get("failures") == "0"
 
 
-def test_evaluate_with_gates(made):
-    folder, _ = made
-    found = succeeded("evaluate", folder / "out" / "extraction.npz", folder / "out" / "params.yaml", "--json")
-    assert json.loads(found.out)["stations"] == 12
-    npz, params = folder / "out" / "extraction.npz", folder / "out" / "params.yaml"
+def test_evaluate_with_gates(result):
+    npz, params = result / "extraction.npz", result / "params.yaml"
+    assert json.loads(succeeded("evaluate", npz, params, "--json").out)["stations"] == 12
     kept = succeeded("evaluate", npz, params, "--gate", "drift_deg_per_turn=3")
     assert "pass        gate drift_deg_per_turn" in kept.out
     assert "PASS: The calibration agrees with this recording" in kept.out
-    junit = folder / "evaluate.xml"
+    junit = result.with_name("evaluate.xml")
     broken = run("evaluate", npz, params, "--gate", "rotation_rms_deg=0.001", "--junit", junit)
     assert broken.code == 6
     assert "fail        gate rotation_rms_deg" in broken.out
@@ -74,26 +78,24 @@ def changed_params(source, target, key, factor):
 
 
 @pytest.mark.long
-def test_evaluate_notes_a_recording_of_the_calibration(made, sample_logs):
+def test_evaluate_notes_a_recording_of_the_calibration(result, sample_logs):
     """Found by content: the recording has another name here than the calibration states."""
-    folder, _ = made
-    copy = folder / "renamed.bag.mcap"
+    copy = result.with_name("renamed.bag.mcap")
     shutil.copyfile(sample_logs / "paper_robot.mcap", copy)
     note = "This recording was used for this calibration: the errors below are not independent."
-    found = succeeded("evaluate", copy, folder / "out" / "params.yaml", "--json", "--quiet")
+    found = succeeded("evaluate", copy, result / "params.yaml", "--json", "--quiet")
     data = json.loads(found.out)
     assert [path.rpartition("/")[2] for path in data["used_for_calibration"]] == [copy.name]
     assert data["notes"][0] == note
-    other = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--json", "-q")
+    other = run("evaluate", sample_logs / "straight.mcap", result / "params.yaml", "--json", "-q")
     data = json.loads(other.out)
     assert data["used_for_calibration"] == []
     assert note not in data["notes"]
 
 
-def test_evaluate_gives_a_verdict_without_gates(made, tmp_path):
-    folder, _ = made
-    params = changed_params(folder / "out" / "params.yaml", tmp_path / "params.yaml", "radius_right_m", 1.02)
-    found = run("evaluate", folder / "out" / "extraction.npz", params, "--json")
+def test_evaluate_gives_a_verdict_without_gates(result, tmp_path):
+    params = changed_params(result / "params.yaml", tmp_path / "params.yaml", "radius_right_m", 1.02)
+    found = run("evaluate", result / "extraction.npz", params, "--json")
     assert found.code == 6, found.err
     verdict = json.loads(found.out)["verdict"]
     assert verdict["level"] == "FAIL"
@@ -102,9 +104,8 @@ def test_evaluate_gives_a_verdict_without_gates(made, tmp_path):
     assert verdict["next_step"] in joined(found.err)
 
 
-def test_a_recording_that_cannot_check_everything_is_not_enough(made, sample_logs):
-    folder, _ = made
-    found = run("evaluate", sample_logs / "straight.mcap", folder / "out" / "params.yaml", "--quiet")
+def test_a_recording_that_cannot_check_everything_is_not_enough(result, sample_logs):
+    found = run("evaluate", sample_logs / "straight.mcap", result / "params.yaml", "--quiet")
     assert found.code == 6
     assert "NOT ENOUGH: The wheel separation is unobservable in this recording." in joined(found.out)
     assert "Turn the base" in joined(found.out)
@@ -129,15 +130,14 @@ def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
         assert offset_s == pytest.approx(-0.03, abs=3e-3)
 
 
-def test_evaluate_another_robot(made, tmp_path):
-    folder, _ = made
+def test_evaluate_another_robot(result, tmp_path):
     params = tmp_path / "params.yaml"
-    text = (folder / "out" / "params.yaml").read_text(encoding="utf-8")
+    text = (result / "params.yaml").read_text(encoding="utf-8")
     params.write_text(text.replace("head_link", "neck_link"), encoding="utf-8")
-    found = run("evaluate", folder / "out" / "extraction.npz", params)
+    found = run("evaluate", result / "extraction.npz", params)
     assert found.code == 2
     assert "neck_link" in found.err
-    missing = run("evaluate", folder / "out" / "extraction.npz", tmp_path / "none.yaml")
+    missing = run("evaluate", result / "extraction.npz", tmp_path / "none.yaml")
     assert missing.code == 2
     assert "none.yaml: cannot be read" in missing.err
 
@@ -151,9 +151,8 @@ def test_an_error_reaches_junit(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["junit.xml", "log.mcap"]
 
 
-def test_compare(made, tmp_path):
-    folder, _ = made
-    first = folder / "out" / "params.yaml"
+def test_compare(result, tmp_path):
+    first = result / "params.yaml"
     limits = ("--max-sigma", "0.1", "--max-ray-mm", "0.01", "--max-heading-deg", "0.01")
     same = succeeded("compare", first, first, *limits)
     assert "share a recording" in same.out
@@ -166,12 +165,11 @@ def test_compare(made, tmp_path):
     assert found["heading_deg_per_turn"] < -1
 
 
-def test_a_history_is_drawn(made, tmp_path):
-    folder, _ = made
+def test_a_history_is_drawn(result, tmp_path):
     files = []
     for number in range(3):
         files.append(tmp_path / f"{number}.yaml")
-        shutil.copyfile(folder / "out" / "params.yaml", files[-1])
+        shutil.copyfile(result / "params.yaml", files[-1])
     done = succeeded("compare", *files, "--plot", tmp_path / "drift.svg")
     assert "All 3 calibrations" in done.out
     ET.parse(tmp_path / "drift.svg")
