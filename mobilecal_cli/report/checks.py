@@ -233,16 +233,16 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
 
     One that moves the result by more than the limit makes it neither the old nor the new one. One that moves it less
-    only warns, unless it is the likeliest cause of a noise level that makes the verdict worse. A recording that differs
-    makes the standard deviations wider, and only warns if all expected errors are within their limits all the same: if
-    it is used, and is not most of the outliers.
+    only warns, unless it is the likeliest cause of a noise level that makes the verdict worse, or of many outliers. A
+    recording that differs makes the standard deviations wider, and only warns if all expected errors are within their
+    limits all the same: if it is used, and is not most of the outliers.
     """
     names, limit = station_names(made.extraction), MATERIAL_SIGMAS
     stations = Counter(o.log for o in made.extraction.observations)
     lost_of = Counter(outlier.log for outlier in made.solution.gross_outliers)
     used = all(100 * lost_of[log] <= _MOST_OUTLIERS * count for log, count in stations.items())
     levels = {check.outcome for check in noise(made, *_NOISE)}
-    usual = "fail" not in levels and ("warning" not in levels or made.accurate)
+    usual = used and "fail" not in levels and ("warning" not in levels or made.accurate)
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9

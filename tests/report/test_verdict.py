@@ -16,6 +16,7 @@ from mobilecal_cli.model import (
     FixedLink,
     Jump,
     Nominal,
+    Outlier,
     Parameters,
     Rejection,
     ScaleCheck,
@@ -321,6 +322,10 @@ def test_a_small_change_that_makes_the_floor_uneven_is_the_cause():
     for gates, level in (({}, "PASS"), (strict, "FAIL")):
         verdict = judge(replace(noisy, jumps=(change,)), extraction, gates)
         assert (verdict.level, verdict.checks["jump"].outcome == "fail") == (level, level == "FAIL")
+    # Nor is it "a moved or wrong board" at half of the stations.
+    lost = tuple(Outlier("station", 0, (k,), time_ns, "") for k in range(len(extraction.observations) // 2))
+    many = judge(replace(solution, jumps=(change,), outliers=lost), extraction).checks
+    assert [check.id for check in many if check.outcome == "fail"] == ["jump"]
 
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
