@@ -139,8 +139,8 @@ def require_stations(extraction: Extraction) -> None:
     counted = ", ".join(f"{n} x {reason}" for (_, reason), n in reasons)
     rejected = f"; rejected: {counted}" if counted else ""
     looked_at = extraction.counts.get("stations", have)
-    where, needed = f"the board was found at {have} of {looked_at} stations", readable_words(extraction.board)
-    images = extraction.rig.cameras.images_words
+    where = f"the board was found at {have} of {looked_at} stations"
+    images, needed = extraction.rig.cameras.images_words, readable_words(extraction.board)
     cure = f"keep the whole board in {images}, at rest, in good light, with {needed}"
     stage, reason = reasons[0][0] if reasons else ("", "")
     if have == looked_at or stage == "stations":
