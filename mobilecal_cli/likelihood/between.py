@@ -36,8 +36,9 @@ def _own(
     values, vectors = np.linalg.eigh(A)
     known = values > _SHOWN**2
     inverse = np.where(known, 1 / np.where(known, values, 1.0), 0.0)
-    covariance = basis @ (vectors * inverse) @ vectors.T @ basis.T
-    step, std = basis @ (-(vectors * inverse) @ vectors.T @ a), np.sqrt(np.diag(covariance))
+    onto = basis @ (vectors * inverse) @ vectors.T
+    covariance, step = onto @ basis.T, -onto @ a
+    std = np.sqrt(np.diag(covariance))
     # Of fixed and unobservable parameters, the share is zero.
     shown = np.sum((basis @ vectors[:, known]) ** 2, axis=1) > 1 - _SHARE**2
     distances, ranks = [], []

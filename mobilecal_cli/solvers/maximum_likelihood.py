@@ -57,7 +57,7 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
 
 
 def moved_between(inference: Inference) -> SolveError | None:
-    """When something moved, for an estimate that did not converge: stations before and after it fit by themselves."""
+    """When something changed, for an estimate without an end: stations before and after it fit by themselves."""
     data = inference.data
     for log in np.unique(data.log).tolist():
         mine = np.flatnonzero(data.log == log)
@@ -69,9 +69,10 @@ def moved_between(inference: Inference) -> SolveError | None:
         around_s = (data.times_ns[mine[[begin - 1, end]]] - data.tracks[log].time_ns[0]) * 1e-9
         where = f"recording {log + 1}: " if data.logs > 1 else ""
         return SolveError(
-            f"{where}something moved between {around_s[0]:.1f} and {around_s[1]:.1f} s: the stations before and those "
-            "after fit by themselves, but not together",
-            "check what happened then to the camera's mount, the board and the base; record again without it",
+            f"{where}something changed between {around_s[0]:.1f} and {around_s[1]:.1f} s: the stations before and "
+            "those after fit by themselves, but not together",
+            "check what happened then to the board, the camera's mount, the head, the wheels and their cables; record "
+            "again without it",
         )
     return None
 
@@ -80,6 +81,7 @@ def _longest_that_fits(inference: Inference, stations: IntArray) -> int:
     """How many of a recording's stations, from the first of these on, have a fit without gross outliers; 0 for few."""
 
     def fit(count: int) -> bool:
+        """Whether so many have."""
         some = np.isin(np.arange(inference.data.stations), stations[:count])
         driven = np.asarray(some[inference.data.legs].all(axis=1))
         start = next(_linear_starts(inference, {}, np.flatnonzero(driven)), None)

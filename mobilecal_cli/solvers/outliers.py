@@ -35,8 +35,7 @@ _NEARER = 0.01  # squared distance over the former one: what the first order lea
 # Measurements that are judged at once, one more for every `_LONG_RECORDING` stations, lie so many stations apart that
 # none is mistaken for another.
 _APART = 5
-#: From so many stations on, decisions are made a few at a time, from fits that are 0.03 standard deviations off: so
-#: that their cost does not grow with the recording.
+#: From so many stations on, decisions are made a few at a time: so that their cost does not grow with the recording.
 _LONG_RECORDING = 100
 _MUCH = 4.0  # a first fit with statistics beyond this many times their limit is implausible
 #: Noise levels that decide where a measurement of each kind is expected, the one that counts most first.

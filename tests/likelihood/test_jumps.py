@@ -315,7 +315,7 @@ def test_an_estimate_without_an_end_names_the_moment(whole):
     before, after = ((whole.observations[k].time_ns - begin_ns) / 1e9 for k in (HALF - 1, HALF))
     said = moved_between(Inference.of(extraction, Constraints()))
     assert said is not None
-    assert f"something moved between {before:.1f} and {after:.1f} s" in said.message
+    assert f"something changed between {before:.1f} and {after:.1f} s" in said.message
 
 
 @pytest.mark.parametrize("other", [pytest.param(False, marks=pytest.mark.long), True])
