@@ -180,6 +180,7 @@ def interruptions(readings: Readings) -> Iterator[Hypothesis]:
         mine = np.flatnonzero(readings.log == log)
         if len(mine) < FEWEST_STATIONS:
             continue
+        where = f"recording {log + 1} of {len(readings.wheels)}: " if len(readings.wheels) > 1 else ""
         joints, turned = readings.joints[mine], sampled((track.right, track.left), readings.time_ns[mine])
         of_joints = [
             (f"the reading of joint {name} does not change", joints[:, [j]], np.delete(joints, j, axis=1))
@@ -195,7 +196,7 @@ def interruptions(readings: Readings) -> Iterator[Hypothesis]:
                     continue  # the leg across would be wrong
                 kept = np.delete(np.arange(len(readings.log)), mine[first : last + 1])
                 yield Hypothesis(
-                    f"{cause} between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s",
+                    f"{where}{cause} between {readings.at_s(mine[first])} and {readings.at_s(mine[last])} s",
                     "check the cable and the driver, and record again, or leave this stretch out",
                     partial(Readings.of, stations=kept),
                 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -93,12 +94,10 @@ def _longest_that_fits(inference: Inference, stations: IntArray) -> int:
         except (SolveError, np.linalg.LinAlgError):
             return False
 
-    fits, not_all = 0, len(stations) + 1
-    tried = _FEWEST_TOGETHER
-    while fits < tried < not_all:
-        fits, not_all = (tried, not_all) if fit(tried) else (fits, tried)
-        tried = (max(fits, _FEWEST_TOGETHER) + not_all) // 2
-    return fits
+    if len(stations) < _FEWEST_TOGETHER or not fit(_FEWEST_TOGETHER):
+        return 0
+    more = range(_FEWEST_TOGETHER + 1, len(stations) + 1)
+    return _FEWEST_TOGETHER + bisect_left(more, True, key=lambda count: not fit(count))
 
 
 def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:

@@ -265,6 +265,17 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     assert found.cure == "negate wheels.right.sign in rig.yaml, for this recording only"
 
 
+def test_the_recording_with_the_pulled_cable_is_named(recorded):
+    """Its seconds alone may be of either recording."""
+    second = simulated("standard", NOISE, ROBOT, seed=5)
+    (track,) = second.wheels
+    half = len(track.left.value) // 2
+    still = np.where(np.arange(len(track.left.value)) < half, track.left.value, track.left.value[half])
+    spoilt = replace(second, wheels=(replace(track, left=replace(track.left, value=still)),))
+    found = Search(joined(recorded, spoilt)).diagnosis
+    assert found.cause.startswith("recording 2 of 2: the reading of the left wheel does not change between ")
+
+
 @pytest.mark.long
 def test_the_mistake_of_a_short_recording_beside_a_long_one_is_named():
     """Most legs fit without those of the short one."""
