@@ -13,9 +13,10 @@ import numpy as np
 from mobilecal_cli.likelihood.corners import blocks_of
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
-from mobilecal_cli.likelihood.normal import roots, summed
+from mobilecal_cli.likelihood.normal import roots
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.processes import LENGTHS
+from mobilecal_cli.likelihood.views import images_of, summed
 from mobilecal_cli.model import NINE, FloatArray, IntArray
 
 _NO_REDUNDANCY = 1e-6
@@ -152,19 +153,20 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:
     """Of corners, or of measured poses; some stations at once."""
-    views, level = lin.views, lin.data.images_level
-    every = np.arange(lin.data.stations)
+    level, every = lin.data.images_level, np.arange(lin.data.stations)
     for block in blocks_of(len(every)):
-        stations, information = every[block], views.information[block]
-        root, inverse = roots(information)
+        stations = every[block]
+        images = images_of(lin.state, lin.inliers, lin.noise, lin.rates, stations)
+        gradient = np.concatenate([images.pull[:, :6], images.gradient], axis=1)
+        root, inverse = roots(images.information)
         parts = _by_level([level] * root.shape[1])
-        if views.delays:
-            across = lin.noise.pair_s * inverse @ information[:, :, [*views.delays]]
+        if images.delays:
+            across = lin.noise.pair_s * inverse @ images.rows[:, [*images.of_delays]].mT
             own = across @ across.mT
             parts = {level: parts[level] - own, "pair_s": own}
         yield Influence(
             lin,
-            (inverse @ views.gradient[stations, :, None])[..., 0],
+            (inverse @ gradient[..., None])[..., 0],
             root.mT @ lin.marginals.images(stations) @ root,
             parts,
             partial(_of_views, lin, stations, root),

@@ -17,6 +17,7 @@ from scipy.linalg import cho_solve_banded
 from scipy.special import betainc, chdtrc, gammaln
 
 from mobilecal_cli import se3
+from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
 from mobilecal_cli.likelihood.evidence import from_chance
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -66,7 +67,7 @@ class Jump:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
-    """Derivatives by a part's m numbers: (N, Q, m) of (delta, direct constants), and (L, K, m) of the legs' ends."""
+    """Derivatives by a part's m numbers: (N, T, m) of the traced unknowns, and (L, K, m) of the legs' ends."""
 
     views: FloatArray
     legs: FloatArray
@@ -74,36 +75,47 @@ class _Part:
 
 def _parts(lin: Posterior) -> dict[str, _Part]:
     data, views, residuals = lin.data, lin.views, lin.legs.residual
-    effects = [effect for _, _, effect in data.layout.direct]
 
-    def of_images(rows: slice | Sequence[int], columns: FloatArray) -> _Part:
-        by_images = np.zeros((*views.gradient.shape, columns.shape[-1]))
-        by_images[:, rows] = columns
+    def of_images(unknowns: Sequence[int], columns: FloatArray) -> _Part:
+        by_images = np.zeros((*views.pull.shape, columns.shape[-1]))
+        by_images[:, [views.traced.tolist().index(unknown) for unknown in unknowns]] = columns
         return _Part(by_images, np.zeros((*residuals.shape, columns.shape[-1])))
 
-    delta = slice(6)
+    delta = range(6)
     parts = {"head mount": of_images(delta, views.by_shared[:, :, :6])}
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
     parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
-    for name, own in _poses(lin).items():
+    for name, own in _poses(data).items():
         parts[name] = of_images([6 + k for k in own], np.eye(len(own)))
-    shape = [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect)]
-    if shape and data.logs > 1:
+    shape = _shape(data)
+    if shape:
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
-        units = math.sqrt(_FAINT) * lin.priors.scales[views.direct[shape]]
+        units = math.sqrt(_FAINT) * lin.priors.scales[views.columns[shape]]
         parts[SHAPE] = of_images([6 + k for k in shape], np.diag(units))
     for name, radii in WHEELS.items():
         if name != BOTH_WHEELS or data.logs > 1:
-            no_images = np.zeros((*views.gradient.shape, len(radii)))
+            no_images = np.zeros((*views.pull.shape, len(radii)))
             parts[name] = _Part(no_images, lin.legs.by_shared[:, :, 6:8][:, :, radii])
     return parts
 
 
-def _poses(lin: Posterior) -> dict[str, list[int]]:
+def traced(lin: Posterior) -> Posterior:
+    """The same point, with all constants that a jump may change traced: see `Images`."""
+    constants = [k for of_part in _poses(lin.data).values() for k in of_part] + _shape(lin.data)
+    return lin.tracing(tuple(6 + k for k in constants))
+
+
+def _shape(data: Dataset) -> list[int]:
+    """Which of the direct constants are the board's shape, where recordings may differ in it."""
+    effects = [effect for _, _, effect in data.layout.direct]
+    return [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect) and data.logs > 1]
+
+
+def _poses(data: Dataset) -> dict[str, list[int]]:
     """Camera → which of the direct constants are its pose in the first camera."""
-    names, poses = lin.data.cameras.names, dict[str, list[int]]()
-    for k, (_, _, effect) in enumerate(lin.data.layout.direct):
+    names, poses = data.cameras.names, dict[str, list[int]]()
+    for k, (_, _, effect) in enumerate(data.layout.direct):
         if isinstance(effect, CameraEffect) and effect.camera and effect.of in POSE:
             poses.setdefault(camera_words(names[effect.camera]), []).append(k)
     return poses
@@ -141,10 +153,10 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
     after = after.astype(np.float64)
 
     # Station by station and leg by leg: the gradient, the information, and that with all other unknowns.
-    V, GV, D, WD = part.views, lin.station_information @ part.views, part.legs, lin.leg_weight @ part.legs
+    V, GV, D, WD = part.views, lin.station_rows.mT @ part.views, part.legs, lin.leg_weight @ part.legs
     of_images = (
-        np.einsum("nqm,nq->nm", V, views.gradient),
-        V.mT @ GV,
+        np.einsum("nqm,nq->nm", V, views.pull),
+        V.mT @ GV[:, views.traced],
         views.by_board.mT @ GV[:, :6],
         views.onto_shared(GV.mT).mT,
     )
@@ -227,7 +239,7 @@ def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump
 
 
 def _own_sigmas(lin: Posterior, jump: Jump) -> float:
-    covariance, size, poses = lin.covariance, np.abs(jump.value), _poses(lin)
+    covariance, size, poses = lin.covariance, np.abs(jump.value), _poses(lin.data)
     variance = np.diag(covariance)
     if jump.part == "head mount":
         return _in_sigmas(size, variance[:6])
@@ -237,7 +249,7 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
         known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
         return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))
     if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
-        return _in_sigmas(size[:3], lin.priors.scales[lin.views.direct[poses[jump.part][:3]]] ** 2)
+        return _in_sigmas(size[:3], lin.priors.scales[lin.views.columns[poses[jump.part][:3]]] ** 2)
     return 0.0
 
 
@@ -252,7 +264,7 @@ def cause(lin: Posterior, first: int) -> str:
         lin: a point at which the misfit is part of the measurements.
         first: index of the first station after it.
     """
-    after = stations_after(lin, first)
+    lin, after = traced(lin), stations_after(lin, first)
     best, least = "", _EXPLAINED * float(lin.views.cost[after].sum())
     try:
         for name, part in _parts(lin).items():
@@ -286,6 +298,7 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
         lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
+    optimum = traced(optimum)
     test = _scores(optimum, _parts(optimum)[jump.part], [jump.station])
     score, dof, chi2 = float(test.chi2[0]), int(test.dof[0]), jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
@@ -320,7 +333,7 @@ def stations_after(lin: Posterior, first: int) -> BoolArray:
 
 
 def likeliest(lin: Posterior) -> list[Jump]:
-    """The most probable jump at an optimum of each part, the best first, whether or not it is significant."""
+    """The most probable jump of each part at an optimum that is `traced`, the best first, significant or not."""
     data = lin.data
     logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
     # Of two recordings, either may be the one that differs; a shorter one is an outlier.

@@ -17,8 +17,9 @@ from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.state import State, Step
 from mobilecal_cli.likelihood.views import Views, images_of, linearize_views
-from mobilecal_cli.model import EXACT, FloatArray, Noise
+from mobilecal_cli.model import EXACT, FloatArray, IntArray, Noise
 
+_LEGS = ("legs", "leg_covariance")  # what does not depend on the images, or on which measurements are used
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
 
 
@@ -51,6 +52,8 @@ class Linearization:
         processes: prior of the base blocks' errors along the way.
         rates: (C, N, 6) see `State.view_rates`.
         leg_offset: (L, K) to be added to the legs' residuals, or 0.
+        apart: whether the images' information is kept station by station, not in sums over each recording.
+        traced: see `Images.traced`; further ones of (delta, direct constants).
     """
 
     state: State
@@ -61,6 +64,8 @@ class Linearization:
     processes: Processes
     rates: FloatArray
     leg_offset: FloatArray | float = 0.0
+    apart: bool = False
+    traced: tuple[int, ...] = ()
 
     @classmethod
     def at(cls, state: State, inliers: Inliers, noise: Noise, priors: Priors) -> Self:
@@ -132,15 +137,26 @@ class Linearization:
     def with_inliers(self, inliers: Inliers) -> Self:
         """The same point with other inliers."""
         along, known = processes_of(self.state, self.noise, inliers), {}
-        if "views" in self.__dict__:
-            differ = (inliers.used_corners != self.inliers.used_corners).any(axis=(1, 2))
-            differ |= inliers.views != self.inliers.views
+        corners, before = inliers.used_corners, self.inliers.used_corners
+        differ = (corners != before).any(axis=(1, 2)) | (inliers.views != self.inliers.views)
+        gone = differ & (before.any(axis=(1, 2)) | self.inliers.views)
+        if "views" in self.__dict__ and not gone.any():
             known["views"] = self.views
             if differ.any():
                 at = np.flatnonzero(differ)
-                images = images_of(self.state, inliers, self.noise, self.rates, at)
-                known["views"] = self.views.with_images(at, images)
-        return self.changed(("legs", "leg_covariance"), known, inliers=inliers, processes=along)
+                images = images_of(
+                    self.state, inliers, self.noise, self.rates, at, self.group[at], self.traced
+                )
+                known["views"] = self.views.with_further(at, images)
+        return self.changed(_LEGS, known, inliers=inliers, processes=along)
+
+    def tracing(self, unknowns: tuple[int, ...]) -> Self:
+        """The same point with the information of the images kept station by station for further unknowns."""
+        return (
+            self
+            if set(unknowns) <= set(self.traced)
+            else self.changed((*_LEGS, "own_sigmas"), traced=unknowns)
+        )
 
     def of_log(self, log: int) -> Self:
         """The same point with the measurements of one recording alone."""
@@ -148,14 +164,19 @@ class Linearization:
         legs = self.inliers.legs & mine[self.data.legs[:, 0]]
         inliers = replace(self.inliers, views=self.inliers.views & mine, legs=legs)
         views = self.views.scaled(np.where(mine, 1.0, np.inf))
-        return self.changed(("legs", "leg_covariance", "own_sigmas"), {"views": views}, inliers=inliers)
+        return self.changed((*_LEGS, "own_sigmas"), {"views": views}, inliers=inliers)
 
     # -- residuals --------------------------------------------------------------------------------
 
     @cached_property
     def views(self) -> Views:
         """Residuals of the images."""
-        return linearize_views(self.state, self.inliers, self.noise, self.rates)
+        return linearize_views(self.state, self.inliers, self.noise, self.rates, self.group, self.traced)
+
+    @property
+    def group(self) -> IntArray:
+        """(N,) see `Images.group`."""
+        return np.arange(self.data.stations) if self.apart else self.data.log
 
     @cached_property
     def legs(self) -> Legs:

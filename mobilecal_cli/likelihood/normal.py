@@ -17,6 +17,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
+from mobilecal_cli.likelihood.views import Images, summed
 from mobilecal_cli.model import FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
@@ -124,24 +125,24 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 
     # Own errors: their covariance for a known rest, their gradient, and their information with all else.
     J, root = views.by_own, lin.own_sigmas / np.sqrt(1 + damping)
-    across = J.mT @ views.information[:, :6]
+    across = J.mT @ views.rows[:, :6]
     M = np.eye(root.shape[1]) + root[:, :, None] * (across[:, :, :6] @ J) * root[:, None, :]
     E_inverse = root[:, :, None] * np.asarray(np.linalg.inv(M), dtype=np.float64) * root[:, None, :]
-    e = np.einsum("nqj,nq->nj", J, views.gradient[:, :6]) + lin.state.own / lin.own_sigmas**2
+    e = np.einsum("nqj,nq->nj", J, views.pull[:, :6]) + lin.state.own / lin.own_sigmas**2
     E_base, E_board = across[:, :, :6] @ views.by_base, across[:, :, :6] @ views.by_board
     E_shared = views.onto_shared(across)
 
-    both, A, of_direct = _without_own(lin, damping)
+    both, A, of_direct = _without_own(lin, views, damping)
     G, gradient = both[:, :, :-1], both[:, :, -1]
-    taken = summed(A @ views.information[:, :6, 6:], both[:, :, 6:])
+    taken = summed(A @ views.rows[:, :6, 6:], both[:, :, 6:])
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
     Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
     b = np.einsum("nqb,nq->nb", views.by_base, gradient)
     H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient)
-    H[views.direct] += summed(G[:, :, 6:], views.by_shared)
-    H[np.ix_(views.direct, views.direct)] += views.information[:, 6:, 6:].sum(axis=0) - taken[:, :-1]
-    h[views.direct] += of_direct.sum(axis=0) - taken[:, -1]
+    H[views.columns] += summed(G[:, :, 6:], views.by_shared)
+    H[np.ix_(views.columns, views.columns)] += views.direct.sum(axis=0) - taken[:, :-1]
+    h[views.columns] += of_direct - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
     hK = _by_log(data, Kt @ gradient[..., None])
     HK += np.eye(6) / _FREE_BOARD**2  # a board that no used image shows stays where it is
@@ -229,7 +230,7 @@ def _by_log(data: Dataset, values: FloatArray) -> FloatArray:
 
 
 def _without_own(
-    lin: Linearization, damping: float = 0.0, beside: FloatArray | float = 0.0
+    lin: Linearization, images: Images, damping: float = 0.0, beside: FloatArray | float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Eliminate each station's own errors without cancellation.
 
@@ -239,33 +240,37 @@ def _without_own(
 
     Args:
         lin, damping: see `eliminated`.
-        beside: see `station_information`.
+        images: of all stations.
+        beside: see `station_rows`.
 
     Returns:
-        (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (N, D)
+        (N, 6, Q + 1) information of delta with (delta, direct constants), and its gradient; (N, 6, 6) A; and (D,)
         gradient of the direct constants with own errors at their means.
     """
-    views, J = lin.views, lin.views.by_own
-    G, P = views.information, lin.own_sigmas**2 / (1 + damping)
+    J, G, P = lin.views.by_own, images.rows[:, :6], lin.own_sigmas**2 / (1 + damping)
     A = (J * P[:, None]) @ J.mT + beside
     # With the present errors o the gradient is that of delta - J o: moved back by them, as far as they are not damped.
     back = J @ (lin.state.own / (1 + damping))[..., None]
-    wanted = views.gradient - (G[:, :, :6] @ back)[..., 0]
-    both = np.concatenate([G[:, :6], wanted[:, :6, None]], axis=2)
-    root, inverse = roots(G[:, :6, :6])
-    return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ both)), A, wanted[:, 6:]
+    both = np.concatenate([G, images.pull[:, :6, None] - G[:, :, :6] @ back], axis=2)
+    root, inverse = roots(G[:, :, :6])
+    of_direct = images.gradient.sum(axis=0) - summed(G[:, :, 6:], back)[:, 0]
+    return root @ (np.linalg.inv(np.eye(6) + root.mT @ A @ root) @ (inverse @ both)), A, of_direct
 
 
-def station_information(lin: Linearization, beside: FloatArray | float = 0.0) -> FloatArray:
-    """(N, Q, Q) information of each station's images about (delta, direct constants), its own errors eliminated.
+def station_rows(lin: Linearization, images: Images, beside: FloatArray | float = 0.0) -> FloatArray:
+    """(N, T, Q) rows of each station's information at its traced unknowns, its own errors eliminated.
 
-    `beside` is (N, 6, 6) the covariance of whatever else moves the board in the camera.
+    Args:
+        lin: the point.
+        images: its views, or all stations' images with other unknowns that are traced.
+        beside: (N, 6, 6) covariance of whatever else moves the board in the camera.
     """
-    G, (both, A, _) = lin.views.information.copy(), _without_own(lin, beside=beside)
-    G[:, 6:, 6:] -= G[:, 6:, :6] @ A @ both[:, :, 6:-1]
-    G[:, :6] = both[:, :, :-1]
-    G[:, 6:, :6] = G[:, :6, 6:].mT
-    return G
+    both, A, _ = _without_own(lin, images, beside=beside)
+    both = both[:, :, :-1]
+    further = images.rows[:, 6:]
+    further = further - further[:, :, :6] @ (A @ both)
+    further[:, :, :6] = both[:, :, images.traced[6:]].mT
+    return np.concatenate([both, further], axis=1)
 
 
 def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -275,12 +280,6 @@ def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
     inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
     return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
-
-
-def summed(A: FloatArray, B: FloatArray) -> FloatArray:
-    """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
-    rows = A.shape[0] * A.shape[1]
-    return A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
 
 
 def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

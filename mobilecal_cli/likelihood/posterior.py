@@ -13,8 +13,9 @@ import numpy as np
 
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
-from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_information
+from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
 from mobilecal_cli.likelihood.state import Step
+from mobilecal_cli.likelihood.views import Images
 from mobilecal_cli.model import FloatArray, IntArray
 
 
@@ -39,9 +40,9 @@ class Posterior(Linearization):
         return self.eliminated()
 
     @cached_property
-    def station_information(self) -> FloatArray:
-        """(N, Q, Q) information of the images about (delta, direct constants), the stations' own errors eliminated."""
-        return station_information(self)
+    def station_rows(self) -> FloatArray:
+        """(N, T, Q) see `normal.station_rows`."""
+        return station_rows(self, self.views)
 
     @cached_property
     def information(self) -> FloatArray:
@@ -115,12 +116,10 @@ class Marginals:
         out: FloatArray = self.errors - mixed - mixed.mT
         return out + rho[:, :, None] * np.roll(self.errors, 1, axis=0) * rho[:, None, :]
 
-    def leverage(self, information: FloatArray) -> FloatArray:
-        """(N,) how much of the images' information (N, Q, Q), see `Views`, the unknowns take up."""
-        of_poses = np.einsum("nqr,nrq->n", information[:, :6, :6], self.views)
-        of_direct = np.einsum("nqr,rq->n", information[:, 6:, 6:], self.direct)
-        mixed = np.einsum("nqr,nqr->n", information[:, :6, 6:], self.mixed)
-        return np.asarray(of_poses + 2 * mixed + of_direct)
+    def leverage(self, images: Images) -> float:
+        """How much of the information of all images the unknowns take up."""
+        of_poses = np.sum(images.rows[:, :6, :6] * self.views) + np.sum(images.direct * self.direct)
+        return float(of_poses + 2 * np.sum(images.rows[:, :6, 6:] * self.mixed))
 
     def variance_along(self, across: FloatArray) -> FloatArray:
         """(N,) variance of a sum of each station's (delta, direct constants) with factors (N, Q)."""
@@ -129,9 +128,9 @@ class Marginals:
         mixed = np.einsum("na,nab,nb->n", pose, self.mixed, direct)
         return np.asarray(of_pose + 2 * mixed + np.sum((direct @ self.direct) * direct, axis=1))
 
-    def of_gradient(self, information: FloatArray) -> FloatArray:
-        """(N, 6, 6) covariance that the unknowns give the images' gradient by delta; information: (N, Q, Q)."""
-        G, across = information[:, :6, :6], information[:, :6, 6:]
+    def of_gradient(self, images: Images) -> FloatArray:
+        """(N, 6, 6) covariance that the unknowns give the images' gradient by delta."""
+        G, across = images.rows[:, :6, :6], images.rows[:, :6, 6:]
         mixed = G @ self.mixed @ across.mT
         out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
         return out + _sandwich(across, self.direct)
@@ -195,8 +194,8 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
         views=of_views,
-        mixed=FC[:, :, views.direct],
-        direct=C[np.ix_(views.direct, views.direct)],
+        mixed=FC[:, :, views.columns],
+        direct=C[np.ix_(views.columns, views.columns)],
         own=errors,
         legs=both + mixed + mixed.mT + _sandwich(F_legs, C),
         errors=of_errors,

@@ -49,8 +49,8 @@ class ResidualTests:
     def views(self) -> FloatArray:
         """(N,) of each station's images as a whole, six degrees of freedom."""
         lin, views = self._lin, self._all_views
-        G, g = views.information[:, :6, :6], views.gradient[:, :6]
-        return _left_out(G, g, lin.marginals.of_gradient(views.information), lin.inliers.views)
+        G, g = views.rows[:, :6, :6], views.pull[:, :6]
+        return _left_out(G, g, lin.marginals.of_gradient(views), lin.inliers.views)
 
     @cached_property
     def legs(self) -> FloatArray:
@@ -74,8 +74,8 @@ class ResidualTests:
     def views_freed(self) -> FloatArray:
         """(N, J) of each outlier station's images with one joint reading unknown, five degrees of freedom."""
         lin, views = self._lin, self._all_views
-        G, g = views.information[:, :6, :6], views.gradient[:, :6]
-        predicted, freed = lin.marginals.of_gradient(views.information), np.empty_like(lin.data.joints)
+        G, g = views.rows[:, :6, :6], views.pull[:, :6]
+        predicted, freed = lin.marginals.of_gradient(views), np.empty_like(lin.data.joints)
         for j in range(freed.shape[1]):
             by_reading = FREE_JOINT * G @ views.by_own[..., j : j + 1]
             spread = predicted + by_reading @ by_reading.mT
@@ -88,8 +88,8 @@ class ResidualTests:
     def small_views(self) -> BoolArray:
         """(N,) stations whose images show the board where it is predicted, to `SMALL_RAD` and `SMALL_M`."""
         lin, views = self._lin, self._all_views
-        inverse = np.linalg.pinv(views.information[:, :6, :6], hermitian=True)
-        off = np.einsum("nab,nb->na", inverse, views.gradient[:, :6])
+        inverse = np.linalg.pinv(views.rows[:, :6, :6], hermitian=True)
+        off = np.einsum("nab,nb->na", inverse, views.pull[:, :6])
         middle = se3.act(lin.state.T_c_k, lin.data.points_k.mean(axis=0)[None])[:, 0]
         shift = off[:, 3:] + np.cross(off[:, :3], middle)
         return _small(np.linalg.norm(off[:, :3], axis=1), np.linalg.norm(shift, axis=1))

@@ -12,9 +12,10 @@ from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Inliers
 from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
-from mobilecal_cli.likelihood.normal import station_information
+from mobilecal_cli.likelihood.normal import station_rows
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
+from mobilecal_cli.likelihood.views import images_of
 from mobilecal_cli.model import NINE, BoolArray, FloatArray, Suggestion, WheelTrack
 
 #: Accuracy that a robot needs, rad, m, and of the wheels themselves: the least certain parameter is the worst of it.
@@ -170,12 +171,17 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
     beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
-    G = station_information(lin, beside)[2:]
+    stops = np.arange(lin.data.stations)
+    images = images_of(
+        lin.state, lin.inliers, lin.noise, lin.rates, stops, traced=range(6, 6 + len(views.columns))
+    )
+    order = np.argsort(images.traced)
+    G = station_rows(lin, images, beside)[2:, order]
     A = np.zeros((*G.shape[:2], P + 6 + B))
     A[:, :6] = J[1:] @ right[1:]
     A[:, :6, :P] += views.by_shared[2:]
     A[:, :6, P : P + 6] += views.by_board[2:]
-    A[:, np.arange(6, G.shape[1]), views.direct] = 1.0
+    A[:, np.arange(6, G.shape[1]), views.columns] = 1.0
     return A, G
 
 

@@ -6,6 +6,7 @@ station stand between the pixels and all poses.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -22,73 +23,125 @@ from mobilecal_cli.model import FloatArray, IntArray, Noise
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Images:
-    """Residuals of the images at N stations, whitened. Unknowns are (delta, direct constants).
+    """Residuals of the images at N stations, whitened, as functions of Q unknowns each: (delta, direct constants).
+
+    The information J^T J of the inliers and the gradient J^T r are kept station by station for some of the unknowns,
+    and in sums over the stations of a group for all direct constants: there may be hundreds of these.
 
     Attributes:
-        information: (N, Q, Q) J^T J of the whitened inliers.
-        gradient: (N, Q) J^T r.
+        traced: (T,) which of the Q unknowns are kept station by station: delta, mean delays of further cameras, others.
+        delays: how many of these are mean delays.
+        rows: (N, T, Q) rows of the information at these.
+        pull: (N, T) gradient by these.
         cost: (N,) sum of squares.
-        delays: which of the unknowns are the mean delays of D further cameras.
-        across: (N, D, Q) rows of the information at these, if no image had a delay of its own.
-        pull: (N, D) gradient there, the same way.
+        group: (N,) group of each station, ascending; a recording, or the station itself.
+        direct: (G, Q - 6, Q - 6) information about the direct constants, of each group.
+        gradient: (G, Q - 6) gradient by these.
     """
 
-    information: FloatArray
-    gradient: FloatArray
-    cost: FloatArray
-    delays: tuple[int, ...]
-    across: FloatArray
+    traced: IntArray
+    delays: int
+    rows: FloatArray
     pull: FloatArray
+    cost: FloatArray
+    group: IntArray
+    direct: FloatArray
+    gradient: FloatArray
 
-    def with_images(self, stations: IntArray, other: Images) -> Self:
-        """The same with other images at some stations."""
-        changed = {}
-        for name in ("information", "gradient", "cost", "across", "pull"):
-            changed[name] = getattr(self, name).copy()
+    @property
+    def of_delays(self) -> range:
+        """Which of the traced unknowns are mean delays."""
+        return range(6, 6 + self.delays)
+
+    @property
+    def information(self) -> FloatArray:
+        """(N, Q, Q) of images whose groups are single stations."""
+        rows = self.rows[:, :6]
+        return np.concatenate([rows, np.concatenate([rows[:, :, 6:].mT, self.direct], axis=2)], axis=1)
+
+    def with_further(self, stations: IntArray, other: Images) -> Self:
+        """The same with the images of some stations that had none; the other's groups are these ones."""
+        changed = {
+            name: getattr(self, name).copy() for name in ("rows", "pull", "cost", "direct", "gradient")
+        }
+        for name in ("rows", "pull", "cost"):
             changed[name][stations] = getattr(other, name)
+        for name in ("direct", "gradient"):
+            changed[name][: len(other.direct)] += getattr(other, name)
         return replace(self, **changed)
 
-    def shifted(self, shift: FloatArray) -> Self:
-        """The same after a step (N, Q) of each station's unknowns, to first order."""
-        change = (self.information @ shift[..., None])[..., 0]
-        cost = self.cost + np.sum(shift * (2 * self.gradient + change), axis=1)
-        pull = self.pull + (self.across @ shift[..., None])[..., 0]
-        return replace(self, gradient=self.gradient + change, cost=cost, pull=pull)
+    def shifted(self, traced: FloatArray, direct: FloatArray | float = 0.0) -> Self:
+        """The same after a step of the unknowns, to first order.
+
+        Args:
+            traced: (N, T) of those that are kept station by station.
+            direct: (Q - 6,) of all stations' direct constants, beside it. What it adds to the cost of a group is shared
+                by the stations of the group.
+        """
+        along = np.broadcast_to(direct, self.gradient.shape[1:])
+        change = (self.rows[:, :, self.traced] @ traced[..., None])[..., 0]
+        of_direct = self.rows[:, :, 6:] @ along
+        cost = self.cost + np.sum(traced * (2 * (self.pull + of_direct) + change), axis=1)
+        further = self.direct @ along
+        if along.any():
+            added = np.sum(along * (2 * self.gradient + further), axis=1) / np.bincount(self.group)
+            cost = cost + added[self.group]
+        moved = self._summed(traced[..., None], self.rows[:, :, 6:])[:, 0]
+        gradient = self.gradient + further + moved
+        return replace(self, pull=self.pull + change + of_direct, cost=cost, gradient=gradient)
+
+    def _summed(self, A: FloatArray, B: FloatArray) -> FloatArray:
+        """Sums of A^T B over the stations of each group: (N, q, P) and (N, q, R) → (G, P, R)."""
+        out = np.zeros((len(self.direct), A.shape[2], B.shape[2]))
+        starts = np.flatnonzero(np.diff(self.group, prepend=-1))
+        if len(starts) == len(self.group):
+            out[self.group] = A.mT @ B
+        else:
+            for a, b in zip(starts, (*starts[1:], len(A)), strict=True):
+                out[self.group[a]] = summed(A[a:b], B[a:b])
+        return out
 
     def scaled(self, factor: FloatArray) -> Self:
-        """The same with a noise of corners or measured poses, and of own delays, that is (N,) so many times larger."""
+        """The same with a noise of corners or measured poses, and of own delays, that is (N,) so many times larger.
+
+        It is the same for all stations of a group.
+        """
         weight = factor**-2
+        of_group = np.ones(len(self.direct))
+        of_group[self.group] = weight
         return replace(
             self,
-            information=weight[:, None, None] * self.information,
-            gradient=weight[:, None] * self.gradient,
-            cost=weight * self.cost,
-            across=weight[:, None, None] * self.across,
+            rows=weight[:, None, None] * self.rows,
             pull=weight[:, None] * self.pull,
+            cost=weight * self.cost,
+            direct=of_group[:, None, None] * self.direct,
+            gradient=of_group[:, None] * self.gradient,
         )
 
     def with_own_delays(self, before: float, after: float) -> Self:
         """The same if delays of further cameras vary from image to image by another variance, s^2.
 
         Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
-        delay d, and v the variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
+        delay d, and v the further variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
         """
-        if before == after:
-            return self
-        information, gradient, cost = self.information.copy(), self.gradient, self.cost
-        for k, delay in enumerate(self.delays):
-            u, pull = self.across[:, k], self.pull[:, k]
-            weight = before / (1 + before * u[:, delay]) - after / (1 + after * u[:, delay])
-            weighted = weight[:, None] * u
-            for block in blocks_of(len(u)):
-                information[block] += weighted[block, :, None] * u[block, None, :]
-            gradient = gradient + pull[:, None] * weighted
-            cost = cost + weight * pull**2
-        return replace(self, information=information, gradient=gradient, cost=cost)
+        images, variance = self, after - before
+        for delay in self.of_delays if variance else ():
+            u, pull = images.rows[:, delay], images.pull[:, delay]
+            weight = variance / (1 + variance * u[:, self.traced[delay]])
+            weighted = (weight[:, None] * u)[:, None]
+            images = replace(
+                images,
+                rows=images.rows - u[:, self.traced, None] * weighted,
+                pull=images.pull - pull[:, None] * weighted[:, 0, self.traced],
+                cost=images.cost - weight * pull**2,
+                direct=images.direct - self._summed(weighted[..., 6:], u[:, None, 6:]),
+                gradient=images.gradient - self._summed(weighted[..., 6:], pull[:, None, None])[..., 0],
+            )
+        return images
 
     def own_delays(self, variance: float) -> FloatArray:
         """(N, D) likeliest delay of each image beside its camera's mean, s; variance: as eliminated."""
-        return -variance * self.gradient[:, [*self.delays]]
+        return -variance * self.pull[:, [*self.of_delays]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,7 +154,7 @@ class Views(Images):
         by_board: (N, 6, 6) delta by the pose of the recording's board.
         by_shared: (N, 6, P) delta by the parameters that all recordings share.
         log: (N,) the recording of each station.
-        direct: (Q - 6,) columns of the direct constants among these parameters.
+        columns: (Q - 6,) of the direct constants among these parameters.
     """
 
     by_base: FloatArray
@@ -109,22 +162,27 @@ class Views(Images):
     by_board: FloatArray
     by_shared: FloatArray
     log: IntArray
-    direct: IntArray
+    columns: IntArray
 
     def onto_shared(self, A: FloatArray, stations: IntArray | slice = slice(None)) -> FloatArray:
         """(n, k, Q) derivatives by (delta, direct constants) of some stations → (n, k, P) by the shared parameters."""
         out: FloatArray = A[:, :, :6] @ self.by_shared[stations]
-        out[:, :, self.direct] += A[:, :, 6:]
+        out[:, :, self.columns] += A[:, :, 6:]
         return out
 
     def moved(self, step: Step) -> Views:
         """The same after a step of all unknowns, to first order."""
         delta = self.by_base @ step.base[..., None] + self.by_own @ step.own[..., None]
         delta += self.by_board @ step.boards[self.log, :, None]
-        shift = np.empty_like(self.gradient)
-        shift[:, :6] = delta[..., 0] + self.by_shared @ step.shared
-        shift[:, 6:] = step.shared[self.direct]
-        return self.shifted(shift)
+        traced = np.zeros_like(self.pull)
+        traced[:, :6] = delta[..., 0] + self.by_shared @ step.shared
+        return self.shifted(traced, step.shared[self.columns])
+
+
+def summed(A: FloatArray, B: FloatArray) -> FloatArray:
+    """Sum over n and q of A^T B: (n, q, P) and (n, q, R) → (P, R), as one matrix product."""
+    rows = A.shape[0] * A.shape[1]
+    return A.reshape(rows, A.shape[2]).T @ B.reshape(rows, B.shape[2])
 
 
 def _pose_columns(state: State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -171,44 +229,76 @@ def _stance_twists(stance: FloatArray) -> FloatArray:
     return twists
 
 
-def linearize_views(state: State, inliers: Inliers, noise: Noise, rates: FloatArray) -> Views:
-    """Residuals and information of all stations' images; rates: (C, N, 6) see `State.view_rates`."""
+def linearize_views(
+    state: State, inliers: Inliers, noise: Noise, rates: FloatArray, group: IntArray, traced: Collection[int]
+) -> Views:
+    """Residuals and information of all stations' images; see `images_of`."""
     data = state.data
-    i = images_of(state, inliers, noise, rates, np.arange(data.stations))
-    direct = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
-    images = i.information, i.gradient, i.cost, i.delays, i.across, i.pull
-    return Views(*images, *_pose_columns(state), data.log, direct)
+    i = images_of(state, inliers, noise, rates, np.arange(data.stations), group, traced)
+    columns = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
+    images = i.traced, i.delays, i.rows, i.pull, i.cost, i.group, i.direct, i.gradient
+    return Views(*images, *_pose_columns(state), data.log, columns)
 
 
-def images_of(state: State, inliers: Inliers, noise: Noise, rates: FloatArray, stations: IntArray) -> Images:
-    """Residuals of some stations' images, or of measured poses."""
+def images_of(
+    state: State,
+    inliers: Inliers,
+    noise: Noise,
+    rates: FloatArray,
+    stations: IntArray,
+    group: IntArray | None = None,
+    traced: Collection[int] = (),
+) -> Images:
+    """Residuals of some stations' images, or of measured poses.
+
+    Args:
+        state, inliers, noise: of all stations.
+        rates: (C, N, 6) see `State.view_rates`.
+        stations: (n,) which.
+        group: (n,) see `Images`; each station by itself if None.
+        traced: further ones of (delta, direct constants) that are kept station by station.
+    """
     data, direct = state.data, state.data.layout.direct
+    group = np.arange(len(stations)) if group is None else group
     if data.posed:
-        return _measured_poses(state, inliers, noise, stations)
-    Q = 6 + len(direct)
-    information, gradient, cost = (np.zeros((len(stations), *shape)) for shape in ((Q, Q), (Q,), ()))
-    for block in blocks_of(len(stations)):
-        mine = stations[block]
-        weight = np.where(inliers.used_corners[mine], 1 / noise.pixel_px, 0.0)
-        W = data.whitening[mine] * weight[..., None, None]
-        for k in range(len(data.cameras.each)):
-            columns, effects = columns_of(direct, k)
-            residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
-            A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
-            r = whitened(W[:, k], residual).reshape(len(mine), -1)
-            information[block, columns[:, None], columns] += A.mT @ A
-            gradient[block, columns] += (A.mT @ r[..., None])[..., 0]
-            cost[block] += np.sum(r**2, axis=1)
+        return _measured_poses(state, inliers, noise, stations, group)
     delays = [
         column
         for column, (_, _, effect) in enumerate(direct, 6)
         if isinstance(effect, CameraEffect) and effect.of == "delay_s"
     ]
-    together = Images(information, gradient, cost, tuple(delays), information[:, delays], gradient[:, delays])
-    return together.with_own_delays(0.0, noise.pair_s**2)
+    kept = np.array([*range(6), *delays, *(column for column in traced if column not in delays)])
+    Q, groups = 6 + len(direct), int(group.max(initial=-1)) + 1
+    rows, pull, cost = (np.zeros((len(stations), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
+    information, gradient = np.zeros((groups, Q, Q)), np.zeros((groups, Q))
+    for block in blocks_of(len(stations)):
+        mine = stations[block]
+        weight = np.where(inliers.used_corners[mine], 1 / noise.pixel_px, 0.0)
+        W = data.whitening[mine] * weight[..., None, None]
+        of_groups = np.unique(group[block], return_index=True)
+        for k in range(len(data.cameras.each)):
+            columns, effects = columns_of(direct, k)
+            residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
+            A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
+            r = whitened(W[:, k], residual).reshape(len(mine), -1)
+            own, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
+            of_kept = A[:, :, own[:, 0]].mT
+            rows[block, at, columns] += of_kept @ A
+            pull[block, at[:, 0]] += (of_kept @ r[..., None])[..., 0]
+            cost[block] += np.sum(r**2, axis=1)
+            for of, a, b in zip(
+                of_groups[0], *(np.split(part, of_groups[1][1:]) for part in (A, r)), strict=True
+            ):
+                flat = a.reshape(-1, len(columns))
+                information[of][np.ix_(columns, columns)] += flat.T @ flat
+                gradient[of, columns] += flat.T @ b.ravel()
+    sums = information[:, 6:, 6:], gradient[:, 6:]
+    return Images(kept, len(delays), rows, pull, cost, group, *sums).with_own_delays(0.0, noise.pair_s**2)
 
 
-def _measured_poses(state: State, inliers: Inliers, noise: Noise, stations: IntArray) -> Images:
+def _measured_poses(
+    state: State, inliers: Inliers, noise: Noise, stations: IntArray, group: IntArray
+) -> Images:
     """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
     off = se3.log(state.T_c_k[stations] @ se3.inverse(state.data.T_c_k[stations]))
     by_delta = _by_left_twist(off)
@@ -217,7 +307,9 @@ def _measured_poses(state: State, inliers: Inliers, noise: Noise, stations: IntA
     pull = (weight @ off[..., None])[..., 0]
     information = by_delta.mT @ weight @ by_delta
     gradient = np.einsum("nab,na->nb", by_delta, pull)
-    return Images(information, gradient, np.sum(off * pull, axis=1), (), information[:, :0], gradient[:, :0])
+    groups = int(group.max(initial=-1)) + 1
+    no_constants = np.zeros((groups, 0, 0)), np.zeros((groups, 0))
+    return Images(np.arange(6), 0, information, gradient, np.sum(off * pull, axis=1), group, *no_constants)
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:

@@ -326,7 +326,7 @@ class Inference:
         inliers = fit.inliers
         for _ in range(2):
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-            optimum = to_first_order(fit.lin.with_inliers(inliers).with_noise(noise))
+            optimum = to_first_order(jumps.traced(fit.lin).with_inliers(inliers).with_noise(noise))
             ranked = jumps.likeliest(optimum)
             across = self.data.legs[:, 1] == ranked[0].station if ranked else np.zeros_like(inliers.legs)
             if not inliers.legs[across].all():  # it may be no slip, but what the jump is along the floor
@@ -373,7 +373,7 @@ class Inference:
         if every.max() < _SEVERAL:
             return None
         try:
-            lin = to_first_order(self.refit(fit, images).lin.with_inliers(everything.inliers))
+            lin = to_first_order(jumps.traced(self.refit(fit, images).lin).with_inliers(everything.inliers))
             ranked = jumps.likeliest(lin)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None

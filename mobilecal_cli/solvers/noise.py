@@ -66,20 +66,19 @@ def components(lin: Posterior) -> dict[str, Component]:
     sums = defaultdict[str, FloatArray](lambda: np.zeros(2))
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
-        """Squares of whitened residuals of a level, and how much of each is redundant."""
+        """Squares of whitened residuals of a level, and how much of them is redundant."""
         sums[level] += squares.sum(), left.sum()
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
     squares, left = views.cost, np.where(lin.inliers.views, corners + measured, 0)
-    left = left - lin.marginals.leverage(views.information)
-    for delay in views.delays:
-        across, variance = views.information[:, :, delay], lin.noise.pair_s**2
-        own = variance * views.gradient[:, delay] ** 2
-        free = variance * (across[:, delay] - lin.marginals.variance_along(across))
+    for delay in views.of_delays:
+        across, variance = views.rows[:, delay], lin.noise.pair_s**2
+        own = variance * views.pull[:, delay] ** 2
+        free = variance * (across[:, views.traced[delay]] - lin.marginals.variance_along(across))
         add("pair_s", own, free)
         squares, left = squares - own, left - free
-    add(lin.data.images_level, squares, left)
+    add(lin.data.images_level, squares, left.sum() - lin.marginals.leverage(views))
 
     means = int(lin.data.log.max())
     for each in of_errors(lin, _within(lin)):

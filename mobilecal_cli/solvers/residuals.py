@@ -120,8 +120,9 @@ def at_one_time(lin: Posterior) -> State:
     if not lin.views.delays:
         return state
     moved = np.zeros(data.pixels.shape)
-    for delay, own_s in zip(lin.views.delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True):
-        effect = direct[delay - 6]
+    of_delays = zip(lin.views.of_delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True)
+    for delay, own_s in of_delays:
+        effect = direct[lin.views.traced[delay] - 6]
         camera = next(k for k in range(1, len(data.cameras.each)) if effect.concerns(k))
         for block in blocks_of(data.stations):
             _, J = of_camera(state, camera, state.T_c_k[block], block, lin.rates[:, block], [effect])

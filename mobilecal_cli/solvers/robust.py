@@ -139,7 +139,7 @@ def _onward(minimum: _Minimum) -> Iterator[_Minimum]:
 
 
 def _minimum(lin: Posterior, width: float) -> _Minimum:
-    lin = lin.changed(state=lin.state.plus_shared(lin.priors.step_to_mean(lin.state)))
+    lin = lin.changed(state=lin.state.plus_shared(lin.priors.step_to_mean(lin.state)), apart=True)
     weights = {"readings": np.ones(lin.data.joints.shape)}
     damping = 0.0
     while width > _LAST_WIDTH:
@@ -162,7 +162,7 @@ def _minimum(lin: Posterior, width: float) -> _Minimum:
 
 def _own_misfit(lin: Posterior) -> FloatArray:
     """(N,) sum of squares of each station's corners around the board that fits them best: no pose removes it."""
-    G, g = lin.views.information[:, :6, :6], lin.views.gradient[:, :6]
+    G, g = lin.views.rows[:, :6, :6], lin.views.pull[:, :6]
     explained = np.einsum("na,nab,nb->n", g, np.linalg.pinv(G, hermitian=True), g)
     return np.asarray(lin.views.cost - explained, dtype=np.float64)
 
@@ -170,8 +170,8 @@ def _own_misfit(lin: Posterior) -> FloatArray:
 def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatArray]:
     """Squared distance of each measurement over its limit; a station's allows for readings of little weight."""
     views, sigma = lin.views, _own_sigmas(lin, of_readings)
-    J, G = views.by_own, views.information[:, :6, :6]
-    g = views.gradient[:, :6] - (G @ (J @ lin.state.own[..., None]))[..., 0]  # without joint errors and sway
+    J, G = views.by_own, views.rows[:, :6, :6]
+    g = views.pull[:, :6] - (G @ (J @ lin.state.own[..., None]))[..., 0]  # without joint errors and sway
     off = (np.linalg.pinv(G, hermitian=True) @ g[..., None])[..., 0]
     spread = np.eye(6) + G @ ((J * sigma[:, None, :] ** 2) @ J.mT)
     of_views = np.einsum("na,na->n", off, np.linalg.solve(spread, g[..., None])[..., 0])
