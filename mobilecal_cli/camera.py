@@ -181,7 +181,7 @@ def corrected(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, FloatArra
         return pixels, None
     shares = camera.correction.shares
     terms, J = lens_terms(camera, camera.correction.center_px, pixels, shares)
-    return pixels + terms @ shares, np.eye(2) + J
+    return pixels + np.tensordot(terms, shares, 1), np.eye(2) + J
 
 
 def _uncorrected(camera: Camera, pixels: FloatArray) -> FloatArray:

@@ -103,12 +103,12 @@ def of_camera(
             along = np.zeros((getattr(change, of).shape[1], len(of_this)))
             for column, effect in enumerate(of_this.values()):
                 along[: len(effect.along), column] = effect.along
-            J[..., [*of_this]] = by() @ along
+            J[..., [*of_this]] = np.tensordot(by(), along, 1)
     of_board = {c: e for c, e in enumerate(effects, 6) if isinstance(e, BoardEffect)}
     if of_board:
         moved = np.stack([e.displacement(data.points_k) for e in of_board.values()], axis=-1)
         J[..., [*of_board]] = by_point @ T_c_k[:, None, :3, :3] @ moved
-    return np.asarray(pixels + terms @ shares - detected), J
+    return np.asarray(pixels + np.tensordot(terms, shares, 1) - detected), J
 
 
 def corner_residuals(

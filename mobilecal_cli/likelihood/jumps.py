@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve_banded
 from scipy.special import betainc, chdtrc, gammaln
 
 from mobilecal_cli import se3
@@ -175,7 +174,7 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
 
     rows, (k, m) = data.stations * data.base_width, base.shape[2:]
     flat = base.reshape(rows, k * m)
-    solved = cho_solve_banded((normal.factor, True), flat, check_finite=False) if flat.size else flat
+    solved = normal.chain.solve(base.reshape(*base.shape[:2], k * m))
     log = data.log[first[:, 0]]
     shared += normal.board_by_shared[log].mT @ board
     for total, by in ((shared, normal.base_by_shared), (board, normal.base_by_board)):

@@ -1,8 +1,8 @@
 """The normal equations with stations and boards eliminated: the cost is linear in the number of stations.
 
 Joint errors and sway belong to one station each and go first, station by station. Base poses and the errors of the base
-blocks form a chain along the legs: a banded matrix. Then the board of each recording goes,
-recording by recording. A small dense system for the shared parameters is left, however many recordings there are.
+blocks form a chain along the legs. Then the board of each recording goes, recording by recording. A small dense system
+for the shared parameters is left, however many recordings there are.
 """
 
 from __future__ import annotations
@@ -10,9 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from mobilecal_cli.likelihood.chain import banded, chain_covariance
+from mobilecal_cli.likelihood.chain import Chain
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
@@ -37,8 +36,7 @@ class NormalEquations:
         base_by_board: (N, B, 6) that by the board of the recording.
         board_by_shared: (logs, 6, P) derivative of the boards by the shared parameters.
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
-        chain: (N, B, B) information of the stations' base blocks, and (N, B, B) of each with the next one.
-        factor: its Cholesky factor, as `scipy.linalg.cho_solve_banded` takes the lower one.
+        chain: information of the stations' base blocks.
         E_inverse: (N, E, E) covariance of the stations' own errors for a known rest.
         E_base, E_board, E_shared: (N, E, B), (N, E, 6) and (N, E, P) their information with base, board, and shared
             parameters; in the last one the board follows.
@@ -52,8 +50,7 @@ class NormalEquations:
     base_by_board: FloatArray
     board_by_shared: FloatArray
     board_covariance: FloatArray
-    chain: tuple[FloatArray, FloatArray]
-    factor: FloatArray
+    chain: Chain
     E_inverse: FloatArray
     E_base: FloatArray
     E_board: FloatArray
@@ -103,14 +100,6 @@ class NormalEquations:
             out = out + self.board_by_shared[self.log[station]].mT @ board
         return out + self.base_by_shared[station].mT @ left if left.ndim else out
 
-    def base_covariance(self) -> tuple[FloatArray, FloatArray]:
-        """Covariance of the stations' base block for known boards and shared parameters.
-
-        Returns:
-            (N, B, B) of each station, and (N, B, B) of each station with the one after it (the last is empty).
-        """
-        return chain_covariance(*self.chain)
-
 
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     """Build the normal equations of the measurements and eliminate the stations and the boards.
@@ -139,10 +128,12 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
     b = np.einsum("nqb,nq->nb", views.by_base, gradient)
-    H, h = summed(views.by_shared, GS), np.einsum("nqp,nq->p", views.by_shared, gradient)
-    H[views.columns] += summed(G[:, :, 6:], views.by_shared)
-    H[np.ix_(views.columns, views.columns)] += views.direct.sum(axis=0) - taken[:, :-1]
-    h[views.columns] += of_direct - taken[:, -1]
+    H, h, moving = np.zeros((P, P)), np.zeros(P), views.moving
+    of_moving = summed(views.by_shared[:, :, moving], np.concatenate([GS, gradient[:, :, None]], axis=2))
+    H[moving], h[moving] = of_moving[:, :-1], of_moving[:, -1]
+    H[views.columns] = H[:, views.columns].T
+    H[np.ix_(views.columns, views.columns)] = views.direct.sum(axis=0) - taken[:, :-1]
+    h[views.columns] = of_direct - taken[:, -1]
     HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
     hK = _by_log(data, Kt @ gradient[..., None])
     HK += np.eye(6) / _FREE_BOARD**2  # a board that no used image shows stays where it is
@@ -165,9 +156,8 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         matrix[..., diagonal, diagonal] *= 1 + damping
 
     # The chain, then the boards.
-    factor = cholesky_banded(banded(D, off), lower=True, check_finite=False)
-    right = np.concatenate([C, CK, b[..., None]], axis=2).reshape(count * B, -1)
-    solved = cho_solve_banded((factor, True), right, check_finite=False).reshape(count, B, -1)
+    chain = Chain.of(D, off)
+    solved = chain.solve(np.concatenate([C, CK, b[..., None]], axis=2))
     Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
     CKt = CK.mT
     V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
@@ -183,8 +173,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         base_by_board=-YK,
         board_by_shared=-Z,
         board_covariance=V,
-        chain=(D, off),
-        factor=factor,
+        chain=chain,
         E_inverse=E_inverse,
         E_base=E_base,
         E_board=E_board,

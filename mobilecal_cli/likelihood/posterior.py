@@ -172,7 +172,7 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
-    known, cross = normal.base_covariance()
+    known, cross = normal.chain.covariance()
     own = known + _sandwich(with_board, V)
     cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 

@@ -155,6 +155,7 @@ class Views(Images):
         by_shared: (N, 6, P) delta by the parameters that all recordings share.
         log: (N,) the recording of each station.
         columns: (Q - 6,) of the direct constants among these parameters.
+        moving: of all others.
     """
 
     by_base: FloatArray
@@ -163,11 +164,13 @@ class Views(Images):
     by_shared: FloatArray
     log: IntArray
     columns: IntArray
+    moving: IntArray
 
     def onto_shared(self, A: FloatArray, stations: IntArray | slice = slice(None)) -> FloatArray:
         """(n, k, Q) derivatives by (delta, direct constants) of some stations → (n, k, P) by the shared parameters."""
-        out: FloatArray = A[:, :, :6] @ self.by_shared[stations]
-        out[:, :, self.columns] += A[:, :, 6:]
+        by_moving = self.by_shared[:, :, self.moving][stations]
+        out = np.empty((*A.shape[:2], self.by_shared.shape[2]))
+        out[:, :, self.moving], out[:, :, self.columns] = A[:, :, :6] @ by_moving, A[:, :, 6:]
         return out
 
     def moved(self, step: Step) -> Views:
@@ -237,7 +240,8 @@ def linearize_views(
     i = images_of(state, inliers, noise, rates, np.arange(data.stations), group, traced)
     columns = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
     images = i.traced, i.delays, i.rows, i.pull, i.cost, i.group, i.direct, i.gradient
-    return Views(*images, *_pose_columns(state), data.log, columns)
+    moving = np.delete(np.arange(data.layout.size), columns)
+    return Views(*images, *_pose_columns(state), data.log, columns, moving)
 
 
 def images_of(

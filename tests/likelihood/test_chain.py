@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import cholesky_banded
 
-from mobilecal_cli.likelihood.chain import banded, chain_covariance
+from mobilecal_cli.likelihood.chain import Chain
 
 
 def chain(count, size=3):
@@ -24,7 +23,7 @@ def chain(count, size=3):
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 13, 100])
 def test_blocks_of_the_inverse(count):
     D, off, whole = chain(count)
-    own, cross = chain_covariance(D, off)
+    own, cross = Chain.of(D, off).covariance()
     inverse = np.linalg.inv(whole).reshape(count, 3, count, 3)
     for i in range(count):
         assert own[i] == pytest.approx(inverse[i, :, i], abs=1e-13)
@@ -32,10 +31,16 @@ def test_blocks_of_the_inverse(count):
         assert cross[i] == pytest.approx(there, abs=1e-13)
 
 
-def test_the_band_holds_the_lower_half():
-    D, off, whole = chain(6)
-    off[-1] = 0.0
-    factor = cholesky_banded(banded(D, off), lower=True)
-    L = np.linalg.cholesky(whole)
-    for k in range(6):
-        assert factor[k, : len(L) - k] == pytest.approx(np.diagonal(L, -k), abs=1e-13)
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 8, 13, 100])
+def test_solutions(count):
+    D, off, whole = chain(count)
+    right = np.random.default_rng(1).normal(size=(count, 3, 5))
+    solved = Chain.of(D, off).solve(right).reshape(-1, 5)
+    assert solved == pytest.approx(np.linalg.solve(whole, right.reshape(-1, 5)), abs=1e-13)
+
+
+def test_not_positive_definite():
+    D, off, _ = chain(6)
+    off[2] *= 100.0
+    with pytest.raises(np.linalg.LinAlgError):
+        Chain.of(D, off)
