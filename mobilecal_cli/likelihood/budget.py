@@ -89,6 +89,7 @@ def moved(lin: Posterior) -> Moved:
     """Sums over images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
     spread = np.zeros_like(lin.covariance)
     covariances = defaultdict[str, FloatArray](lambda: np.zeros_like(spread))
+    covariances.update(_by_images(lin))
     for influence in chain(_of_images(lin), of_errors(lin, lin.state.base[:, ERRORS]), [of_legs(lin)]):
         for level, covariance in influence.covariances.items():
             covariances[level] += covariance
@@ -151,24 +152,39 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
     }
 
 
+def _by_images(lin: Posterior) -> dict[str, FloatArray]:
+    """Noise level → (P, P) covariance of the shared parameters due to the images' noise, if it is correct."""
+    C, views = lin.conditional_covariance, lin.views
+    every, (_, _, Q) = np.arange(lin.data.stations), views.rows.shape
+    T = _of_views(
+        lin, every, np.broadcast_to(np.eye(Q)[:, :6], (len(every), Q, 6))
+    ).mT  # delta by the shared ones
+    G = views.rows[:, :6, :6] @ T
+    G[:, :, views.columns] += views.rows[:, :6, 6:]
+    total, own = summed(T, G), np.zeros_like(C)
+    total[views.columns] += summed(views.rows[:, :6, 6:], T)
+    total[np.ix_(views.columns, views.columns)] += views.direct.sum(axis=0)
+    for delay in views.of_delays:
+        by_delay = (views.rows[:, delay, None, :6] @ T)[:, 0]
+        by_delay[:, views.columns] += views.rows[:, delay, 6:]
+        own += lin.noise.pair_s**2 * by_delay.T @ by_delay
+    result = {lin.data.images_level: C @ (total - own) @ C}
+    return result | {"pair_s": C @ own @ C} if views.delays else result
+
+
 def _of_images(lin: Posterior) -> Iterator[Influence]:
-    """Of corners, or of measured poses; some stations at once."""
-    level, every = lin.data.images_level, np.arange(lin.data.stations)
+    """Of corners, or of measured poses, without their parts, see `_by_images`; some stations at once."""
+    every = np.arange(lin.data.stations)
     for block in blocks_of(len(every)):
         stations = every[block]
         images = images_of(lin.state, lin.inliers, lin.noise, lin.rates, stations)
         gradient = np.concatenate([images.pull[:, :6], images.gradient], axis=1)
         root, inverse = roots(images.information)
-        parts = _by_level([level] * root.shape[1])
-        if images.delays:
-            across = lin.noise.pair_s * inverse @ images.rows[:, [*images.of_delays]].mT
-            own = across @ across.mT
-            parts = {level: parts[level] - own, "pair_s": own}
         yield Influence(
             lin,
             (inverse @ gradient[..., None])[..., 0],
             root.mT @ lin.marginals.images(stations) @ root,
-            parts,
+            {},
             partial(_of_views, lin, stations, root),
         )
 
