@@ -47,9 +47,9 @@ class Influence:
     share: FloatArray | float = 1.0
 
     @cached_property
-    def by_unit(self) -> FloatArray:
-        """(n, P, m) derivative of the shared parameters by each unit's residuals."""
-        return self.lin.conditional_covariance @ self.gradients()
+    def onto_shared(self) -> FloatArray:
+        """(n, P, m) see `gradients`."""
+        return self.gradients()
 
     def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
         """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
@@ -61,15 +61,16 @@ class Influence:
     @property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        K = self.by_unit
+        K = self.lin.conditional_covariance @ self.onto_shared
         return {level: summed((K @ part).mT, K.mT) for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
-        """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T."""
+        """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T, K derivatives."""
         left = np.eye(self.residual.shape[1]) - self.leverage
-        shift = (self.by_unit @ over_redundancy(self.residual, left, _NO_REDUNDANCY)[..., None])[..., 0]
-        return np.asarray(shift.T @ shift)
+        pull = (self.onto_shared @ over_redundancy(self.residual, left, _NO_REDUNDANCY)[..., None])[..., 0]
+        C = self.lin.conditional_covariance
+        return np.asarray(C @ (pull.T @ pull) @ C)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
