@@ -6,11 +6,12 @@ from functools import cached_property
 import numpy as np
 import pytest
 
+from mobilecal_cli.likelihood import budget
 from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
-from mobilecal_cli.likelihood.normal import _none_negative
+from mobilecal_cli.likelihood.normal import _none_negative, roots
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
@@ -219,3 +220,87 @@ def test_back_substitution_solves_the_dense_equations(case):
     found = np.concatenate([made.boards.ravel(), made.base.ravel(), made.own.ravel()])
     # In motion, rates are secants over 40 ms.
     assert np.abs(found - other).max() < 1e-4 * np.abs(other).max()
+
+
+class TestImages:
+    """Sums over recordings against the images station by station."""
+
+    @pytest.fixture
+    def both(self, case):
+        return case.lin.views, case.lin.changed(apart=True).views
+
+    @staticmethod
+    def same(summed, apart):
+        """Whether both say the same, of each station and of each recording."""
+        by_log = np.eye(summed.group.max() + 1)[summed.group]
+        for name in ("rows", "pull", "cost"):
+            scale = np.abs(getattr(apart, name)).max()
+            assert getattr(summed, name) == pytest.approx(getattr(apart, name), abs=1e-11 * scale)
+        for name in ("direct", "gradient"):
+            expected = np.tensordot(by_log.T, getattr(apart, name), 1)
+            assert getattr(summed, name) == pytest.approx(expected, abs=1e-11 * np.abs(expected).max())
+
+    def test_sums(self, both):
+        self.same(*both)
+
+    def test_rows_are_those_of_the_whole_information(self, both):
+        apart = both[1]
+        assert apart.information[:, apart.traced] == pytest.approx(apart.rows, rel=1e-9, abs=1e-3)
+        assert apart.information == pytest.approx(apart.information.mT, rel=1e-9, abs=1e-3)
+
+    def test_noise_and_own_delays(self, both):
+        for change in (
+            lambda images: images.scaled(np.full(STATIONS, 3.0)),
+            lambda images: images.with_own_delays(NOISE.pair_s**2, 4e-4),
+            lambda images: images.with_own_delays(NOISE.pair_s**2, 0.0),
+        ):
+            self.same(*map(change, both))
+
+    def test_own_delays_return(self, case, both):
+        """In motion; at rest they show nowhere."""
+        for images in both:
+            scale = np.abs(images.direct).max()
+            there = images.with_own_delays(NOISE.pair_s**2, 4e-4)
+            assert (np.abs(there.direct - images.direct).max() > 1e-3 * scale) == case.data.moving.any()
+            back = there.with_own_delays(4e-4, NOISE.pair_s**2)
+            assert back.direct == pytest.approx(images.direct, rel=1e-6, abs=1e-9 * scale)
+
+    def test_a_step_of_all(self, case, both):
+        """The cost of a recording; its stations share what the direct constants change."""
+        random = np.random.default_rng(2)
+        traced = 1e-3 * random.normal(size=both[0].pull.shape)
+        direct = 1e-3 * random.normal(size=both[0].gradient.shape[1])
+        summed, apart = (images.shifted(traced, direct) for images in both)
+        of_log = np.eye(case.data.logs)[case.data.log].T
+        assert of_log @ summed.cost == pytest.approx(of_log @ apart.cost, rel=1e-10)
+        self.same(replace(summed, cost=apart.cost), apart)
+        shift = np.zeros((STATIONS, apart.information.shape[1]))
+        shift[:, apart.traced], shift[:, 6:] = traced, shift[:, 6:] + direct
+        shift[:, apart.traced[6:]] = traced[:, 6:] + direct[apart.traced[6:] - 6]
+        gradient = np.concatenate([both[1].pull[:, :6], both[1].gradient], axis=1)
+        change = np.einsum("nqr,nr->nq", both[1].information, shift)
+        expected = both[1].cost + np.sum(shift * (2 * gradient + change), axis=1)
+        assert apart.cost == pytest.approx(expected, rel=1e-10)
+        assert apart.gradient == pytest.approx((gradient + change)[:, 6:], rel=1e-9, abs=1e-6)
+
+    def test_images_that_return_and_those_that_go(self, case):
+        """With images that were outliers, and without others: as if they had been decided before."""
+        inliers = case.lin.inliers
+        for views in (np.ones(STATIONS, dtype=bool), inliers.views & (np.arange(STATIONS) != 1)):
+            after = replace(inliers, views=views)
+            expected = replace(case.lin, inliers=after).views
+            assert case.lin.views is not None
+            self.same(case.lin.with_inliers(after).views, case.lin.changed(apart=True, inliers=after).views)
+            assert case.lin.with_inliers(after).views.cost == pytest.approx(expected.cost)
+
+    def test_their_share_of_the_covariance(self, case):
+        """That of the whole information of all stations, by all that moves the board in them."""
+        S = np.diag(case.lin.normal.S)
+        known = {"conditional_covariance": np.diag(1 / np.maximum(S, 1.0))}
+        lin, every = case.lin.changed(("views", "normal"), known), np.arange(STATIONS)
+        apart = lin.changed(apart=True).views
+        at = budget._of_views(lin, every, roots(apart.information)[0])
+        expected = np.einsum("npm,nqm->pq", at, at)
+        expected = lin.conditional_covariance @ expected @ lin.conditional_covariance
+        found = sum(budget._by_images(lin).values())
+        assert found == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
