@@ -94,6 +94,8 @@ class Images:
         """Sums of A^T B over the stations of each group: (N, q, P) and (N, q, R) → (G, P, R)."""
         out = np.zeros((len(self.direct), A.shape[2], B.shape[2]))
         starts = np.flatnonzero(np.diff(self.group, prepend=-1))
+        if not out.size:
+            return out
         if len(starts) == len(self.group):
             out[self.group] = A.mT @ B
         else:

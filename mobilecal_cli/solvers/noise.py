@@ -126,14 +126,16 @@ def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, fl
             continue
         tried = getattr(lin.noise, length) * _LENGTHS
         score = -((np.log(tried / getattr(guess, length)) / math.log(_LENGTH_FACTOR)) ** 2)
-        for k, level in enumerate(processes.levels):
-            if LENGTHS.get(level) != length:
-                continue
-            x = processes.distance_m[j, k] / tried[:, None]
-            rho, spread = np.exp(-x), getattr(lin.noise, level) ** 2 * -np.expm1(-2 * x)
-            spread = np.maximum(spread, EXACT**2)
-            innovation = squares[:, k] - 2 * rho * mixed[:, k] + rho**2 * earlier[:, k]
-            score -= np.sum(np.log(spread) + innovation / spread, axis=1)
+        mine = [k for k, level in enumerate(processes.levels) if LENGTHS.get(level) == length]
+        precision = np.array([max(getattr(lin.noise, processes.levels[k]), EXACT) for k in mine]) ** -2
+        paths, path = np.unique(processes.distance_m[np.ix_(j, mine)], axis=1, return_inverse=True)
+        for number, distance_m in enumerate(paths.T):
+            alike = np.where(path == number, precision, 0.0)  # processes along this path
+            x = distance_m / tried[:, None]
+            rho, spread = np.exp(-x), np.maximum(-np.expm1(-2 * x), EXACT**2)
+            at_end, across, at_start = (part[:, mine] @ alike for part in (squares, mixed, earlier))
+            innovation = at_end - 2 * rho * across + rho**2 * at_start
+            score -= np.sum(np.count_nonzero(alike) * np.log(spread) + innovation / spread, axis=1)
         likeliest = float(np.exp(_maximum(np.log(tried), score)))
         lengths_m[length] = min(max(likeliest, _LEAST[length]), _MOST[length])
     return lengths_m
