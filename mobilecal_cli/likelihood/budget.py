@@ -61,8 +61,8 @@ class Influence:
     @property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        K = self.lin.conditional_covariance @ self.onto_shared
-        return {level: summed((K @ part).mT, K.mT) for level, part in self.parts.items()}
+        C, onto = self.lin.conditional_covariance, self.onto_shared
+        return {level: C @ summed((onto @ part).mT, onto.mT) @ C for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
