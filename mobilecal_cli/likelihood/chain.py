@@ -18,9 +18,9 @@ class Chain:
     ``K_a = -D_o^-1 off_a^T``, ``K_b = -D_o^-1 off_o``, and the covariance D_o^-1.
 
     Attributes:
-        inverse: (N/2, B, B) D_o^-1 of every second station; of one station alone, its own.
+        inverse: (N/2, B, B) D_o^-1 of every second station; of all stations, where none is coupled to the next.
         K_a, K_b: (N/2, B, B) each; K_b of the last one is zero where it has no next neighbor.
-        kept: the chain of the other stations; None for one station alone.
+        kept: the chain of the other stations; None where none is coupled.
     """
 
     inverse: FloatArray
@@ -39,8 +39,8 @@ class Chain:
         Raises:
             LinAlgError: not positive definite.
         """
-        count, alone = len(D), len(D) == 1
-        out = D[0 if alone else 1 :: 2]
+        count, alone = len(D), not off[:-1].any()
+        out = D if alone else D[1::2]
         np.linalg.cholesky(out)
         inverse = np.asarray(np.linalg.inv(out), dtype=np.float64)
         if alone:

@@ -39,6 +39,21 @@ def test_solutions(count):
     assert solved == pytest.approx(np.linalg.solve(whole, right.reshape(-1, 5)), abs=1e-13)
 
 
+def test_pairs():
+    """Every recording has two stations."""
+    D, off, _ = chain(9)
+    off[1::2] = 0.0
+    right = np.random.default_rng(1).normal(size=(9, 3, 5))
+    solved, (own, cross) = Chain.of(D, off).solve(right), Chain.of(D, off).covariance()
+    for i in range(0, 9, 2):
+        n = min(2, 9 - i)
+        here, there = Chain.of(D[i : i + n], off[i : i + n]), slice(i, i + n)
+        assert solved[there] == pytest.approx(here.solve(right[there]), abs=1e-13)
+        assert own[there] == pytest.approx(here.covariance()[0], abs=1e-13)
+        assert cross[there] == pytest.approx(here.covariance()[1], abs=1e-13)
+    assert Chain.of(D, off).kept.kept is None
+
+
 def test_not_positive_definite():
     D, off, _ = chain(6)
     off[2] *= 100.0
