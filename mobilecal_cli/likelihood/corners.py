@@ -28,8 +28,9 @@ def whitened(W: FloatArray, values: FloatArray) -> FloatArray:
     """Corner residuals (..., 2), or their derivatives (..., 2, k), px, by lower triangles W (..., 2, 2)."""
     if values.ndim < W.ndim:
         return whitened(W, values[..., None])[..., 0]
-    x, y = values[..., :1, :], values[..., 1:, :]
-    return np.concatenate([W[..., :1, :1] * x, W[..., 1:, :1] * x + W[..., 1:, 1:] * y], axis=-2)
+    out: FloatArray = np.diagonal(W, axis1=-2, axis2=-1)[..., None] * values
+    out[..., 1, :] += W[..., 1, :1] * values[..., 0, :]
+    return out
 
 
 def blocks_of(stations: int) -> Iterator[slice]:
