@@ -293,11 +293,10 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
     A part that is off at single stations by more than the levels say, has to jump further by as much.
 
     Args:
-        optimum: the one whose noise levels rest on the residuals of the jump, too.
+        optimum: the one whose noise levels rest on the residuals of the jump, too; `traced`.
         lin: the point without them.
         jump: from `again`, at levels without its residuals.
     """
-    optimum = traced(optimum)
     test = _scores(optimum, _parts(optimum)[jump.part], [jump.station])
     score, dof, chi2 = float(test.chi2[0]), int(test.dof[0]), jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:

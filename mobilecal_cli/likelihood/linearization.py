@@ -152,11 +152,9 @@ class Linearization:
 
     def tracing(self, unknowns: tuple[int, ...]) -> Self:
         """The same point with the information of the images kept station by station for further unknowns."""
-        return (
-            self
-            if set(unknowns) <= set(self.traced)
-            else self.changed((*_LEGS, "own_sigmas"), traced=unknowns)
-        )
+        if set(unknowns) <= set(self.traced):
+            return self
+        return self.changed((*_LEGS, "own_sigmas"), traced=unknowns)
 
     def of_log(self, log: int) -> Self:
         """The same point with the measurements of one recording alone."""

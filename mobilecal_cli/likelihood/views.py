@@ -93,14 +93,9 @@ class Images:
     def _summed(self, A: FloatArray, B: FloatArray) -> FloatArray:
         """Sums of A^T B over the stations of each group: (N, q, P) and (N, q, R) → (G, P, R)."""
         out = np.zeros((len(self.direct), A.shape[2], B.shape[2]))
-        starts = np.flatnonzero(np.diff(self.group, prepend=-1))
-        if not out.size:
-            return out
-        if len(starts) == len(self.group):
-            out[self.group] = A.mT @ B
-        else:
-            for a, b in zip(starts, (*starts[1:], len(A)), strict=True):
-                out[self.group[a]] = summed(A[a:b], B[a:b])
+        if out.size:
+            groups, sums = _by_group(self.group, A, B)
+            out[groups] = sums
         return out
 
     def scaled(self, factor: FloatArray) -> Self:
@@ -182,6 +177,15 @@ class Views(Images):
         traced = np.zeros_like(self.pull)
         traced[:, :6] = delta[..., 0] + self.by_shared @ step.shared
         return self.shifted(traced, step.shared[self.columns])
+
+
+def _by_group(group: IntArray, A: FloatArray, B: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Groups of ascending ones (N,), and the sums of A^T B, (N, q, P) and (N, q, R), over each: (g,) and (g, P, R)."""
+    groups, starts = np.unique(group, return_index=True)
+    if len(groups) == len(group):
+        return groups, A.mT @ B
+    of_each = zip(np.split(A, starts[1:]), np.split(B, starts[1:]), strict=True)
+    return groups, np.stack([summed(a, b) for a, b in of_each])
 
 
 def summed(A: FloatArray, B: FloatArray) -> FloatArray:
@@ -274,30 +278,27 @@ def images_of(
         if isinstance(effect, CameraEffect) and effect.of == "delay_s"
     ]
     kept = np.array([*range(6), *delays, *(column for column in traced if column not in delays)])
-    Q, groups = 6 + len(direct), int(group.max(initial=-1)) + 1
+    Q, count = 6 + len(direct), int(group.max(initial=-1)) + 1
     rows, pull, cost = (np.zeros((len(stations), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
-    information, gradient = np.zeros((groups, Q, Q)), np.zeros((groups, Q))
+    information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
     for block in blocks_of(len(stations)):
         mine = stations[block]
         weight = np.where(inliers.used_corners[mine], 1 / noise.pixel_px, 0.0)
         W = data.whitening[mine] * weight[..., None, None]
-        of_groups = np.unique(group[block], return_index=True)
         for k in range(len(data.cameras.each)):
             columns, effects = columns_of(direct, k)
             residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
             A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
-            r = whitened(W[:, k], residual).reshape(len(mine), -1)
+            r = whitened(W[:, k], residual).reshape(len(mine), -1, 1)
             own, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
             of_kept = A[:, :, own[:, 0]].mT
             rows[block, at, columns] += of_kept @ A
-            pull[block, at[:, 0]] += (of_kept @ r[..., None])[..., 0]
-            cost[block] += np.sum(r**2, axis=1)
-            for of, a, b in zip(
-                of_groups[0], *(np.split(part, of_groups[1][1:]) for part in (A, r)), strict=True
-            ):
-                flat = a.reshape(-1, len(columns))
-                information[of][np.ix_(columns, columns)] += flat.T @ flat
-                gradient[of, columns] += flat.T @ b.ravel()
+            pull[block, at[:, 0]] += (of_kept @ r)[..., 0]
+            cost[block] += np.sum(r**2, axis=(1, 2))
+            groups, products = _by_group(group[block], A, A)
+            information[groups[:, None, None], columns[:, None], columns] += products
+            groups, products = _by_group(group[block], A, r)
+            gradient[groups[:, None], columns] += products[..., 0]
     sums = information[:, 6:, 6:], gradient[:, 6:]
     return Images(kept, len(delays), rows, pull, cost, group, *sums).with_own_delays(0.0, noise.pair_s**2)
 

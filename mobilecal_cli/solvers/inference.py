@@ -323,10 +323,10 @@ class Inference:
         # then compared at the levels of the residuals without it.
         usual = {name: min(getattr(fit.noise, name), getattr(self.guess, name)) for name in _CONCEALING}
         noise = fit.noise.with_levels({name: usual[name] for name in usual.keys() - self.given})
-        inliers = fit.inliers
+        inliers, start = fit.inliers, jumps.traced(fit.lin)
         for _ in range(2):
             # The score test is that of an optimum: what little is left to it looks like a jump of what hardly shows.
-            optimum = to_first_order(jumps.traced(fit.lin).with_inliers(inliers).with_noise(noise))
+            optimum = to_first_order(start.with_inliers(inliers).with_noise(noise))
             ranked = jumps.likeliest(optimum)
             across = self.data.legs[:, 1] == ranked[0].station if ranked else np.zeros_like(inliers.legs)
             if not inliers.legs[across].all():  # it may be no slip, but what the jump is along the floor
@@ -344,7 +344,7 @@ class Inference:
             noise = lin.noise
         if jump.sigmas < JUMP_SIGMAS:
             return None
-        jump = replace(jump, sigmas=jumps.significance(fit.lin, lin, jump))
+        jump = replace(jump, sigmas=jumps.significance(start, lin, jump))
         if jump.sigmas < JUMP_SIGMAS:
             return None
         points = [(jump, lin)]
