@@ -153,6 +153,20 @@ def _wheels(readings: Readings) -> Iterator[Hypothesis]:
         )
 
 
+def of_one_recording(readings: Readings) -> Iterator[Hypothesis]:
+    """Mistakes of the wheels in one of several recordings: with a camera on the base, each may fit by itself."""
+    for log in range(len(readings.wheels)):
+        for row in _wheels(readings):
+            cause = f"recording {log + 1} of {len(readings.wheels)}: {row.cause}"
+            transform = partial(_in_recording, log=log, transform=row.transform)
+            yield Hypothesis(cause, f"{row.cure}, for this recording only", transform)
+
+
+def _in_recording(readings: Readings, log: int, transform: Callable[[Readings], Readings]) -> Readings:
+    there = transform(readings).wheels[log]
+    return replace(readings, wheels=(*readings.wheels[:log], there, *readings.wheels[log + 1 :]))
+
+
 def _all_in_degrees(readings: Readings) -> Iterator[Hypothesis]:
     """One driver that publishes joints and wheels in degrees."""
     if readings.rig.chain.joints and readings.rig.sources.assumed_odometry is None:

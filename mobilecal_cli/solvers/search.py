@@ -35,6 +35,7 @@ from mobilecal_cli.solvers.hypotheses import (
     WHOLE,
     Stages,
     interruptions,
+    of_one_recording,
     of_sides,
 )
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
@@ -133,7 +134,7 @@ class Search:
         if self.of_whole is not None:
             return self.of_whole
         if len(self._readings.wheels) > 1:  # most legs may fit without those of a short recording
-            return self._of_one_log()
+            return self._of_one_log() or self._named(self._readings, ((of_one_recording,),))
         if self._fits:
             return None
         last = self._free_part if self._readings.consistent else self._images
