@@ -93,5 +93,6 @@ from mobilecal_cli.model.solution import (
     Setting,
     Solution,
     Uncertainty,
+    largest_mean_square,
 )
 from mobilecal_cli.model.text import listed

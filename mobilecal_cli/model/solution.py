@@ -280,6 +280,11 @@ class ErrorPart(NamedTuple):
     m: float
 
 
+def largest_mean_square(count: int) -> float:
+    """Mean square of normal errors over the expected one, three standard deviations above it: of so many errors."""
+    return 1 + 3 * math.sqrt(2 / count)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """The result of a calibration.

@@ -30,6 +30,7 @@ from mobilecal_cli.model import (
     FloatArray,
     Solution,
     camera_words,
+    largest_mean_square,
 )
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import CHANGED, Calibration, Check, Metric, Outcome, criterion
@@ -797,8 +798,7 @@ def unexplained(solution: Solution, corners: int) -> ErrorPart:
     """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
 
     Noise of corners, joints, floor and wheels has limits of its own, and what lenses do beside their models is
-    estimated: none of it is an error of the calibration. Each is counted with three standard deviations of its mean
-    square.
+    estimated: none of it is an error of the calibration. Each is counted with its largest mean square.
 
     Args:
         solution: with legs.
@@ -808,7 +808,7 @@ def unexplained(solution: Solution, corners: int) -> ErrorPart:
     parts = solution.error_parts or {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m)}
     left = np.square([solution.reprojection_rms_px, solution.point_rms_m])
     for name, part in parts.items():
-        left -= np.square(part) * (1 + 3 * math.sqrt(2 / (legs * corners if name == "corners" else legs)))
+        left -= np.square(part) * largest_mean_square(legs * corners if name == "corners" else legs)
     return ErrorPart(*np.sqrt(np.maximum(left, 0.0)).tolist())
 
 

@@ -34,6 +34,7 @@ from mobilecal_cli.model import (
     Residuals,
     Solution,
     WheelGeometry,
+    largest_mean_square,
 )
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import (
@@ -360,7 +361,7 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     """Whether known noise does not explain the point error, or many stations of a recording have an outlier.
 
     Known are that of corners, what lenses do beside their models, the steps of the encoders, and the estimated noise of
-    wheels where it is no fault.
+    wheels: its largest mean square, but at most what noise at its limit causes.
     """
     stations = Counter(o.log for o in extraction.observations)
     gross = Counter(outlier.log for outlier in solution.gross_outliers)
@@ -370,12 +371,12 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     # Heading by one step of each wheel.
     step_rad = float(right_m + left_m) / solution.parameters.wheels.separation_m
     error_m = max(_BAD_SHARE, step_rad) * distance_m
-    of_wheels_m, parts = 0.0, solution.error_parts
+    of_wheels, parts = 0.0, solution.error_parts
     of_lenses_m = parts["lenses"].m if "lenses" in parts else 0.0
     if solution.uncertainty is not None and "wheels" in parts:
-        level = solution.uncertainty.noise.wheel_rad_per_sqrt_rad
-        of_wheels_m = min(1.0, WHEEL_NOISE / level) * parts["wheels"].m
-    explained = of_corners_m**2 + of_lenses_m**2 + of_wheels_m**2
+        level, legs = solution.uncertainty.noise.wheel_rad_per_sqrt_rad, len(solution.residuals.legs)
+        of_wheels = parts["wheels"].m ** 2 * min(largest_mean_square(legs), (WHEEL_NOISE / level) ** 2)
+    explained = of_corners_m**2 + of_lenses_m**2 + of_wheels
     misfits = solution.point_rms_m**2 - explained > error_m**2
     return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 
