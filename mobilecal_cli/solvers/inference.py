@@ -39,8 +39,7 @@ from mobilecal_cli.solvers.noise import (
     LevelSearch,
     components,
     converged,
-    estimated,
-    lengths,
+    slopes,
     widths,
 )
 from mobilecal_cli.solvers.optimize import MOST_STEPS, optimize, to_first_order
@@ -55,7 +54,7 @@ _SEVERAL = 2  # outliers that a single number explains: one more than it has its
 #: Noise levels that a jump may make large: those of the processes, and others.
 _CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
-_COARSE, _FINE, _HELD = 0.1, 0.015, 2.0
+_COARSE, _FINE, _HELD = 0.1, 0.005, 2.0
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more
 
 
@@ -399,14 +398,13 @@ class Inference:
             The last point, and the levels that follow from its residuals.
         """
         given = self.given | kept
-        search = LevelSearch(given)
+        search = LevelSearch()
         for _ in range(_NOISE_ROUNDS):
-            noise = estimated(lin.noise, components(lin), given, self.guess)
             wider = lin.noise.wider if self.scales_stay else widths(lin)
-            noise = replace(noise, **lengths(lin, given, self.guess), wider=wider)
+            noise = search.next(lin.noise, slopes(lin, given, self.guess), wider)
             if converged(lin.noise, noise, tolerance):
                 break
-            lin = to_first_order(lin.with_noise(search.next(lin.noise, noise)))
+            lin = to_first_order(lin.with_noise(noise))
         return lin, noise
 
 

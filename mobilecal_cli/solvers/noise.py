@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,10 +21,7 @@ from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
 _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).
 _LENGTH_FACTOR = 3.0
-_LENGTHS = np.geomspace(0.02, 50.0, 241)  # of the present length: those that are compared
-#: Tolerance of a correlation length over that of a level. Few recordings show one within half of itself, and it moves
-#: far along a ridge on which the standard deviations stay.
-_LENGTH_TOLERANCE = 5.0
+_NEAR = 0.02  # logarithm of lengths that are compared with the present one
 _WORTH, _FADES_AT = 2.0, 4.0
 # Stated priors are right with this chance, or too narrow, those of one kind or all of them: by more than s times with a
 # chance that falls as these powers of 1 / s.
@@ -32,8 +30,11 @@ _AS_STATED, _TOO_NARROW, _ALL_TOO_NARROW = 0.95, 1.0, 1.5
 _SHOWN, _WIDEST = 0.01, 1e3
 _LOG_FACTORS = np.linspace(0.0, math.log(_WIDEST), 500)  # that are compared
 _EXACT = 1e-12  # variance over the prior's of a constant that the data show completely
-# Rounds that are remembered, and how far a level may move (as a logarithm): times what its residuals say, and this.
-_MEMORY, _FARTHEST, _ANYWAY = 5, 3.0, 0.3
+# How far a level may move in a round (as a logarithm): at most so far by its own residuals; times what these say and so
+# much more, up to this.
+_FASTEST, _FARTHEST, _ANYWAY, _AT_ONCE = 4.5, 3.0, 0.3, 1.0
+_AT_LIMIT = 1e-9  # relative: rounding
+_WORSE = 4.0  # times what the slopes promise: the search begins again
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -109,61 +110,65 @@ def _within(lin: Posterior) -> FloatArray:
     return np.where(along, errors - (sums[0] / sums[1])[log], errors)
 
 
-def lengths(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, float]:
-    """Correlation lengths of the processes after one step of expectation-maximization (Dempster et al., 1977).
+class Slope(NamedTuple):
+    """How minus twice the logarithm of the restricted likelihood rises with that of a level, and how the slope does."""
 
-    The expected logarithm of the innovations' density, at the present posterior of the processes, is largest there,
-    under a log-normal prior around the guess.
+    rise: float
+    bend: float
+
+
+def slopes(lin: Posterior, given: frozenset[str], guess: Noise) -> dict[str, Slope]:
+    """Slope of each level and correlation length that is not given, with what the guess says of it.
+
+    Of a level, it is that of the fixed point `Component.factor`. At a limit that it leads beyond, it is 0.
+    """
+    shown, found = components(lin), {}
+    for name, component in shown.items():
+        if name not in given:
+            change = 0.5 * math.log(component.factor((getattr(guess, name) / getattr(lin.noise, name)) ** 2))
+            bend = 4 * (max(component.redundancy, 0.0) + guess_worth(component.redundancy))
+            found[name] = Slope(-bend * change, bend)
+    found |= _of_lengths(lin, shown, given, guess)
+    for name, (rise, bend) in found.items():
+        level = getattr(lin.noise, name)
+        least, most = _LEAST[name] * (1 + _AT_LIMIT), _MOST[name] * (1 - _AT_LIMIT)
+        if (level <= least and rise > 0) or (level >= most and rise < 0):
+            found[name] = Slope(0.0, bend)
+    return found
+
+
+def _of_lengths(
+    lin: Posterior, shown: Mapping[str, Component], given: frozenset[str], guess: Noise
+) -> dict[str, Slope]:
+    """Slopes of the correlation lengths of the processes, under a log-normal prior around the guess.
+
+    The likelihood's is that of the expected logarithm of the innovations' density, at the present posterior of the
+    processes (Dempster et al., 1977). It bends less than that: as much of the innovations as the residuals show.
     """
     processes, posterior, values = lin.processes, lin.marginals, _within(lin)
     j = lin.data.legs[lin.inliers.legs, 1]
-    lengths_m: dict[str, float] = {}
+    found: dict[str, Slope] = {}
     variance, before = (np.diagonal(part, axis1=1, axis2=2) for part in (posterior.errors, posterior.before))
     here, past = values[j], values[j - 1]
     squares, mixed, earlier = here**2 + variance[j], here * past + before[j], past**2 + variance[j - 1]
     for length in dict.fromkeys(LENGTHS.values()):
         if length in given:
             continue
-        tried = getattr(lin.noise, length) * _LENGTHS
-        score = -((np.log(tried / getattr(guess, length)) / math.log(_LENGTH_FACTOR)) ** 2)
+        tried = getattr(lin.noise, length) * np.exp([-_NEAR, 0.0, _NEAR])
         mine = [k for k, level in enumerate(processes.levels) if LENGTHS.get(level) == length]
         precision = np.array([max(getattr(lin.noise, processes.levels[k]), EXACT) for k in mine]) ** -2
-        paths, path = np.unique(processes.distance_m[np.ix_(j, mine)], axis=1, return_inverse=True)
-        for number, distance_m in enumerate(paths.T):
-            alike = np.where(path == number, precision, 0.0)  # processes along this path
-            x = distance_m / tried[:, None]
-            rho, spread = np.exp(-x), np.maximum(-np.expm1(-2 * x), EXACT**2)
-            at_end, across, at_start = (part[:, mine] @ alike for part in (squares, mixed, earlier))
-            innovation = at_end - 2 * rho * across + rho**2 * at_start
-            score -= np.sum(np.count_nonzero(alike) * np.log(spread) + innovation / spread, axis=1)
-        likeliest = float(np.exp(_maximum(np.log(tried), score)))
-        lengths_m[length] = min(max(likeliest, _LEAST[length]), _MOST[length])
-    return lengths_m
-
-
-def _maximum(x: FloatArray, y: FloatArray) -> float:
-    """Where y is largest, by a parabola through the largest value and its neighbors; x is evenly spaced.
-
-    A fixed point that moves in steps of x is not found by acceleration, and hangs on rounding.
-    """
-    k = min(max(int(np.argmax(y)), 1), len(y) - 2)
-    before, at, after = y[k - 1 : k + 2].tolist()
-    bend = before - 2 * at + after
-    offset = (before - after) / (2 * bend) if bend < 0 else 0.0
-    return float(x[k] + min(max(offset, -1.0), 1.0) * (x[1] - x[0]))
-
-
-def estimated(noise: Noise, shown: Mapping[str, Component], given: frozenset[str], guess: Noise) -> Noise:
-    """The noise after one step of the fixed point; levels that are given stay."""
-    changes: dict[str, float] = {}
-    for name, component in shown.items():
-        if name in given:
-            continue
-        before, supposed = getattr(noise, name), getattr(guess, name)
-        factor = np.clip(component.factor((supposed / before) ** 2), 1e-4, 1e4)
-        level = before * float(np.sqrt(factor))
-        changes[name] = min(max(level, _LEAST[name]), _MOST[name])
-    return noise.with_levels(changes)
+        x = processes.distance_m[np.ix_(j, mine)] / tried[:, None, None]
+        rho, spread = np.exp(-x), np.maximum(-np.expm1(-2 * x), EXACT**2)
+        innovation = squares[:, mine] - 2 * rho * mixed[:, mine] + rho**2 * earlier[:, mine]
+        misfit = np.sum(np.log(spread) + innovation * precision / spread, axis=(1, 2))
+        prior = 2 / math.log(_LENGTH_FACTOR) ** 2
+        free = sum(shown[level].redundancy for level in {processes.levels[k] for k in mine})
+        share = min(max(free / max(len(j) * len(mine), 1), 0.0), 1.0)
+        rise = float(misfit[2] - misfit[0]) / (2 * _NEAR)
+        bend = float(misfit[2] - 2 * misfit[1] + misfit[0]) / _NEAR**2
+        away = math.log(getattr(lin.noise, length) / getattr(guess, length))
+        found[length] = Slope(rise + prior * away, prior + share * max(bend, 0.0))
+    return found
 
 
 def widths(lin: Posterior) -> dict[str, float]:
@@ -227,48 +232,45 @@ def expected_factors(misfit: FloatArray) -> FloatArray:
 
 
 class LevelSearch:
-    """Anderson's acceleration of the fixed point of noise levels, on their logarithms.
+    """Search for the levels with the largest restricted likelihood, on their logarithms: BFGS, from slopes alone.
 
-    Levels that few residuals show converge slowly by themselves: tens of rounds.
-
-    Args:
-        given: names of levels that stay.
+    Without it, levels that few residuals show converge slowly. Where two explain nearly the same, such as a floor and
+    its correlation length, a search for slopes of zero may also climb, and wander along the ridge without an end.
     """
 
-    def __init__(self, given: frozenset[str]) -> None:
-        self._given = given
-        self._levels: list[FloatArray] = []
-        self._changes: list[FloatArray] = []
+    def __init__(self) -> None:
+        self._at: FloatArray = np.zeros(0)
+        self._rise: FloatArray = np.zeros(0)
+        self._inverse: FloatArray = np.zeros((0, 0))  # of the second derivatives
+        self._promise = 0.0
 
-    def next(self, noise: Noise, shown: Noise) -> Noise:
-        """Levels for the next round, from those of this round and what its residuals say."""
-        here, there = noise.all_levels, shown.all_levels
-        names = [name for name in there if name not in self._given and here.get(name, 1.0) > 0]
-        at = np.log([here.get(name, 1.0) for name in names])
-        change = np.log([there[name] for name in names]) - at
-        if self._changes and np.linalg.norm(change) > 2 * np.linalg.norm(self._changes[-1]):
-            self._levels, self._changes = [], []
-        self._levels, self._changes = [*self._levels[-_MEMORY:], at], [*self._changes[-_MEMORY:], change]
-        step = change
-        if len(self._changes) > 1:
-            dX, dF = (np.diff(np.array(part), axis=0).T for part in (self._levels, self._changes))
-            weights = np.linalg.lstsq(dF, change, rcond=1e-6)[0]
-            step = change - (dX + dF) @ weights
-        farthest = _FARTHEST * np.abs(change) + _ANYWAY
-        step = np.clip(step, -farthest, farthest)
-        return noise.with_levels(
-            {
-                name: min(max(level, _LEAST.get(name, 1.0)), _MOST.get(name, _WIDEST))
-                for name, level in zip(names, np.exp(at + step).tolist(), strict=True)
-            }
-        )
+    def next(self, noise: Noise, found: Mapping[str, Slope], wider: Mapping[str, float]) -> Noise:
+        """Levels for the next round, from those of this round and their slopes; with these scales of the priors."""
+        at = np.log([getattr(noise, name) for name in found])
+        rise, bend = np.array([*found.values()]).T
+        promise = float(np.sum(rise**2 / bend))
+        self._inverse = self._updated(at, rise) if promise < _WORSE * self._promise else np.diag(1 / bend)
+        self._at, self._rise, self._promise = at, rise, promise
+        own = np.minimum(np.abs(rise / bend), _FASTEST)
+        farthest = np.maximum(own, np.minimum(_FARTHEST * own + _ANYWAY, _AT_ONCE))
+        step = np.where(rise == 0, 0.0, np.clip(-self._inverse @ rise, -farthest, farthest))
+        levels = dict(zip(found, np.exp(at + step).tolist(), strict=True))
+        within = {name: min(max(level, _LEAST[name]), _MOST[name]) for name, level in levels.items()}
+        return replace(noise.with_levels(within), wider=dict(wider))
+
+    def _updated(self, at: FloatArray, rise: FloatArray) -> FloatArray:
+        """The inverse after what the last step showed; unchanged where it bent the wrong way."""
+        free = (rise != 0) & (self._rise != 0)  # what is at a limit says nothing
+        moved, steeper = (at - self._at) * free, (rise - self._rise) * free
+        curved = float(moved @ steeper)
+        if curved <= 0:
+            return self._inverse
+        along = np.eye(len(at)) - np.outer(moved, steeper) / curved
+        updated: FloatArray = along @ self._inverse @ along.T + np.outer(moved, moved) / curved
+        return updated
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:
-    """Whether no level moved by more than a share of itself, and no correlation length by more than five times that."""
+    """Whether no level moved by more than a share of itself."""
     a, b = before.all_levels, after.all_levels
-    allowed = dict.fromkeys(LENGTHS.values(), _LENGTH_TOLERANCE * tolerance)
-    return all(
-        abs(level - a.get(name, 1.0)) <= allowed.get(name, tolerance) * a.get(name, 1.0)
-        for name, level in b.items()
-    )
+    return all(abs(level / a.get(name, 1.0) - 1) <= tolerance for name, level in b.items() if level)

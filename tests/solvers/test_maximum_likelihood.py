@@ -17,7 +17,7 @@ from mobilecal_cli.simulate.robot import paper_robot, tick_robot
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.solvers import maximum_likelihood as recipe
-from mobilecal_cli.solvers.noise import lengths
+from mobilecal_cli.solvers.noise import LevelSearch, Slope, slopes
 from tests.bench.simulated import as_described, errors, spoiled
 from tests.extractions import Noise as Disturbance
 from tests.extractions import joined, simulated
@@ -84,12 +84,29 @@ def test_noise_levels_are_those_of_the_simulation_or_as_given(noisy):
     assert "joint_rad" not in levels.estimated
 
 
-def test_correlation_lengths_stay_within_their_limits():
+def test_a_level_at_its_limit_leads_no_further():
     """A perfectly flat floor is alike over any distance."""
     fit, most = maximum_likelihood(extraction_of(noise=None)), Noise.limits("most")["floor_length_m"]
     lin = fit.lin.with_noise(fit.noise.with_levels({"floor_length_m": most}))
     far = replace(fit.noise, floor_length_m=1e6 * most)
-    assert lengths(lin, frozenset(), far)["floor_length_m"] == most
+    assert slopes(lin, frozenset(), far)["floor_length_m"].rise == 0
+    assert slopes(lin, frozenset(), fit.noise)["floor_length_m"].rise > 0
+
+
+def test_a_search_for_levels_descends_where_two_act_alike():
+    """A long valley between two levels, with a hill behind the start: a search for slopes of zero may end there."""
+    search, level = LevelSearch(), Noise(**Noise.limits("guess") | {"encoder_rad": 0.0}, wider={})
+    names = ("floor_rad", "sway_rad")
+    bottom = np.log([getattr(level, name) for name in names]) + np.array([0.6, -0.9])
+    for _ in range(40):
+        together, apart = np.array([[1.0, 1.0], [1.0, -1.0]]) @ (
+            np.log([getattr(level, n) for n in names]) - bottom
+        )
+        of_valley = np.tanh(apart)
+        rise = np.array([200 * together + of_valley, 200 * together - of_valley])
+        found = {name: Slope(r, 200.0) for name, r in zip(names, rise.tolist(), strict=True)}
+        level = search.next(level, found, {})
+    assert np.log([getattr(level, name) for name in names]) == pytest.approx(bottom, abs=1e-3)
 
 
 @pytest.mark.long
