@@ -24,17 +24,22 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.ranges import Range
 from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
-from mobilecal_cli.rig.names import mirrored, numbered_pairs, pairs, require_topic, side_of, words
+from mobilecal_cli.rig.names import (
+    COMPRESSION_WORDS,
+    mirrored,
+    numbered_pairs,
+    pairs,
+    require_topic,
+    side_of,
+    words,
+)
 
 #: Distance between the cameras of a stereo pair.
 BASELINE = Range(1e-4, 5.0, "m")
 #: Relative difference of the focal lengths of both rectified images, which are the same.
 _SAME_FOCAL = 0.01
 #: Words in the name of an image topic that name the form of the images, not the camera.
-_FORMS = {
-    "image", "raw", "color", "colour", "mono", "gray", "grey", "compressed", "video", "ffmpeg", "h264", "h265",
-    "theora",
-}  # fmt: skip
+_FORMS = {"image", "raw", "color", "colour", "mono", "gray", "grey", *COMPRESSION_WORDS}
 
 
 def _image_topics(description: RobotDescription) -> dict[str, TopicInfo]:
@@ -56,8 +61,9 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     """Image topic of each camera: as configured, a stereo pair whose names differ only in the side, or one camera.
 
     Raw images are preferred to rectified ones (the reprojection error is then in raw pixels), and full messages to
-    compressed ones. The color camera of an RGB-D camera is preferred to its pair of infrared cameras if the size of
-    the squares is stated, which a single camera needs.
+    compressed ones. A full message on one side and a compressed one on the other is the last choice. The color camera
+    of an RGB-D camera is preferred to its pair of infrared cameras if the size of the squares is stated, which a single
+    camera needs.
 
     Raises:
         RecordingError: no such camera; the hint lists the topics present.
@@ -151,6 +157,9 @@ def _pair(
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
         candidates = fitting or candidates
+    candidates = [
+        pair for pair in candidates if present[pair["left"]].type == present[pair["right"]].type
+    ] or candidates
     if not candidates:
         return None
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
@@ -220,7 +229,8 @@ def _single(present: Mapping[str, TopicInfo], rectified: bool | None, acceptable
         several = "; ".join(sorted(names[0] for names in cameras.values()))
         raise ConfigError(
             f"several cameras could be meant: {several}",
-            f"name one or more in rig.yaml, the first as the reference, such as cameras: {{front: {{image: "
+            "for a stereo pair, set cameras.left.image and cameras.right.image in rig.yaml; otherwise name one or "
+            "more, the first as the reference, such as cameras: {front: {image: "
             f"{min(names[0] for names in cameras.values())}}}}}",
         )
     return None

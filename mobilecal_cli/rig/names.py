@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from itertools import takewhile
+from itertools import product, takewhile
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, listed
@@ -13,6 +13,7 @@ from mobilecal_cli.model import SIDES, NumberField, RobotDescription, Side, list
 HEAD_WORDS = {"head", "neck", "ptu", "camera", "cam", "gimbal", "mast"}
 PAN_WORDS = {"pan", "yaw"}
 TILT_WORDS = {"tilt", "pitch"}
+COMPRESSION_WORDS = {"compressed", "video", "ffmpeg", "h264", "h265", "theora"}
 COUNTER_WORDS = {"tick", "ticks", "encoder", "encoders", "count", "counts"}
 _SIDES: dict[str, Side] = {
     **dict.fromkeys(("left", "l", "cameraleft", "leftcamera"), "left"),
@@ -35,30 +36,48 @@ def side_of(name: str) -> Side | None:
     return sides.pop() if len(sides) == 1 else None
 
 
+def _uncompressed(name: str) -> tuple[str, ...]:
+    """Words of a name without the compression of the images, in which the two halves of a pair may differ."""
+    return tuple(word for word in words(name) if word not in COMPRESSION_WORDS)
+
+
 def mirrored(name: str) -> tuple[str, ...]:
-    """Words of a name without its side: equal for the two halves of a pair."""
-    return tuple("*" if word in _SIDES or word in _NUMBERED else word for word in words(name))
+    """Words of a name without its side and compression: equal for the two halves of a pair."""
+    return tuple("*" if word in _SIDES or word in _NUMBERED else word for word in _uncompressed(name))
 
 
 def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
-    """Pairs of left and right names, sorted by the left name."""
-    by_key: dict[tuple[str, ...], dict[Side, str]] = {}
+    """All pairs of names that differ only in the side, and perhaps in the compression."""
+    by_key: dict[tuple[str, ...], dict[Side, list[str]]] = {}
     for name in sorted(names):
         side = side_of(name)
         if side is not None:
-            by_key.setdefault(mirrored(name), {}).setdefault(side, name)
-    return [members for members in by_key.values() if len(members) == 2]
+            by_key.setdefault(mirrored(name), {"left": [], "right": []})[side].append(name)
+    return [
+        {"left": left, "right": right}
+        for members in by_key.values()
+        for left, right in product(members["left"], members["right"])
+    ]
 
 
 def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
-    """Pairs of names of cameras that differ only in two consecutive numbers, of which the lower one is the left."""
-    by_key: dict[str, dict[int, str]] = {}
+    """All pairs of names of cameras that differ only in two consecutive numbers, and perhaps in the compression.
+
+    The lower number is the left one.
+    """
+    by_key: dict[tuple[str, ...], dict[int, list[str]]] = {}
     for name in sorted(names):
         numbers = {int(number) for _, number in _NUMBERED_CAMERA.findall(name)}
         if len(numbers) == 1:
-            by_key.setdefault(_NUMBERED_CAMERA.sub(r"\1*", name), {})[numbers.pop()] = name
-    pairs = (sorted(members.items()) for members in by_key.values() if len(members) == 2)
-    return [{"left": low[1], "right": high[1]} for low, high in pairs if high[0] == low[0] + 1]
+            key = _uncompressed(_NUMBERED_CAMERA.sub(r"\1*", name))
+            by_key.setdefault(key, {}).setdefault(numbers.pop(), []).append(name)
+    two = (sorted(members.items()) for members in by_key.values() if len(members) == 2)
+    return [
+        {"left": left, "right": right}
+        for (low, lefts), (high, rights) in two
+        if high == low + 1
+        for left, right in product(lefts, rights)
+    ]
 
 
 def joint_state_names(description: RobotDescription) -> list[str]:

@@ -1,6 +1,7 @@
 """Wheel rotations out of odometry."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.wheels import check_speed, rotations
+from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations
 from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
@@ -65,3 +66,42 @@ def test_positions_in_millimeters_are_named():
         check_speed("/odom", time_ns, 1e3 * pose)
     check_speed("/odom", time_ns, np.zeros((5, 2)))
     check_speed("/odom", time_ns[:1], pose[:1])
+
+
+def drive(rate_hz, offset_m=0.0, seconds=30):
+    """Stamps, and poses of a differential drive whose base frame is `offset_m` ahead of the axle."""
+    time_ns = np.arange(seconds * rate_hz) * 10**9 // rate_hz
+    at_s, way_m = time_ns * 1e-9, np.full(len(time_ns), 0.3 / rate_hz)
+    heading = np.sin(0.5 * at_s)
+    x, y = np.cumsum(way_m * np.cos(heading)), np.cumsum(way_m * np.sin(heading))
+    return time_ns, np.stack(
+        [x + offset_m * np.cos(heading), y + offset_m * np.sin(heading), heading], axis=1
+    )
+
+
+@pytest.mark.parametrize("rate_hz", [10, 50])
+def test_odometry_that_jumps_follows_more_than_the_wheels(rate_hz):
+    """Corrections of 0.36 m every 6 s: the first one beside 30 or 6 mm of motion."""
+    time_ns, pose = drive(rate_hz)
+    corrections = (time_ns // (6 * 10**9))[:, None] * [-0.2, 0.3, 0.0]
+    with pytest.raises(RecordingError, match=r"4 times, first by 0.3\d m 6.0 s after the start") as told:
+        check_forward("/odom", time_ns, pose + corrections)
+    assert told.value.hint.startswith("record the odometry of the wheels alone, not one that a filter")
+    with pytest.raises(RecordingError, match=r"from one message to the next, once by 0\.4\d m"):
+        check_forward("/odom", time_ns[: 7 * rate_hz], (pose + 1.2 * corrections)[: 7 * rate_hz])
+
+
+@pytest.mark.parametrize("mirrored", [[1, -1, 1], [1, 1, -1], [-1, 1, 1]])
+def test_the_sign_of_one_axis_is_named(mirrored):
+    time_ns, pose = drive(50, offset_m=0.1)
+    assert re.search(r"is 10\d mm ahead of the axle", check_forward("/odom", time_ns, pose)[0])
+    with pytest.raises(RecordingError, match="not with the sign of y reversed: the y axis of its positions"):
+        check_forward("/odom", time_ns, pose * mirrored)
+
+
+def test_motion_sideways_is_that_of_another_drive():
+    time_ns, pose = drive(50)
+    pose[:, 1] += 0.3 * np.sin(time_ns * 1e-9)
+    with pytest.raises(RecordingError, match="m ahead: a differential drive cannot") as told:
+        check_forward("/odom", time_ns, pose)
+    assert told.value.hint.startswith("mecanum and other omnidirectional robots")

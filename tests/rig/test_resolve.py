@@ -812,6 +812,24 @@ def test_pairs_of_drivers(left, right):
 
 
 @pytest.mark.parametrize(
+    ("topics", "chosen"),
+    [
+        (("/left/image_raw", "/right/image_raw/compressed"), (0, 1)),
+        (("/camera1/image_raw/compressed", "/camera2/image_raw"), (0, 1)),
+        (("/left/image_raw", "/left/image_raw/compressed", "/right/image_raw/compressed"), (1, 2)),
+        (("/left/image_rect", "/left/image_raw", "/right/image_rect", "/right/image_raw/compressed"), (0, 2)),
+    ],
+)
+def test_a_pair_of_different_compression_where_there_is_no_other(topics, chosen):
+    log = recorded(*topics, baseline_m=0.06)
+    kinds = ("CompressedImage" if topic.endswith("compressed") else "Image" for topic in topics)
+    images = tuple(TopicInfo(t, f"sensor_msgs/msg/{kind}", 9) for t, kind in zip(topics, kinds, strict=True))
+    infos = {topic.replace("image_raw/", ""): each for topic, each in log.infos.items()}
+    found = image_topics(RigConfig(), replace(log, topics=images, infos=infos))
+    assert tuple(found.values()) == tuple(topics[k] for k in chosen)
+
+
+@pytest.mark.parametrize(
     "topics",
     [
         ("/camera1/image_raw", "/camera2/image_raw"),  # no baseline: two single cameras
@@ -823,6 +841,7 @@ def test_several_cameras_are_the_choice_of_the_user(topics):
     with pytest.raises(ConfigError, match="several cameras could be meant") as told:
         image_topics(SQUARE, recorded(*topics))
     assert all(topic in told.value.message for topic in topics)
+    assert told.value.hint.startswith("for a stereo pair, set cameras.left.image and cameras.right.image")
 
 
 def test_depth_alone_is_no_camera():

@@ -279,6 +279,9 @@ _SMALL = 1e-6
 _JUMP_M, _JUMP_RAD = 0.5, 1.5
 #: Odometry that moves sideways by this much, and by this share of its way ahead, is not of a differential drive.
 _ASIDE_M, _ASIDE_SHARE = 0.1, 0.1
+#: A step sideways is a jump, and no motion, if it is so many times as long as those before and after it, and at least
+#: this share of the longest one.
+_ALONE, _NOT_LEAST = 5.0, 0.1
 #: The axle is elsewhere than the base frame if it is this far away.
 _OFFSET_M = 0.01
 #: No robot in front of a checkerboard drives so fast; one whose positions are in millimeters seems to.
@@ -306,7 +309,7 @@ class OdometryWheel(Source):
         wheels = self._wheels
         time_ns, pose = samples.ordered(notes)
         check_speed(samples.topic, time_ns, pose[:, :2])
-        notes += check_forward(samples.topic, pose)
+        notes += check_forward(samples.topic, time_ns, pose)
         right, left, jumps = rotations(pose[:, :2], pose[:, 2], wheels)
         if self._assumed:
             notes.append(
@@ -327,29 +330,45 @@ class OdometryWheel(Source):
         return Track(time_ns, right if self._side == "right" else left)
 
 
-def check_forward(topic: str, pose: FloatArray) -> list[str]:
+def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
     """Check that odometry moves ahead and turns, as a differential drive does.
-
-    A base frame that is not midway between the wheels also moves sideways, but only where the base turns.
 
     Args:
         topic: the topic, for the message.
+        time_ns: (n,) stamps.
         pose: (n, 3) x, y, heading.
 
     Returns:
         A note on where the axle is, if it is not at the base frame.
 
     Raises:
-        RecordingError: it moves sideways.
+        RecordingError: it moves sideways; the message says whether its poses jump, or a sign is wrong.
     """
-    *steps, jumps = _steps(pose[:, :2], pose[:, 2])
-    turn, ahead, aside = (values[~jumps] for values in steps)
-    offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
-    aside_m, path_m = float(np.abs(aside - offset_m * turn).sum()), float(np.abs(ahead).sum())
-    if aside_m > _ASIDE_M and aside_m > _ASIDE_SHARE * path_m:
+    aside_m, path_m, offset_m = _sideways(pose)
+    if _moves_sideways(aside_m, path_m):
+        beside_m = np.pad(aside_m, 1)
+        alone = aside_m > _ALONE * np.maximum(beside_m[:-2], beside_m[2:])
+        jumps = np.flatnonzero(alone & (aside_m > _NOT_LEAST * aside_m.max()))
+        if not _moves_sideways(*_sideways(pose, jumps)[:2]):
+            first = jumps[0]
+            by_m, at_s = math.dist(*pose[first : first + 2, :2]), (time_ns[first + 1] - time_ns[0]) * 1e-9
+            times = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
+            raise RecordingError(
+                f"{topic}: the odometry jumps sideways from one message to the next, {times} by {by_m:.2f} m "
+                f"{at_s:.1f} s after the start: it does not follow the wheels alone",
+                "record the odometry of the wheels alone, not one that a filter or a localization corrects, and do not "
+                "reset it during the recording; if another topic has it, set wheels.odometry in rig.yaml",
+            )
+        what = f"{topic}: the odometry moves sideways, by {aside_m.sum():.2f} m beside {path_m:.2f} m ahead"
+        if not _moves_sideways(*_sideways(pose * [1, -1, 1])[:2]):
+            raise RecordingError(
+                f"{what}, but not with the sign of y reversed: the y axis of its positions points to the right (or "
+                "the x axis backward, or the heading counts clockwise)",
+                "correct the sign in the driver of the odometry (REP 103: x forward, y to the left, heading "
+                "counterclockwise), and record again",
+            )
         raise RecordingError(
-            f"{topic}: the odometry moves sideways, by {aside_m:.2f} m beside {path_m:.2f} m ahead: a differential "
-            "drive cannot",
+            f"{what}: a differential drive cannot",
             "mecanum and other omnidirectional robots are not supported; name the odometry of the wheels, if this is "
             "another one",
         )
@@ -359,6 +378,30 @@ def check_forward(topic: str, pose: FloatArray) -> list[str]:
         f"{topic}: the base frame of the odometry is {offset_m * 1e3:.0f} mm ahead of the axle, about which the base "
         "turns; camera poses are given against the axle"
     ]
+
+
+def _sideways(pose: FloatArray, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
+    """Way sideways between consecutive poses, way ahead in all, and how far the base frame is ahead of the axle, m.
+
+    A base frame that is not midway between the wheels also moves sideways, but only where the base turns. Jumps count
+    as no way.
+
+    Args:
+        pose: (n, 3) x, y, heading.
+        jumping: further steps that count as jumps.
+
+    Returns:
+        (n - 1,) not negative, and two numbers.
+    """
+    *steps, jumps = _steps(pose[:, :2], pose[:, 2])
+    jumps[jumping] = True
+    turn, ahead, aside = (np.where(jumps, 0.0, values) for values in steps)
+    offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
+    return np.abs(aside - offset_m * turn), float(np.abs(ahead).sum()), offset_m
+
+
+def _moves_sideways(aside_m: FloatArray, path_m: float) -> bool:
+    return float(aside_m.sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
 
 
 def check_speed(topic: str, time_ns: IntArray, xy_m: FloatArray) -> None:
