@@ -21,7 +21,7 @@ from mobilecal_cli.calibrate.detect import (
     undecodable,
 )
 from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
-from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError
+from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, RecordingError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
@@ -47,6 +47,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers import (
     Recording,
+    choose_topics,
     join_splits,
     number_fields,
     open_recording,
@@ -55,7 +56,7 @@ from mobilecal_cli.readers import (
 )
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.names import may_be_a_reading
-from mobilecal_cli.rig.resolve import Survey, complete_rig, survey_rig
+from mobilecal_cli.rig.resolve import Part, Survey, complete_rig, survey_rig
 from mobilecal_cli.rig.wheels import needs_numbers
 from mobilecal_cli.stations import Plan, spread
 from mobilecal_cli.vision import (
@@ -99,6 +100,24 @@ def describe(
         others = [topic.name for topic in description.topics if topic.type not in _KNOWN]
         description = replace(description, numbers=number_fields(recording, others, may_be_a_reading))
         survey = survey_rig(config, description)
+    return _with_topics(recording, survey) if survey.shared else survey
+
+
+def _with_topics(recording: Recording, survey: Survey) -> Survey:
+    """A survey with each joint of the rig on the one topic that says most of it; its lacks tell where two differ."""
+    config, description, wheels = survey.config, survey.description, survey.wheel_joints
+    chosen, problems = choose_topics(recording, survey.shared, wheels & {*survey.shared})
+    joint_names = {
+        topic: tuple(name for name in names if chosen.get(name, topic) == topic)
+        for topic, names in description.joint_names.items()
+    }
+    survey = survey_rig(config, replace(description, joint_names=joint_names))
+    errors: dict[Part, RecordingError] = {}
+    for name, error in problems.items():
+        errors.setdefault("wheels" if name in wheels else "joints", error)
+    survey.lacks += errors.items()
+    if "wheels" in errors:
+        survey.wheels = None
     return survey
 
 

@@ -346,9 +346,10 @@ def _joints(draft: Draft) -> None:
         if name:
             draft.fill(f"joints.{role}", name, "name of the joint")
     missing = () if chain is None else [name for name in chain.joints if name not in names]
-    template = ["fields:", *(f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing)]
+    template = [f"  {_quoted(name)}: {JointFieldConfig.example}" for name in missing]
+    key, first = ("joints.fields", "fields:") if missing else ("joints.topic", "topic: TOPIC")
     candidates = [_candidate(n) for name in missing for n in named_as(name, survey.description.numbers)]
-    draft.ask_for("joints", "joints.fields", "\n".join(template), candidates)
+    draft.ask_for("joints", key, "\n".join([first, *template]), candidates)
 
 
 def _head(draft: Draft) -> None:

@@ -48,6 +48,7 @@ class Survey:
         wheels: source of each wheel's rotation.
         head: the head chain.
         joints, elsewhere: JointState topics, and the sources of the head's joints that are not on them.
+        shared: joint → topics, of wheels and of the head's joints that are on several topics and configured on none.
         notes: remarks for the report.
         lacks: (part, error), in order; none if the rig is complete. A part that is unknown only because of an earlier
             error has none of its own.
@@ -63,8 +64,18 @@ class Survey:
     head: Head | None = None
     joints: tuple[str, ...] | None = None
     elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
+    shared: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     lacks: list[tuple[Part, _Lack]] = field(default_factory=list)
+
+    @property
+    def wheel_joints(self) -> set[str]:
+        """Joints of the wheels, except those on a configured topic."""
+        stated = self.config.wheels.of_sides
+        free = [
+            w for side, w in (self.wheels or {}).items() if not (stated[side].topic or stated[side].topics)
+        ]
+        return {wheel.joint for each in free for wheel in each.every if wheel.joint}
 
 
 def complete_rig(survey: Survey) -> Rig:
@@ -200,4 +211,10 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
         survey.joints, survey.elsewhere = read or (None, {})
         if (cameras := survey.cameras) is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
+    of_head = head.chain.joints if head is not None and config.joints.topic is None else ()
+    names = survey.wheel_joints | {*of_head} - {*survey.elsewhere}
+    on = {
+        name: tuple(t for t, names in of_robot.joint_names.items() if name in names) for name in sorted(names)
+    }
+    survey.shared = {name: topics for name, topics in on.items() if len(topics) > 1}
     return survey

@@ -7,13 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from mobilecal_cli.calibrate.extract import _other_cameras, extract
+from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
+from mobilecal_cli.calibrate.inspect import inspect
+from mobilecal_cli.commands.init import draft
 from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.readers import open_recording
+from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.simulate.robot import ROBOTS
-from tests.commands.edited import edited
+from tests.commands.edited import STORE, edited
 from tests.pairs import with_pair
+from tests.records import records_of, written
 
 CAMERAS = ROBOTS["paper"]().rig_cameras
 
@@ -99,3 +103,65 @@ def test_another_board_than_the_stated_one_is_named(sample_logs):
     with pytest.raises(ObservationError, match="8 x 6 inner corners, but the images show 9 x 6") as caught:
         extract([sample_logs / "straight.mcap"], stated)
     assert "--board 9x6" in caught.value.hint
+
+
+def beside(source, target, topic, factor):
+    """A recording with its joint states on a second topic, times a factor."""
+
+    def second(record):
+        message = STORE.deserialize_cdr(record.data, record.type)
+        message = replace(message, position=factor * message.position)
+        data = bytes(STORE.serialize_cdr(message, record.type))
+        return replace(record, topic=topic, time_ns=record.time_ns + 5_000_000, data=data)
+
+    records = list(records_of(source))
+    more = [second(record) for record in records if record.topic == "/joint_states"]
+    return written(target, sorted([*records, *more], key=lambda record: record.time_ns))
+
+
+@pytest.mark.parametrize("topic", ["/base/joint_states", "/zz/joint_states"])
+@pytest.mark.parametrize(
+    ("factor", "why"),
+    [(0.0, "they stand still"), (np.nan, "all 2142 readings are NaN or infinite")],
+)
+def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, topic, factor, why, few):
+    """The topic whose name came first was read: the board was "found at 0 of 1 stations"."""
+    log = beside(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", topic, factor)
+    with open_recording([log]) as recording:
+        survey = describe(recording, UNCONFIGURED)
+        (note,) = recording.damage
+    assert "Joints head_pan_joint, head_tilt_joint" in note
+    assert f"wheel_right_joint: read on /joint_states, not on {topic}, where {why}." in note
+    assert survey.lacks == []
+    assert survey.joints == ("/joint_states",)
+    assert {wheel.topic for wheel in survey.wheels.values()} == {"/joint_states"}
+    found = inspect([log])
+    assert found.missing == found.weak == ()
+    assert found.notes == draft([log]).notes == (note,)
+
+
+def test_topics_that_contradict_each_other(sample_logs, tmp_path, few):
+    log = beside(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", "/base/joint_states", 0.5)
+    said = "joint head_pan_joint has different readings on /base/joint_states and on /joint_states"
+    with pytest.raises(RecordingError, match=said) as caught:
+        extract([log], UNCONFIGURED)
+    assert "set joints.topic" in caught.value.hint
+    assert [lack.key for lack in draft([log]).todo if lack.needed] == ["wheels", "joints.topic"]
+    topics = {"joints.topic": "/joint_states"}
+    (lack,) = inspect([log], load_rig(None, topics)).missing
+    assert "joint wheel_left_joint has different readings" in lack.what
+    assert "set wheels.left.topic and wheels.right.topic" in lack.cure
+    topics |= {f"wheels.{side}.topic": "/joint_states" for side in ("left", "right")}
+    assert inspect([log], load_rig(None, topics)).missing == ()
+
+
+def test_topics_that_agree(sample_logs, tmp_path, few):
+    log = beside(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", "/base/joint_states", 1.0)
+    found = inspect([log])
+    assert found.missing == found.weak == found.notes == ()
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Few images are looked at: the board does not matter here."""
+    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)

@@ -22,8 +22,15 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
-from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, most_stated
-from mobilecal_cli.readers.signals.series import Samples, clock_notes, cut, pause_notes, without_stale
+from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, head_joint
+from mobilecal_cli.readers.signals.series import (
+    Samples,
+    clock_notes,
+    cut,
+    pause_notes,
+    without_stale,
+    without_strays,
+)
 from mobilecal_cli.readers.signals.sides import sides_of
 from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, Subscriptions
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
@@ -88,9 +95,9 @@ def read_signals(
             read.check(elsewhere[name], notes)
             moving[name] = elsewhere[name]
         else:
-            moving[name] = most_stated(recording.name, name, stated[name])
+            moving[name] = head_joint(recording.name, name, stated[name])
     used: list[Source] = [*images.values(), *moving.values(), *itertools.chain(*turning.values())]
-    samples = [source.series.samples(notes) for source in used]
+    samples = without_strays([source.series.samples(notes) for source in used], notes)
     pieces, steps = cut(samples)
     changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
     notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *changes, *notes]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.signals.series import Samples, Series
-from mobilecal_cli.readers.signals.sources import Source
+from mobilecal_cli.readers.signals.sources import Source, Subscriptions
 
 #: Names that are kept for messages; where each message has others, all of them would fill the memory.
 _MOST_PRESENT = 1000
@@ -35,8 +35,9 @@ class StatedJoint(Source):
     types = (JOINT_STATE,)
 
     def __init__(self, topic: str, name: str, field: str = "position") -> None:
-        of_field = "" if field == "position" else f"{field} of "
-        super().__init__(Series(topic, f"{of_field}joint {name} on {topic}"))
+        positions = field == "position"
+        of_field = "" if positions else f"{field} of "
+        super().__init__(Series(topic, f"{of_field}joint {name} on {topic}", positions=positions))
         self.present: dict[str, None] = {}
         self.name, self._field = name, field
         self._names: list[str] = []
@@ -55,8 +56,80 @@ class StatedJoint(Source):
             self.series.add(time_ns, log_ns, float(values[self._place]))
 
 
-def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoint:
-    """A head joint on the topic with most of its readings.
+#: Bytes of a recording that are read to compare topics, or for its transforms.
+_SAMPLED_BYTES = 2**28
+#: A joint whose range is this share of that on another topic stands still.
+_STILL_SHARE = 0.01
+
+
+def most_stated(name: str, topics: Sequence[StatedJoint], setting: str = "joints.topic") -> StatedJoint:
+    """A joint on the topic that says most of it: where it moves, else where it is not zero; with most readings.
+
+    Args:
+        name: of the joint.
+        topics: the joint on each topic.
+        setting: key of the topic in rig.yaml, for messages.
+
+    Raises:
+        RecordingError: two topics say as much, and their readings differ.
+    """
+    largest = max(joint.series.range for joint in topics)
+    moving = [joint for joint in topics if joint.series.range > _STILL_SHARE * largest]
+    best = max(moving or topics, key=lambda joint: joint.series.says)
+    like = moving or [joint for joint in topics if joint.series.says[1]]
+    other = next((joint for joint in like if joint.series.differs(best.series)), None)
+    if other is not None:
+        raise RecordingError(
+            f"joint {name} has different readings on {best.series.topic} and on {other.series.topic}",
+            f"set {setting} in rig.yaml to the topic of this robot's driver",
+        )
+    return best
+
+
+def choose_topics(
+    recording: Recording, shared: Mapping[str, Sequence[str]], wheels: Collection[str]
+) -> tuple[dict[str, str], dict[str, RecordingError]]:
+    """The topic that says most of each joint (see `most_stated`), and why others lack one; notes name what is not read.
+
+    Args:
+        recording: in which joints are on several topics.
+        shared: joint → these topics.
+        wheels: those that are wheels, which may have velocities alone.
+    """
+    read = Subscriptions(recording)
+    positions = {name: [read.add(StatedJoint(topic, name)) for topic in on] for name, on in shared.items()}
+    velocities = {
+        name: [read.add(StatedJoint(topic, name, "velocity")) for topic in shared[name]] for name in wheels
+    }
+    read.run(Extent(_SAMPLED_BYTES), {})
+    chosen: dict[str, str] = {}
+    problems: dict[str, RecordingError] = {}
+    silent: dict[tuple[str, str, str], list[str]] = {}
+    for name, joints in positions.items():
+        kinds = (joints, velocities.get(name, []))
+        moving = next((each for each in kinds if any(joint.series.range for joint in each)), joints)
+        setting = "wheels.left.topic and wheels.right.topic" if name in wheels else "joints.topic"
+        try:
+            best = most_stated(name, moving, setting).series
+        except RecordingError as error:
+            problems[name] = error
+            continue
+        chosen[name] = best.topic
+        for series in (joint.series for joint in moving if joint.series is not best):
+            if series.not_finite and not len(series):
+                why = f"all {series.not_finite} readings are NaN or infinite"
+            elif series.range <= _STILL_SHARE * best.range and (best.range or series.says[1] < best.says[1]):
+                why = "they stand still"
+            else:
+                continue
+            silent.setdefault((best.topic, series.topic, why), []).append(name)
+    for (topic, other, why), names in silent.items():
+        recording.note(f"Joints {listed(names)}: read on {topic}, not on {other}, where {why}.")
+    return chosen, problems
+
+
+def head_joint(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoint:
+    """A head joint on the topic that says most of it, see `most_stated`.
 
     Args:
         log: name of the recording, for messages.
@@ -64,10 +137,9 @@ def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoi
         topics: the joint on each topic.
 
     Raises:
-        RecordingError: no topic has its position, or the readings alternate between two values.
+        RecordingError: no topic has its position, or two differ.
     """
-    read = [joint for joint in topics if len(joint.series)] or topics
-    best = max(read, key=lambda joint: len(joint.series) or joint.series.not_finite, default=None)
+    best = most_stated(name, topics) if topics else None
     if best is None or not (len(best.series) or best.series.not_finite):
         where = ", ".join(joint.series.topic for joint in topics) or "any topic"
         present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
@@ -75,14 +147,13 @@ def most_stated(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoi
             f"{log}: no position of joint {name} on {where}; joints present: {present}",
             "correct joints in rig.yaml, or the URDF's joint names",
         )
-    best.series.check_alternation()
     return best
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.
 _OFF_RAD, _OFF_M = 0.02, 0.005
-#: Bytes of a recording that are read for its transforms, and samples stored of each.
-_SAMPLED_BYTES, _MOST_SAMPLES = 2**28, 400
+#: Samples stored of each transform.
+_MOST_SAMPLES = 400
 #: Other transforms that are kept for messages.
 _MOST_OTHERS = 40
 
@@ -91,7 +162,7 @@ class TransformJoint(Source):
     """A joint in the transforms of one topic."""
 
     def __init__(self, name: str, source: JointTransform) -> None:
-        super().__init__(Series(source.topic, f"joint {name} on {source.topic}"))
+        super().__init__(Series(source.topic, f"joint {name} on {source.topic}", positions=True))
         self._name, self._source = name, source
         self._worst = (0.0, 0.0)
         self._present: dict[str, None] = {}

@@ -25,6 +25,7 @@ class Samples:
         stamp_ns, log_ns: (n,) stamps, and log times.
         value: (n, width) readings, finite.
         shift_ns: what the time of a reading is later than its stamp, because its clock stepped.
+        positions: of a joint or wheel, rad or m.
     """
 
     topic: str
@@ -33,6 +34,7 @@ class Samples:
     log_ns: IntArray
     value: FloatArray
     shift_ns: int = 0
+    positions: bool = False
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -41,6 +43,11 @@ class Samples:
     def time_ns(self) -> IntArray:
         """(n,) times of the readings."""
         return self.stamp_ns + self.shift_ns
+
+    @property
+    def messages(self) -> list[tuple[int, int]]:
+        """Log time and stamp of each reading, which together identify its message."""
+        return list(zip(self.log_ns.tolist(), self.stamp_ns.tolist(), strict=True))
 
     def rows(self, which: slice | IntArray, shift_ns: int) -> Samples:
         """Some of the readings, with another shift."""
@@ -86,11 +93,77 @@ class Samples:
 
 
 #: Readings that jump to a value and return to the one before, as two publishers of one joint give: a jump of more than
-#: this, rad or m, and than this share of the range of all, is so many times as large as what remains of it, and faster
-#: than joints move, rad/s or m/s.
-_JUMP, _JUMP_SHARE, _RETURNS, _TOO_FAST = 0.03, 0.05, 20.0, 5.0
-#: Share of such readings that noise and an encoder between two steps never have, and fewest readings that show it.
-_ALTERNATING_SHARE, _ALTERNATING = 0.05, 20
+#: this, rad or m, and than this share of the range of all or so many usual steps, is so many times as large as what
+#: remains of it, and faster than joints move, rad/s or m/s.
+_JUMP, _JUMP_SHARE, _JUMP_STEPS, _RETURNS, _TOO_FAST = 0.03, 0.05, 10.0, 20.0, 5.0
+#: Largest share of such messages among which the right readings are known, and fewest messages that are judged by it.
+_ALTERNATING_SHARE, _ALTERNATING = 0.1, 20
+_PUBLISHERS = "often joint_state_publisher beside the driver; `ros2 topic info -v` lists them"
+
+
+def _strays(value: FloatArray, log_ns: IntArray) -> IntArray:
+    """Indices of single readings that jump away from those before and after them, as no joint or wheel moves.
+
+    An angle that is wrapped to one turn may jump by a turn.
+
+    Args:
+        value: (n,) rad or m.
+        log_ns: (n,) log times.
+    """
+    if len(value) < 3:
+        return np.zeros(0, dtype=np.int64)
+    steps, spread = np.abs(np.diff(value)), float(np.ptp(value))
+    back = np.abs(value[2:] - value[:-2])
+    if spread < 2 * np.pi + _JUMP:
+        steps, back = (np.minimum(each, np.abs(2 * np.pi - each)) for each in (steps, back))
+    usual = float(np.median(steps[steps > 0])) if np.any(steps) else 0.0
+    reach = _TOO_FAST * 1e-9 * np.abs(log_ns[2:] - log_ns[:-2]) / 2
+    least = max(_JUMP, min(_JUMP_SHARE * spread, _JUMP_STEPS * usual))
+    jump = np.minimum(steps[1:], steps[:-1])
+    return 1 + np.flatnonzero(jump > np.maximum(np.maximum(_RETURNS * back, reach), least))
+
+
+def without_strays(every: Sequence[Samples], notes: list[str]) -> list[Samples]:
+    """Readings without messages in which a position jumps to another value and back; notes how many.
+
+    A message that is wrong for one joint is another publisher's, and is dropped for all joints on its topic.
+
+    Raises:
+        RecordingError: they are many.
+    """
+    wrong: dict[str, set[tuple[int, int]]] = {}  # topic → log time and stamp of messages
+    example: dict[str, str] = {}
+    for samples in (samples for samples in every if samples.positions):
+        value, total = samples.value[:, 0], len(samples)
+        strays = _strays(value, samples.log_ns)
+        if not len(strays):
+            continue
+        before, k = strays[len(strays) // 2] + np.array([-1, 0])
+        if total >= _ALTERNATING and len(strays) > _ALTERNATING_SHARE * total:
+            raise RecordingError(
+                f"{samples.label}: the readings alternate between two values, such as {value[before]:.3g} and "
+                f"{value[k]:.3g}, in {100 * len(strays) / total:.0f} % of {total} messages (limit "
+                f"{100 * _ALTERNATING_SHARE:.0f} %): two publishers share the topic",
+                f"stop the other one ({_PUBLISHERS}), and record again",
+            )
+        wrong.setdefault(samples.topic, set()).update(samples.rows(strays, 0).messages)
+        name = samples.label.removesuffix(f" on {samples.topic}")
+        example[samples.topic] = f"{name} from {value[before]:.3g} to {value[k]:.3g}"
+    kept = list(every)
+    for number, samples in enumerate(every):
+        if samples.topic in wrong:
+            right = [message not in wrong[samples.topic] for message in samples.messages]
+            kept[number] = samples.rows(np.flatnonzero(right), samples.shift_ns)
+    notes += (
+        f"{topic}: in {len(messages)} messages, readings jump to another value and back, such as {example[topic]}; "
+        f"these messages are dropped; if a second publisher shares the topic, stop it ({_PUBLISHERS})"
+        for topic, messages in wrong.items()
+    )
+    return kept
+
+
+#: Readings of one joint on two topics differ by more than this, rad or m, and this share of their mean deviation.
+_DIFFER, _DIFFER_SHARE = 1e-3, 0.3
 
 
 class Series:
@@ -100,11 +173,12 @@ class Series:
         topic: where they come from.
         label: name for messages ("joint head_pan_joint on /joint_states").
         width: numbers of one reading.
+        positions: see `Samples`.
     """
 
-    def __init__(self, topic: str, label: str, width: int = 1) -> None:
+    def __init__(self, topic: str, label: str, width: int = 1, positions: bool = False) -> None:
         self.topic, self.label = topic, label
-        self._width = width
+        self._width, self._positions = width, positions
         self._stamp_ns, self._log_ns, self._value = array("q"), array("q"), array("d")
         self.not_finite = 0
 
@@ -112,9 +186,28 @@ class Series:
         return len(self._stamp_ns)
 
     @property
-    def still(self) -> bool:
-        """Whether all readings are the same; also without any."""
-        return not len(self) or min(self._value) == max(self._value)
+    def range(self) -> float:
+        """Difference of the largest and the smallest reading; 0 without any."""
+        return max(self._value) - min(self._value) if len(self) else 0.0
+
+    @property
+    def says(self) -> tuple[bool, bool, int]:
+        """How much the readings say: whether any is finite, whether any of these is not zero, and their number."""
+        return len(self) > 0, any(self._value), len(self) or self.not_finite
+
+    def differs(self, other: Series) -> bool:
+        """Whether the readings of the same joint, rad or m, differ in the mean while both were recorded.
+
+        Some publishers repeat the readings of others later, and some wrap them to one turn.
+        """
+        times_ns, values = (np.array(of, dtype=np.float64) for of in (other._log_ns, other._value))
+        own_ns = np.array(self._log_ns, dtype=np.float64)
+        both = (times_ns >= own_ns[0]) & (times_ns <= own_ns[-1])
+        apart = np.interp(times_ns[both], own_ns, np.array(self._value)) - values[both]
+        apart = np.abs(np.remainder(apart + np.pi, 2 * np.pi) - np.pi)
+        moved = float(np.abs(values - values.mean()).mean())
+        limit = max(_DIFFER, _DIFFER_SHARE * min(moved, np.pi / 2))
+        return bool(both.any() and apart.mean() > limit)
 
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
         """Append a reading; one that is not finite or impossibly large is counted and dropped."""
@@ -125,32 +218,6 @@ class Series:
         self._stamp_ns.append(stamp_ns)
         self._log_ns.append(log_ns)
         self._value.extend(value)
-
-    def check_alternation(self) -> None:
-        """Check that the readings of one number, rad or m, do not jump to and fro between two values.
-
-        Raises:
-            RecordingError: many do.
-        """
-        value = np.array(self._value, dtype=np.float64)
-        if len(value) < _ALTERNATING:
-            return
-        jump = np.minimum(np.abs(value[1:-1] - value[:-2]), np.abs(value[1:-1] - value[2:]))
-        back = _RETURNS * np.abs(value[2:] - value[:-2])
-        time_s = 1e-9 * np.array(self._log_ns, dtype=np.float64)
-        reach = _TOO_FAST * np.abs(time_s[2:] - time_s[:-2]) / 2
-        least = max(_JUMP, _JUMP_SHARE * float(np.ptp(value)))
-        spikes = np.flatnonzero(jump > np.maximum(np.maximum(back, reach), least))
-        share = len(spikes) / len(jump)
-        if share > _ALTERNATING_SHARE:
-            k = int(spikes[len(spikes) // 2])
-            raise RecordingError(
-                f"{self.label}: the readings alternate between two values, such as {value[k]:.3g} and "
-                f"{value[k + 1]:.3g}, in {100 * share:.0f} % of {len(value)} messages (limit "
-                f"{100 * _ALTERNATING_SHARE:.0f} %): two publishers share the topic",
-                "stop the other one (often joint_state_publisher beside the driver; `ros2 topic info -v` lists them), "
-                "and record again",
-            )
 
     def samples(self, notes: list[str]) -> Samples:
         """All finite readings; notes how many are not.
@@ -168,7 +235,7 @@ class Series:
             notes.append(f"{self.label}: {self.not_finite} of {total} readings are NaN or infinite; dropped")
         stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
         value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
-        return Samples(self.topic, self.label, stamp_ns, log_ns, value)
+        return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
 
 
 #: Equal readings are stale if there are so many or more of them, so many times as many as between the steps before and

@@ -92,7 +92,7 @@ class JointWheel(StatedJoint):
         """Use the velocities if there are no positions, or if these never change while the velocities do.
 
         Raises:
-            RecordingError: there are neither, or the positions alternate between two values.
+            RecordingError: there are neither.
         """
         series = self.series
         if self.name not in self.present:
@@ -105,8 +105,7 @@ class JointWheel(StatedJoint):
                 f"{series.label}: neither positions nor velocities in its messages",
                 "set another source for the wheel in rig.yaml",
             )
-        series.check_alternation()
-        if series.still and len(self._velocity) and not (len(series) and self._velocity.still):
+        if not series.range and len(self._velocity) and (self._velocity.range or not len(series)):
             if series.not_finite and not len(series):
                 notes.append(f"{series.label}: all {series.not_finite} positions are NaN or infinite")
             instead = "positions that never change" if len(series) else "no positions"
