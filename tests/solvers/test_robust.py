@@ -58,13 +58,6 @@ def test_wrong_readings_are_told_from_wrong_images():
     assert inliers.legs.all()
 
 
-def test_good_measurements_all_agree():
-    inliers = agreeing_of(recorded("standard", 1))
-    assert inliers.views.all()
-    assert inliers.legs.all()
-    assert inliers.readings.all()
-
-
 def test_weights_fall_from_one_to_zero_around_the_limit():
     """Over a width that shrinks: beyond it by more, a measurement has no weight."""
     beyond = np.array([0.0, 0.3, 0.9, 1.1, 2.9, 3.1])
