@@ -172,13 +172,7 @@ def test_the_jackknife_agrees_over_many_legs():
 
 @pytest.mark.parametrize(
     ("motion", "held"),
-    [
-        *(("head_fixed", ("t_y",)), ("straight", ("separation",))),
-        *(
-            pytest.param(*case, marks=pytest.mark.long)  # what is missing: tests/calibrate/test_gaps.py
-            for case in (("pan_only", ("t_y",)), ("spin", NINE[6:]), ("base_fixed", NINE[6:]))
-        ),
-    ],
+    [("head_fixed", ("t_y",)), ("straight", ("separation",))],  # others: tests/calibrate/test_gaps.py
 )
 def test_what_the_motion_hides_is_held_and_the_rest_is_sound(motion, held):
     extraction = with_noise(extraction_of(motion, seed=3))

@@ -158,21 +158,10 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     [
         ("base_fixed", "wheels", None),
         ("straight", "head_eye", "turn the base"),
+        # The gaps of each motion: tests/calibrate/test_gaps.py.
         *(
-            pytest.param(
-                *case, marks=pytest.mark.long
-            )  # the gaps of each motion: tests/calibrate/test_gaps.py
-            for case in (
-                *(("spin", "wheels", None), ("straight", "wheels", None), ("straight", "separation", None)),
-                ("head_fixed", "head_eye", None),
-                *(("pan_only", "translation", None), ("standard", "head_eye", None)),
-                (
-                    "base_fixed",
-                    "head_eye",
-                    "turn the base by 20 degrees or more between stops; drive forward",
-                ),
-                *(("head_fixed", "wheels", "tilt the head"), ("head_fixed", "rotation", "tilt the head")),
-            )
+            pytest.param(*case, marks=pytest.mark.long)
+            for case in (("standard", "head_eye", None), ("head_fixed", "wheels", "tilt the head"))
         ),
     ],
 )
