@@ -54,7 +54,9 @@ def spliced(first, second, at=HALF):
     return replace(first, observations=first.observations[:at] + second.observations[at:])
 
 
-@pytest.mark.parametrize("at", [2, pytest.param(HALF, marks=pytest.mark.long), STATIONS - 2])
+@pytest.mark.parametrize(
+    "at", [2, *(pytest.param(at, marks=pytest.mark.long) for at in (HALF, STATIONS - 2))]
+)
 def test_a_mount_that_turns_is_found(whole, at):
     (jump,) = solve(spliced(whole, turned(np.radians(1.5)), at)).jumps
     assert (jump.part, jump.station, jump.rejected) == ("head mount", at, (0, 0))

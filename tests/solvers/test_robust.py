@@ -32,7 +32,8 @@ def agreeing_of(extraction):
     return inliers
 
 
-@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.long) for seed in (0, 1)), 2])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(3))
 def test_a_third_of_bad_stations_and_a_slip(seed):
     ideal = simulated("standard", NOISE, ROBOT, 20, seed)
     extraction, bad, slip = spoiled(ideal, np.random.default_rng(seed), share=0.35)
