@@ -18,7 +18,7 @@ from tests.command import python
 from tests.hostile.refusals import extraction
 
 SEMAPHORES = Path("/dev/shm")
-KILL, TERM, HUP, INT = signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT
+TERM, HUP, INT = signal.SIGTERM, signal.SIGHUP, signal.SIGINT
 NAMES = ["extraction.npz", "params.yaml", "report.html", "report.json"]
 
 
