@@ -124,3 +124,11 @@ def test_corners_are_where_a_robot_with_these_constants_shows_them(motion, const
     assert (
         motion == "moving" or rms_px[1].max() < 2e-4
     )  # the least of the constants displaces them by 0.002 px
+
+
+def test_corners_of_a_robot_without_any_constant_are_exact():
+    robot = tick_robot()
+    data = dataset_of(simulated(robot=robot, stations=4, seed=1), ())
+    state = initial_state(data, parameters_of(robot), Inliers.all_of(data))
+    off, _ = corner_residuals(state, state.T_c_k, rates=state.view_rates)
+    assert np.abs(off).max() < 1e-9

@@ -1,4 +1,4 @@
-"""One row adds a constant: its derivative, prior, estimate, evidence, budget and line in the report follow."""
+"""The table of constants: its rows and their priors."""
 
 import numpy as np
 

@@ -19,6 +19,8 @@ from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.model import Board, Markers, Nominal, Provenance, WheelGeometry
 from mobilecal_cli.rig.config import checked_settings
 from mobilecal_cli.rig.settings import settings_of
+from mobilecal_cli.simulate.robot import ROBOTS
+from tests.extractions import Noise, simulated
 from tests.report.example import make_extraction, make_solution
 
 
@@ -173,3 +175,11 @@ def test_every_board_and_prior_passes(board, sigma):
     checked = checked_settings(settings_of(extraction), "")
     assert checked.board.columns == board.columns
     assert checked.priors["focal_left"] in ("fixed", "free", pytest.approx(0.01))
+
+
+def test_every_simulated_robot_passes(tmp_path):
+    for name, robot in ROBOTS.items():
+        extraction = simulated(noise=Noise(pixel_px=0.1), robot=name, seed=0)
+        path = tmp_path / f"{name}.npz"
+        path.write_bytes(extraction_to_npz(replace(extraction, logs=make_extraction().logs)))
+        assert read_extraction(path).rig.chain.joints == robot().joint_names
