@@ -96,7 +96,9 @@ def test_each_motion_is_what_its_name_says():
     assert ranges("spin")[2:4] == pytest.approx((0, 0), abs=1e-12)
     assert ranges("spin")[4] > 0.5
     assert ranges("base_fixed")[2:] == (0, 0, 0)
-    assert len(planned("paper", "moving")[1].rests_s) == 0
+    moving = planned("paper", "moving")[1]
+    assert len(moving.rests_s) == 0
+    assert moving.duration_s == pytest.approx(3 * STATIONS, abs=1)
 
 
 @pytest.mark.parametrize("seed", range(6))
