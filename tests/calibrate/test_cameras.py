@@ -103,13 +103,18 @@ def test_wheels_of_a_camera_on_the_base_that_are_not_as_stated(rgbd, calibrated,
     assert cause in " ".join((done.out + done.err).split())
 
 
-def test_one_camera_needs_the_squares(rgbd):
+def test_one_camera_needs_the_squares(rgbd, tmp_path):
     done = run("calibrate", rgbd)
     assert done.code == 2
     assert "does not show the size of the board's squares" in " ".join(done.err.split())
     assert "board: {square_m: 0.08}" in " ".join(done.err.split())
     looked = succeeded("inspect", rgbd, "--set", "board.square_m=0.08")
     assert "left" not in re.sub("left wheel_left|left wheel|wheel_left|rotation: left", "", looked.out)
+    assert "camera fixed to base_link" in looked.out
+    assert "tilt the head" not in looked.out
+    (tmp_path / "rig.yaml").write_text("board: {square_m: 0.08}", encoding="utf-8")
+    checked = succeeded("check", tmp_path / "rig.yaml", rgbd)
+    assert "all parameters but the camera's height" in " ".join(checked.out.split())
 
 
 #: How far a camera is from where it is drawn: 1 degree and 5 mm, more than the disparity of two cameras shows.

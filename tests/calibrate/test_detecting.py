@@ -54,7 +54,7 @@ def test_segments_hold_all_stations_in_order():
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("logs") / "moving.mcap"
-    simulate(Scenario(motion="moving", stations=2, pictures="jpeg", seed=5), path)
+    simulate(Scenario(motion="moving", stations=1, pictures="jpeg", seed=5), path)
     return path
 
 
@@ -88,15 +88,15 @@ def segmented(monkeypatch) -> None:
 
 def test_processes_see_what_one_sees(log, alone, segmented):
     alone, shown = alone
-    assert len(alone.observations) > 40
+    assert len(alone.observations) > 15
     assert not any(o.at_rest for o in alone.observations)
     assert alone.counts["pictures"] == 2 * alone.counts["stations"]
     together, shown_together = everything(log, 2)
     assert same(alone, together)
     pictures = [[(s.station, s.jpegs, s.thumbnail) for s in each] for each in (shown, shown_together)]
     assert pictures[0] == pictures[1]
-    assert sum(bool(s.jpegs) for s in shown) > 20
-    assert 30 < sum(bool(s.thumbnail) for s in shown) <= THUMBNAILS
+    assert sum(bool(s.jpegs) for s in shown) > 10
+    assert 15 < sum(bool(s.thumbnail) for s in shown) <= THUMBNAILS
 
 
 def test_where_processes_cannot_be_started_this_one_looks_and_keeps_its_threads(

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
@@ -10,6 +11,7 @@ from mobilecal_cli.vision import SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
 
 
+@cache
 def extraction(motion, noise=None):
     return simulated(motion, noise, seed=0)
 

@@ -15,16 +15,6 @@ def refused(result, code, message, hint=""):
     assert result.left == []
 
 
-def test_a_log_cut_off_early_is_too_little(sample_logs, tmp_path, tmp_path_factory):
-    cut = tmp_path_factory.mktemp("logs") / "cut.mcap"
-    data = (sample_logs / "paper_robot.mcap").read_bytes()
-    cut.write_bytes(data[: int(0.15 * len(data))])
-    result = run("calibrate", cut, cwd=tmp_path)
-    assert result.code in (3, 4, 5)
-    assert result.err.startswith("error: ")
-    assert result.left == []
-
-
 @pytest.mark.parametrize(
     ("log", "words", "cure"),
     [

@@ -17,7 +17,6 @@ from mobilecal_cli.calibrate.load import load as load_log
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
 from mobilecal_cli.model import NINE, LogSource, NoiseLevels
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run, succeeded
 from tests.commands.edited import edited
 from tests.extractions import joined
@@ -266,42 +265,3 @@ def test_ctrl_c_leaves_nothing(sample_logs, tmp_path, library, after_s):
     assert process.returncode == 130
     assert err == "interrupted: nothing was written\n"
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.fixture(scope="module")
-def fixed_camera(workplace):
-    """The URDF of a robot whose camera is fixed to its base."""
-    robot = ROBOTS["paper"]()
-    T = robot.T_h_c_nominal
-    xyz, rpy = (" ".join(map(str, values)) for values in (T[:3, 3], se3.to_rpy(T[:3, :3])))
-    mount = (
-        '<link name="stereo_left_optical"/><joint name="mount" type="fixed"><parent link="head_link"/>'
-        f'<child link="stereo_left_optical"/><origin xyz="{xyz}" rpy="{rpy}"/></joint></robot>'
-    )
-    drawn = urdf_text(robot).replace('type="revolute"', 'type="fixed"').replace("</robot>", mount)
-    path = workplace / "fixed.urdf"
-    path.write_text(drawn)
-    return path
-
-
-@pytest.mark.long
-def test_a_camera_that_is_fixed_to_the_base(workplace, sample_logs, fixed_camera):
-    """The head of this recording stays at zero. Everything but the height of the camera is calibrated."""
-    log, urdf = sample_logs / "head_fixed.mcap", ["--set", f"head.urdf={fixed_camera}"]
-    result = succeeded("calibrate", log, *urdf, "-o", "fixed", cwd=workplace)
-    assert "PASS" in result.out
-    assert "from the robot description" in result.out
-    params = load(workplace / "fixed/params.yaml")
-    assert params["head_eye"]["parent_frame"] == "base_link"
-    assert params["head_eye"]["child_frame"] == "stereo_left_optical"
-    assert [name for name, ok in params["uncertainty"]["observable"].items() if not ok] == ["t_z"]
-    truth = load(sample_logs / "head_fixed.truth.yaml")["wheels"]
-    std = params["uncertainty"]["std"]
-    for name in ("radius_right", "radius_left", "separation"):
-        assert abs(params["wheels"][f"{name}_m"] - truth[f"{name}_m"]) < 4 * std[name]
-    looked = succeeded("inspect", log, *urdf, cwd=workplace)
-    assert "camera fixed to base_link" in looked.out
-    assert "tilt the head" not in looked.out
-    succeeded("init", log, "--urdf", fixed_camera, "-o", "fixed.yaml", cwd=workplace)
-    checked = succeeded("check", "fixed.yaml", log, cwd=workplace)
-    assert "all parameters but the camera's height" in " ".join(checked.out.split())

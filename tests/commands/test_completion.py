@@ -15,7 +15,6 @@ CASES = {
     "mobilecal calibrate a.mcap --set noise.p": {"noise.pair_s=", "noise.pixel_px="},
     "mobilecal evaluate a.mcap --gate drift_mm": {"drift_mm_per_m="},
     "mobilecal evaluate a.mcap --gate std.wheels": set(),
-    "mobilecal check a.yaml a.mcap --set priors.focal_l": {"priors.focal_length="},
     "mobilecal inspect a.mcap --set wheels.left.si": {"wheels.left.sign=", "wheels.left.signs="},
 }
 #: A command, a gate and a setting: the names themselves do not depend on the shell.

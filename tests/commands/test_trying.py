@@ -111,25 +111,6 @@ def test_a_recording_that_cannot_check_everything_is_not_enough(result, sample_l
     assert "Turn the base" in joined(found.out)
 
 
-@pytest.mark.long
-def test_a_late_camera_clock_of_a_moving_recording(tmp_path):
-    """The same drive with and without the delay: errors are alike, and the delay is stated."""
-    found = {}
-    moving = ("--motion", "moving", "--stations", "5", "--quiet")
-    made = succeeded("simulate", tmp_path / "made.mcap", "--seed", "8", *moving)
-    made = run("calibrate", tmp_path / "made.mcap", "-o", tmp_path / "made", "--quiet")
-    assert made.code in (0, 6), made.err
-    for late in (0.0, 0.03):
-        log = tmp_path / f"late_{late}.mcap"
-        done = succeeded("simulate", log, "--seed", "7", "--camera-late", late, *moving)
-        done = run("evaluate", log, tmp_path / "made" / "params.yaml", "--json", "--quiet")
-        found[late] = json.loads(done.out)
-    for key in ("reprojection_px", "rotation_deg", "translation_mm"):
-        assert found[0.03][key]["rms"] < 1.2 * found[0.0][key]["rms"]
-    for offset_s in found[0.03]["clock_offsets_s"].values():
-        assert offset_s == pytest.approx(-0.03, abs=3e-3)
-
-
 def test_evaluate_another_robot(result, tmp_path):
     params = tmp_path / "params.yaml"
     text = (result / "params.yaml").read_text(encoding="utf-8")

@@ -88,26 +88,6 @@ def test_across_is_across_the_drive_forward_and_backward(extraction):
     assert forward[1, 2] > 0
 
 
-@pytest.mark.parametrize("process_noise", [1e-4, 1.0, 1e4])
-def test_a_filter_adds_the_twist_up_to_the_variance_of_the_drive(extraction, process_noise):
-    """A Kalman filter with states position and velocity that fuses the velocity, as robot_localization does.
-
-    How fast the velocity may change does not matter for the position's variance once the filter has started.
-    """
-    found = odometry_covariance(robot_with(), extraction, RATE_HZ, DISTANCE_M)
-    dt, messages = 1 / RATE_HZ, int(10 * found.moving_s * RATE_HZ)
-    F, Q, H = np.array([[1, dt], [0, 1.0]]), np.diag([0.0, process_noise * dt]), np.array([[0.0, 1.0]])
-    P, warm_up = np.diag([0.0, 1.0]), messages // 2
-    for number in range(messages):
-        P = F @ P @ F.T + Q
-        K = P @ H.T / (P[1, 1] + found.twist[0])
-        P = P - K @ H @ P
-        if number == warm_up:
-            started = P[0, 0]
-    grown = (P[0, 0] - started) / (messages - warm_up - 1)
-    assert grown == pytest.approx(found.twist[0] * dt**2, rel=0.02)
-
-
 def test_estimated_levels_widen_as_student_s_distribution_does(extraction):
     estimated = replace(extraction, rig=replace(extraction.rig, noise={}))
     given, widened = (odometry_covariance(robot_with(), each, RATE_HZ) for each in (extraction, estimated))

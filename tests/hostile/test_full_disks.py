@@ -104,8 +104,9 @@ def test_a_disk_that_fills_during_a_batch(sample_logs, tmp_path):
     assert "did not pass" not in result.stdout + result.stderr
 
 
-def test_a_robot_that_could_not_be_written_is_calibrated_again(sample_logs, tmp_path, monkeypatch):
-    job = FleetJob("straight", (sample_logs / "straight.mcap",), None, tmp_path)
+def test_a_robot_that_could_not_be_written_is_calibrated_again(tmp_path, monkeypatch):
+    extraction(tmp_path)
+    job = FleetJob("straight", (tmp_path / "e.npz",), None, tmp_path)
 
     def full(*_: object, **__: object) -> None:
         raise OutputError("straight: cannot be written: No space left on device")

@@ -309,12 +309,6 @@ def test_metadata_cannot_name_files_outside_its_directory(tmp_path, folder, esca
         assert "this part is skipped" in " ".join(recording.damage)
 
 
-def test_metadata_that_names_one_file_thousands_of_times(folder):
-    listed(folder, ", ".join(["log.mcap", "../log/log.mcap"] * 3000))
-    with bounded(), open_recording([folder]) as recording:
-        assert [part.path for part in recording.parts] == [folder / "log.mcap"]
-
-
 LAUGHS = "a0: &a0 [lol, lol]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 60))
 
 

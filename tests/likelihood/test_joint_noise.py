@@ -77,13 +77,3 @@ def test_a_robot_in_motion_with_noisy_joints_passes():
     assert run.level == "PASS"
     assert not run.jumps
     assert run.nees[3] < 3
-
-
-@pytest.mark.long
-def test_large_play_in_motion_is_no_board_that_moved():
-    """It was "the board moved by 692 mm": the score test at a point that was no optimum."""
-    case = imperfect.Case(motion="moving", images=50, noise=imperfect.USUAL).drawn()
-    run = imperfect.run_of_case(replace(case, fixed={"backlash_pan": np.radians(0.8)}), 2)
-    assert run.level == "PASS"
-    assert "backlash" in run.named
-    assert not run.jumps

@@ -15,6 +15,7 @@ from mobilecal_cli.measured import from_motions
 from mobilecal_cli.model import Noise, Parameters
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers.initial import initial_state
+from tests.actual import draw
 from tests.extractions import simulated
 from tests.robots import chain_of
 from tests.solvers import test_measured
@@ -89,13 +90,25 @@ def test_a_prior_that_is_twice_as_wide_weighs_a_quarter():
     assert priors.weight.tolist() == np.where(wide, 0.25, 1.0).tolist()
 
 
-@pytest.mark.parametrize("constants", [{"readout": 0.02}, {"time_right": 0.01}])
-def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(constants):
-    """The state is that of a recording without them, so that nothing else can take them up."""
+@pytest.mark.parametrize(
+    ("motion", "constants"),
+    [
+        ("moving", {"readout": 0.02}),
+        ("moving", {"time_right": 0.01}),
+        ("moving", {"time_joints": 0.02}),
+        ("standard", draw(tick_robot(), np.random.default_rng(0))),
+    ],
+    ids=["readout", "time_right", "time_joints", "all at rest"],
+)
+def test_corners_are_where_a_robot_with_these_constants_shows_them(motion, constants):
+    """The state is that of a recording without them, so that nothing else can take them up.
+
+    The robot's formulas are those of `tests.actual`: each constant counts there and here, alike.
+    """
     robot = tick_robot()
     rows = table(robot.rig_cameras, chain_of(robot))
     exact, data = (
-        dataset_of(simulated("moving", robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
+        dataset_of(simulated(motion, robot=robot, seed=1, constants=each), rows) for each in ({}, constants)
     )
     state = replace(initial_state(exact, parameters_of(robot), Inliers.all_of(exact)), data=data)
     names, shared = list(data.layout.names), np.zeros(data.layout.size)
@@ -108,3 +121,15 @@ def test_corners_in_motion_are_where_cameras_with_these_constants_show_them(cons
         off, _ = corner_residuals(at, at.T_c_k, rates=at.view_rates)
         rms_px.append(np.sqrt(np.mean(off**2, axis=(1, 2, 3))))
     assert np.median(rms_px[1] / rms_px[0]) < 0.03  # more where the speed changes within an image
+    assert (
+        motion == "moving" or rms_px[1].max() < 2e-4
+    )  # the least of the constants displaces them by 0.002 px
+
+
+def test_corners_with_no_constant_of_a_lens_are_exact():
+    robot = tick_robot()
+    rows = [row for row in table(robot.rig_cameras, chain_of(robot)) if row.kind == "stereo_clock"]
+    data = dataset_of(simulated(robot=robot, stations=4, seed=1), rows)
+    state = initial_state(data, parameters_of(robot), Inliers.all_of(data))
+    off, _ = corner_residuals(state, state.T_c_k, rates=state.view_rates)
+    assert np.abs(off).max() < 1e-9

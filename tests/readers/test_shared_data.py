@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JointField, Sources, WheelSource
+from mobilecal_cli.model import Sources, WheelSource
 from mobilecal_cli.readers import join_splits, open_recording, read_description
-from mobilecal_cli.readers.messages import FieldPath
 
 from . import recordings as r
 
@@ -154,22 +153,3 @@ def test_joint_states_of_real_robots_serve_as_joints_and_wheels(shared_data, nam
         turns = (found - [read[int(t)] for t in track.time_ns]) / (2 * np.pi)
         np.testing.assert_allclose(turns, np.round(turns), atol=1e-9)
     assert np.ptp(signals.joints["head_pan_joint"].value) > 0.1
-
-
-def test_a_joint_state_inside_a_message_of_its_own_serves_as_joints_and_wheels(shared_data):
-    name = "fetch_calibration/fetch_calibration/config/calibration_poses_ground.bag"
-    with open_recording([shared_data / "bags" / name]) as recording:
-        (topic,) = (info.name for info in recording.topics)
-        message = next(recording.messages([topic])).decode()
-        names = message.joint_states.name
-        with pytest.raises(RecordingError, match=r"fields present: .*joint_states\.position\[0\.\."):
-            FieldPath.parse("joint_states.angle").number(message, topic, "the field")
-        place = {joint: f"joint_states.position[{k}]" for k, joint in enumerate(names)}
-        head = {joint: JointField(topic, place[joint]) for joint in ("head_pan_joint", "head_tilt_joint")}
-        sides = {"left": place["l_wheel_joint"], "right": place["r_wheel_joint"]}
-        wheels = {side: WheelSource(topic, field=field) for side, field in sides.items()}
-        signals = r.one_log(recording, Sources({}, {}, (), wheels, head), tuple(head))
-    # Two of the 130 messages were logged at the same moment, and nothing else tells their time.
-    assert len(signals.joints["head_tilt_joint"].time_ns) == len(signals.wheels["left"].time_ns) == 129
-    assert any("1 of 130 stamps occur twice; the first is kept" in note for note in signals.notes)
-    assert np.ptp(signals.joints["head_tilt_joint"].value) > 0.05

@@ -191,14 +191,6 @@ def test_a_fixed_value_with_which_no_fit_ends_is_named(monkeypatch, fits):
         )
 
 
-def test_a_prior_of_the_user_that_the_data_confirm_is_not_named():
-    right, extraction = drawn()
-    prior = f"t_x={right.parameters.T_h_c[0, 3]:.6f}+-0.001"
-    agreeing = solve(extraction, constraints=constraints_of([], [prior], []))
-    assert agreeing.uncertainty.asked["t_x"][0] < 1
-    assert "--prior" not in judge(agreeing, extraction).next_step
-
-
 def test_a_joint_of_negative_scale_has_the_wrong_sign():
     """Of a lift that was read upside down, the scale was "off by -199.7 %"."""
     solution, extraction = drawn()

@@ -107,24 +107,6 @@ def test_the_right_camera_has_the_estimated_pose_in_the_pair():
         assert off_deg < 0.45  # one sigma of the three rotations together is 0.31 degrees
 
 
-@pytest.mark.long
-def test_a_fixed_head_eye_transform_is_that_of_the_right_camera():
-    """The left camera follows from the estimated pair; the right one is exactly as stated."""
-    _, extraction = of_the_right_camera()
-    nominal = Nominal(tick_robot().T_h_c @ extraction.rig.cameras.T_c_each[1], extraction.rig.nominal.wheels)
-    extraction = replace(extraction, rig=replace(extraction.rig, nominal=nominal))
-    solution = solve(extraction, constraints=constraints_of(["head_eye"], [], ["stereo"]))
-    assert not np.allclose(solution.parameters.T_h_c, tick_robot().T_h_c, atol=5e-3)
-    written = parameters_from_yaml(params_of(solution, extraction))
-    data = json.loads(json_text(made(solution, extraction)))["parameters"]
-    shown = se3.transform(
-        se3.from_quaternion_xyzw(np.array(data["quaternion_xyzw"])), np.array(data["translation_m"])
-    )
-    for T in (written.T_parent_child, shown):
-        np.testing.assert_allclose(T, nominal.T_h_reference, atol=1e-6)
-    assert not solution.uncertainty.reference_covariance[:6].any()
-
-
 def test_the_right_camera_has_its_own_covariance_and_jackknife():
     """The pose of the right camera also depends on the estimated pair; small moves, numerically."""
     solution, _ = of_the_right_camera()

@@ -5,7 +5,6 @@ from functools import cache
 from pathlib import Path
 from typing import get_args
 
-import cv2
 import numpy as np
 import pytest
 from ruamel.yaml import YAML
@@ -20,8 +19,6 @@ from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.targets import Container
-from tests.actual import PRIORS, ImperfectWorld, Noise, constant_kinds
-from tests.extractions import Imperfection, imperfect_extraction
 from tests.robots import sources_of
 
 SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
@@ -204,77 +201,6 @@ def test_the_truth_holds_the_nine_numbers_and_the_stations(once):
 
 def truth_of(out: Path):
     return YAML(typ="safe", pure=True).load(truth_path(out).read_text(encoding="utf-8"))
-
-
-def test_the_truth_of_an_imperfect_robot_lists_its_constants_and_noise(tmp_path):
-    robot, route = SMALL.plan()
-    truth = truth_of(recorded(tmp_path, SMALL, world_of=ImperfectWorld))
-    of_motion = {"time_joints", "time_wheels", "time_right", "readout"}
-    assert set(truth["constants"]) == set(constant_kinds(robot)) - of_motion
-    drawn = ImperfectWorld(SMALL, robot, route).actual.constants
-    assert truth["constants"] == pytest.approx(drawn, rel=1e-12)
-    ratios = [drawn[name] / PRIORS[kind] for name, kind in constant_kinds(robot).items() if name in drawn]
-    assert 0.7 < np.std(ratios) < 1.3
-    noise = {name: truth["scenario"][name] for name in ("floor_rad", "floor_m", "wheel_share", "stamp_s")}
-    levels = {"floor_rad": np.radians(0.1), "floor_m": 0.0005, "wheel_share": 0.001, "stamp_s": 0.0}
-    assert noise == pytest.approx(levels)
-    plain = truth_of(recorded(tmp_path, SMALL, "plain"))
-    assert "constants" not in plain
-    assert truth["stations"] == plain["stations"]
-    assert truth["head_eye"] == plain["head_eye"]
-
-
-def test_an_exact_recording_of_an_imperfect_robot_shows_its_board(once, tmp_path):
-    """The corners in the images are where the actual cameras, board and joints put them; its description is as stated."""
-    scenario = replace(SMALL, robot="tick", exact=True, pictures="mono8")
-    robot, route = scenario.plan()
-    world = ImperfectWorld(scenario, robot, route)
-    assert world.noise == Noise()
-    description, signals, pictures = contents(recorded(tmp_path, scenario, world_of=ImperfectWorld), scenario)
-    plain = replace(SMALL, robot="tick")
-    own, plain = (
-        list(flat((one.urdfs, one.infos))) for one in (description, contents(once(plain), plain)[0])
-    )
-    assert [(name, np.asarray(value).tolist()) for name, value in own] == [
-        (name, np.asarray(value).tolist()) for name, value in plain
-    ]
-    expected = imperfect_extraction(robot, route, Imperfection(world.actual.constants))
-    stated = imperfect_extraction(robot, route, Imperfection())
-    for i, o in enumerate(expected.observations):
-        for side, corners in (("left", o.views[0]), ("right", o.views[1])):
-            grey = pictures[f"{side} {signals.images[side].time_ns[i]}"]
-            start = np.array(corners.pixels[:, None], dtype=np.float32)
-            found = cv2.cornerSubPix(grey, start, (5, 5), (-1, -1), (3, 50, 1e-4))
-            assert np.abs(found[:, 0] - corners.pixels).max() < 0.1
-            as_stated = stated.observations[i].views[side == "right"].pixels
-            assert np.abs(corners.pixels - as_stated).max() > 0.5
-        for j, name in enumerate(robot.joint_names):
-            track = signals.joints[name]
-            assert track.at(np.array([o.time_ns]))[0] == pytest.approx(o.joints[j], abs=1e-8)
-
-
-@pytest.mark.long
-def test_an_imperfect_moving_recording_has_late_jittering_stamps(tmp_path):
-    scenario = replace(SMALL, robot="tick", motion="moving", stations=1, pictures="mono8")
-    robot, route = scenario.plan()
-    out = recorded(tmp_path, scenario, world_of=ImperfectWorld)
-    _, signals, _ = contents(out, scenario)
-    truth = truth_of(out)
-    assert truth["scenario"]["stamp_s"] == 0.0005
-    jitter_s = (signals.images["left"].time_ns - START_NS) / 1e9 - scenario.picture_times_s(route)
-    assert 0.0002 < np.std(jitter_s) < 0.001  # 20 stamps of 0.5 ms
-    assert np.array_equal(signals.images["left"].time_ns, signals.images["right"].time_ns)
-    constants = truth["constants"]
-    track = signals.wheels["left"]
-    at_s = (track.time_ns - START_NS) / 1e9
-    error = track.value - route.drive.wheel_angles(at_s - constants["time_wheels"], robot.wheels)[:, 1]
-    early = track.value - route.drive.wheel_angles(at_s, robot.wheels)[:, 1]
-    assert np.ptp(error) < 0.05 < np.ptp(early)
-    tilt = signals.joints[robot.tilt]
-    at_s = np.clip((tilt.time_ns - START_NS) / 1e9 - constants["time_joints"], 0, route.duration_s)
-    expected = route.joints(at_s)[:, 1] / (1 + constants["tilt_scale"])
-    play = abs(constants["backlash_tilt"]) / 2
-    assert np.abs(tilt.value - expected).max() < play + 6 * JOINT_NOISE_RAD
 
 
 def test_what_is_there_is_refused_before_any_work(tmp_path):

@@ -62,6 +62,16 @@ def test_base_and_head_stand_still_at_the_rests(motion):
         assert np.ptp(route.drive.wheel_angles(times_s, robot.wheels), axis=0).max() < 1e-7
 
 
+def test_the_head_moves_steadily_between_its_setpoints():
+    """Half of the way in half of the time, and slowest at the ends."""
+    _, route = planned("paper", "standard")
+    begin_s, duration_s = route.knots_s[:-1], np.diff(route.knots_s)
+    way = np.diff(route.knots_rad, axis=0)
+    for share, of_way in ((0.0, 0.0), (0.01, 0.0), (0.5, 0.5), (0.99, 1.0)):
+        expected = route.knots_rad[:-1] + of_way * way
+        assert route.joints(begin_s + share * duration_s) == pytest.approx(expected, abs=1e-3)
+
+
 def ranges(motion):
     """Ranges of pan and tilt, way along and across, and turning (rad, m)."""
     robot, route = planned("paper", motion)
@@ -86,7 +96,9 @@ def test_each_motion_is_what_its_name_says():
     assert ranges("spin")[2:4] == pytest.approx((0, 0), abs=1e-12)
     assert ranges("spin")[4] > 0.5
     assert ranges("base_fixed")[2:] == (0, 0, 0)
-    assert len(planned("paper", "moving")[1].rests_s) == 0
+    moving = planned("paper", "moving")[1]
+    assert len(moving.rests_s) == 0
+    assert moving.duration_s == pytest.approx(3 * STATIONS, abs=1)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -192,14 +192,6 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
     assert nees(found) < 3
 
 
-@pytest.mark.long
-def test_corners_nine_times_noisier_than_claimed_in_one_recording():
-    noisy = recorded("standard", 2, noise=replace(NOISE, pixel_px=1.8))
-    claimed = (with_views(o, *(Corners(v.pixels, 0.2, 1) for v in o.views)) for o in noisy.observations)
-    found = solve(joined(recorded("standard", 1), replace(noisy, observations=tuple(claimed))))
-    assert nees(found) < 3
-
-
 @pytest.mark.parametrize(
     ("recordings", "stations", "method"), [(4, 1, "ml"), (2, 2, "ml"), (2, 2, "linear"), (2, 2, "lm")]
 )
@@ -247,7 +239,7 @@ def test_many_short_legs_show_the_wheels_together():
 
 
 def test_many_short_legs_without_a_turn_do_not_show_the_separation():
-    extraction = short_legs(np.zeros(20))
+    extraction = short_legs(np.zeros(8))
     (gap,) = motion_gaps(extraction, FIX.fixed)
     assert "separation" in gap.parameters
     with pytest.raises(SolveError, match="the motion does not show the wheel radii"):

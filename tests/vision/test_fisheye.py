@@ -8,7 +8,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board, Camera
-from mobilecal_cli.vision import BoardFollower, Miss, detect, identify_size
+from mobilecal_cli.vision import Miss, detect, identify_size
 from mobilecal_cli.vision.grid_map import fit_grid
 from tests.vision.scenes import detected, opencv_pixels, pose, render
 
@@ -58,15 +58,6 @@ def test_a_wrong_corner_is_not_taken_for_a_lens(corner: tuple[int, int]) -> None
     grid = truth(NEAR[1]).reshape(6, 9, 2)
     grid[corner] += [3.0, 2.0]
     assert fit_grid(grid, (480, 640)).off_px[corner] > 2.0  # of 3.6; the lens takes the rest
-
-
-def test_a_board_is_tracked_under_a_fisheye_lens() -> None:
-    follower = BoardFollower(BOARD, thorough=False)
-    for i in range(4):
-        T_c_k = pose(0.02 * i, 0.01 * i, 0.17, (0.1, 0.1 + 0.03 * i, 0.0), BOARD, SQUARE_M)
-        image = render(CAMERA, T_c_k, BOARD, SQUARE_M, blur_px=0.7, noise=2, seed=i)
-        found = detected(follower.find(image, i * 50_000_000))
-        assert np.abs(found.pixels - truth(T_c_k)).max() < 0.2
 
 
 def test_the_size_of_a_board_under_a_fisheye_lens() -> None:

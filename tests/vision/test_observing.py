@@ -169,22 +169,6 @@ def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, row
     assert found.reprojection_px < 0.1
 
 
-def test_from_pictures_to_pose() -> None:
-    board = Board(8, 6)
-    T_c_k = pose(0.05, 0.0, 0.9, (0.3, -0.2, 0.1), board, 0.05)
-    pictures = [
-        render(camera, T, board, 0.05, blur_px=0.7, noise=1.5, supersample=4)
-        for camera, T in ((RIG.each[0], T_c_k), (RIG.each[1], np.linalg.inv(RIG.T_c_each[1]) @ T_c_k))
-    ]
-    left, right = ([detect(image, 8, 6)] for image in pictures)
-    found = observed(observe(0, station(), left, right, RIG, board, None))
-    assert found.square_m == pytest.approx(0.05, rel=2e-3)
-    assert found.reprojection_px < 0.06
-    delta = se3.log(found.T_c_k @ se3.inverse(T_c_k))
-    assert np.linalg.norm(delta[:3]) < np.radians(0.15)
-    assert np.linalg.norm(delta[3:]) < 2e-3
-
-
 def test_snapshot() -> None:
     image = render(RIG.each[0], T_C_K, BOARD, SQUARE_M)
     decoded = cv2.imdecode(np.frombuffer(snapshot_jpeg(image[:, 5:]), np.uint8), cv2.IMREAD_UNCHANGED)

@@ -86,7 +86,7 @@ def test_pose_covariance_is_the_spread(free_scale: bool) -> None:
     rng = np.random.default_rng(7)
     T_c_k = random_pose(rng, BOARD, SQUARE_M)
     _, left, right = seen(rig, T_c_k, BOARD, SQUARE_M)
-    sigma_left, sigma_right, runs = 0.1, 0.2, 500
+    sigma_left, sigma_right, runs = 0.1, 0.2, 250
     deltas, fits = [], []
     for _ in range(runs):
         noisy_left = left + sigma_left * rng.standard_normal(left.shape)

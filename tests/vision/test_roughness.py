@@ -10,8 +10,7 @@ import pytest
 from mobilecal_cli.model import Board, Camera
 from mobilecal_cli.vision import detect
 from mobilecal_cli.vision.grid_map import fit_grid, roughness_px
-from mobilecal_cli.vision.observing import StationCorners
-from tests.vision.scenes import detected, random_pose, render, seen, stereo_rig
+from tests.vision.scenes import detected, random_pose, seen, stereo_rig
 
 NOISE_PX = 0.05
 
@@ -58,21 +57,6 @@ def test_pixels_that_the_model_cannot_produce_fall_back() -> None:
     x, y = np.meshgrid(np.linspace(10, 630, 6), np.linspace(10, 470, 4))
     grid = np.stack([x, y], axis=-1)
     assert roughness_px(camera, grid) == fit_grid(grid).sigma_px
-
-
-def test_rendered_boards_claim_their_errors() -> None:
-    """Corners detected in pictures: the claim against the errors that the known pose shows."""
-    rig, board, rng = stereo_rig("raw"), Board(6, 4), np.random.default_rng(5)
-    errors, claims = [], []
-    for seed in range(8):
-        T = random_pose(rng, board, 0.08)
-        image = render(rig.each[0], T, board, 0.08, noise=6, blur_px=0.8, seed=seed)
-        found = detected(detect(image, 6, 4))
-        corners = StationCorners.of([found], board).average(board, rig.each[0])
-        truth = seen(rig, T, board, 0.08)[1]
-        errors.append(min(np.mean((found.pixels - t) ** 2) for t in (truth, truth[::-1])))
-        claims.append(corners.sigma_px**2)
-    assert np.sqrt(np.mean(claims)) == pytest.approx(np.sqrt(np.mean(errors)), rel=0.25)
 
 
 def test_a_real_board_under_a_fisheye_lens(shared_data: Path) -> None:
