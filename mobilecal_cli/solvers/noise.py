@@ -247,7 +247,7 @@ class LevelSearch:
     def next(self, noise: Noise, found: Mapping[str, Slope], wider: Mapping[str, float]) -> Noise:
         """Levels for the next round, from those of this round and their slopes; with these scales of the priors."""
         at = np.log([getattr(noise, name) for name in found])
-        rise, bend = np.array([*found.values()]).T
+        rise, bend = np.reshape([*found.values()], (-1, 2)).T
         promise = float(np.sum(rise**2 / bend))
         self._inverse = self._updated(at, rise) if promise < _WORSE * self._promise else np.diag(1 / bend)
         self._at, self._rise, self._promise = at, rise, promise

@@ -82,6 +82,9 @@ def test_noise_levels_are_those_of_the_simulation_or_as_given(noisy):
     levels = solve(with_noise(noisy, {"joint_rad": 0.002})).uncertainty.noise
     assert levels.joint_rad == 0.002
     assert "joint_rad" not in levels.estimated
+    every = Noise.limits("guess") | {"encoder_rad": 0.001}
+    levels = solve(with_noise(noisy, every)).uncertainty.noise
+    assert (levels.estimated, levels.levels) == ((), every)
 
 
 def test_a_level_at_its_limit_leads_no_further():
