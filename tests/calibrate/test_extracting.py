@@ -105,12 +105,13 @@ def test_another_board_than_the_stated_one_is_named(sample_logs):
     assert "--board 9x6" in caught.value.hint
 
 
-def beside(source, target, topic, factor):
-    """A recording with its joint states on a second topic, times a factor."""
+def beside(source, target, topic, factor, wheels_rad=0.0):
+    """A recording with its joint states on a second topic, times a factor; wheels count from another zero."""
 
     def second(record):
         message = STORE.deserialize_cdr(record.data, record.type)
-        message = replace(message, position=factor * message.position)
+        zero = wheels_rad * np.array(["wheel" in name for name in message.name])
+        message = replace(message, position=factor * message.position + zero)
         data = bytes(STORE.serialize_cdr(message, record.type))
         return replace(record, topic=topic, time_ns=record.time_ns + 5_000_000, data=data)
 
@@ -155,8 +156,12 @@ def test_topics_that_contradict_each_other(sample_logs, tmp_path, few):
     assert inspect([log], load_rig(None, topics)).missing == ()
 
 
-def test_topics_that_agree(sample_logs, tmp_path, few):
-    log = beside(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", "/base/joint_states", 1.0)
+@pytest.mark.parametrize("wheels_rad", [0.0, 1.7])
+def test_topics_that_agree(sample_logs, tmp_path, few, wheels_rad):
+    """Wheels also if they count from another zero: only their rotations mean something."""
+    log = beside(
+        sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", "/base/joint_states", 1.0, wheels_rad
+    )
     found = inspect([log])
     assert found.missing == found.weak == found.notes == ()
 

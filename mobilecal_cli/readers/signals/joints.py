@@ -62,13 +62,13 @@ _SAMPLED_BYTES = 2**28
 _STILL_SHARE = 0.01
 
 
-def most_stated(name: str, topics: Sequence[StatedJoint], setting: str = "joints.topic") -> StatedJoint:
+def most_stated(name: str, topics: Sequence[StatedJoint], wheel: bool = False) -> StatedJoint:
     """A joint on the topic that says most of it: where it moves, else where it is not zero; with most readings.
 
     Args:
         name: of the joint.
         topics: the joint on each topic.
-        setting: key of the topic in rig.yaml, for messages.
+        wheel: whether it is one, which may count from any zero.
 
     Raises:
         RecordingError: two topics say as much, and their readings differ.
@@ -77,8 +77,9 @@ def most_stated(name: str, topics: Sequence[StatedJoint], setting: str = "joints
     moving = [joint for joint in topics if joint.series.range > _STILL_SHARE * largest]
     best = max(moving or topics, key=lambda joint: joint.series.says)
     like = moving or [joint for joint in topics if joint.series.says[1]]
-    other = next((joint for joint in like if joint.series.differs(best.series)), None)
+    other = next((joint for joint in like if joint.series.differs(best.series, wheel)), None)
     if other is not None:
+        setting = "wheels.left.topic and wheels.right.topic" if wheel else "joints.topic"
         raise RecordingError(
             f"joint {name} has different readings on {best.series.topic} and on {other.series.topic}",
             f"set {setting} in rig.yaml to the topic of this robot's driver",
@@ -108,9 +109,8 @@ def choose_topics(
     for name, joints in positions.items():
         kinds = (joints, velocities.get(name, []))
         moving = next((each for each in kinds if any(joint.series.range for joint in each)), joints)
-        setting = "wheels.left.topic and wheels.right.topic" if name in wheels else "joints.topic"
         try:
-            best = most_stated(name, moving, setting).series
+            best = most_stated(name, moving, name in wheels).series
         except RecordingError as error:
             problems[name] = error
             continue

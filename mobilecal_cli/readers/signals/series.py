@@ -195,19 +195,23 @@ class Series:
         """How much the readings say: whether any is finite, whether any of these is not zero, and their number."""
         return len(self) > 0, any(self._value), len(self) or self.not_finite
 
-    def differs(self, other: Series) -> bool:
+    def differs(self, other: Series, from_any_zero: bool = False) -> bool:
         """Whether the readings of the same joint, rad or m, differ in the mean while both were recorded.
 
-        Some publishers repeat the readings of others later, and some wrap them to one turn.
+        Some publishers repeat the readings of others later, and some wrap them to one turn. Of wheels, two may count
+        `from_any_zero`: only rotations from one time to another mean something.
         """
         times_ns, values = (np.array(of, dtype=np.float64) for of in (other._log_ns, other._value))
         own_ns = np.array(self._log_ns, dtype=np.float64)
         both = (times_ns >= own_ns[0]) & (times_ns <= own_ns[-1])
+        if not both.any():
+            return False
         apart = np.interp(times_ns[both], own_ns, np.array(self._value)) - values[both]
-        apart = np.abs(np.remainder(apart + np.pi, 2 * np.pi) - np.pi)
+        zero = float(np.angle(np.exp(1j * apart).mean())) if from_any_zero else 0.0
+        apart = np.abs(np.remainder(apart - zero + np.pi, 2 * np.pi) - np.pi)
         moved = float(np.abs(values - values.mean()).mean())
         limit = max(_DIFFER, _DIFFER_SHARE * min(moved, np.pi / 2))
-        return bool(both.any() and apart.mean() > limit)
+        return bool(apart.mean() > limit)
 
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
         """Append a reading; one that is not finite or impossibly large is counted and dropped."""
