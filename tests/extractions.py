@@ -9,6 +9,7 @@ from itertools import chain
 
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import (
     Board,
@@ -47,7 +48,7 @@ _SHUTTER_ROUNDS = 4  # each shrinks the error by the rows that a corner moves du
 
 @dataclass(frozen=True, slots=True)
 class Outside:
-    """Imperfections for which the estimator has no constant; none by default.
+    """Imperfections beside those of `constant_kinds`; none by default.
 
     Attributes:
         sag_rad: the head tilts further by sag sin(tilt), rad.
@@ -60,6 +61,8 @@ class Outside:
         lens_px: rms of what each lens does beside its model: waves over the image; `lens_seed` draws them.
         lens_waves_px: shortest and longest of these waves.
         lens_seed: see there.
+        turn_sides: relative change of the separation in turns to the left, and its negative in those to the right.
+        drift: the floor carries the base along x and y of the world, m per m that the wheels roll.
     """
 
     sag_rad: float = 0.0
@@ -72,6 +75,8 @@ class Outside:
     lens_px: float = 0.0
     lens_waves_px: tuple[float, float] = (320.0, 320.0)
     lens_seed: int = 0
+    turn_sides: float = 0.0
+    drift: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +193,9 @@ def _wheel_track(
     moments = np.unique(np.concatenate([regular, route.drive.breaks_s + late_s, stamps_s]))
     moments = moments[np.concatenate([[True], np.diff(moments) > 1e-6])]
     angles = route.drive.wheel_angles(moments - late_s, actual.stated.wheels, actual.stated.slip)
+    turned = np.diff(angles @ [1.0, -1.0], prepend=0.0)
+    further = np.cumsum(actual.outside.turn_sides / 2 * np.abs(turned))[:, None]
+    angles = angles + further * [1.0, -1.0]
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
     if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
         rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))
@@ -385,6 +393,10 @@ def extraction_of(
     path_m = driven_m(actual, route, times_s)
     base = route.drive.poses(times_s)
     floor = floor_in_base(noise, path_m, base, other_random, still=route.motion == "base_fixed")
+    carried = np.zeros((len(times_s), 3))
+    carried[:, :2] = path_m[:, None] * actual.outside.drift
+    in_base = np.einsum("nab,nb->na", se3.rotation_z(-base[:, 2]), carried)
+    floor = se3.transform(np.eye(3), in_base) @ floor
     if not at_rest:
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)

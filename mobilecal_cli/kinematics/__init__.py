@@ -20,6 +20,7 @@ from mobilecal_cli.kinematics.motion import (
 from mobilecal_cli.kinematics.wheels import (
     Arcs,
     Increments,
+    Unevenness,
     between_steps,
     cut_at,
     encoder_step_rad,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +21,11 @@ _CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
 _BY_CHANCE = 1e-3  # probability
 _FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
 _RATE_NS = 50_000_000  # turning rates are means over this time to either side
+_SLOW = 0.2  # of the mean turning rate
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
+
+
+Unevenness = Literal["rate", "side"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,8 +36,8 @@ class Increments:
         right_rad, left_rad: (n,) rotation in each step.
         leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
-        rate: (n,) rate at which the wheels turn against each other, rad/s, not negative; NaN where it is unknown, by
-            default everywhere.
+        rate: (n,) rate at which the right wheel turns against the left one, rad/s; NaN where it is unknown, by default
+            everywhere.
     """
 
     right_rad: FloatArray
@@ -45,14 +50,27 @@ class Increments:
         if not len(self.rate):
             object.__setattr__(self, "rate", np.full(len(self.leg), np.nan))
 
-    @property
-    def above_mean_rate(self) -> FloatArray:
-        """(n,) turning rate over its mean (weighted with the turns), less 1, at most 1; 0 where it is unknown."""
+    def unevenness(self, of: Unevenness) -> FloatArray:
+        """(n,) how a step differs from the mean turn (all weighted with the turns); 0 where its rate is unknown.
+
+        Args:
+            of: "rate", the turning rate over its mean, less 1, at most 1; "side", 1 to the left and -1 to the right,
+                less in slow turns, whose side is noise, minus its mean.
+        """
         known = np.isfinite(self.rate)
         turned = np.abs(self.right_rad - self.left_rad) * known
         rate = np.where(known, self.rate, 0.0)
-        mean = float(turned @ rate) / max(float(turned.sum()), 1e-12)
-        return np.where(known & (mean > 0), np.minimum(rate / max(mean, 1e-12) - 1, 1.0), 0.0)
+        all_turned = max(float(turned.sum()), 1e-12)
+        mean = max(float(turned @ np.abs(rate)) / all_turned, 1e-12)
+        if of == "rate":
+            return np.where(known, np.minimum(np.abs(rate) / mean - 1, 1.0), 0.0)
+        side = rate / np.hypot(rate, _SLOW * mean)
+        return np.where(known, side - float(turned @ side) / all_turned, 0.0)
+
+    def evened(self, wider: FloatArray) -> Increments:
+        """Increments of wheels at the mean separation that turn as these do at `wider` times it in each step, (n,)."""
+        less = (1 / wider - 1) / 2 * (self.right_rad - self.left_rad)
+        return replace(self, right_rad=self.right_rad + less, left_rad=self.left_rad - less)
 
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""
@@ -180,12 +198,12 @@ def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increm
 
 
 def _turning_rate(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
-    """(n - 1,) rate at which the wheels turn against each other, around the middle of each step, rad/s."""
+    """(n - 1,) rate of the right wheel against the left one, around the middle of each step, rad/s."""
     middle = (moments_ns[:-1] + moments_ns[1:]) // 2
     ends = (np.clip(middle + way * _RATE_NS, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1))
     apart, times = zip(*((track.right.at(at) - track.left.at(at), at) for at in ends), strict=True)
     seconds = np.maximum((times[1] - times[0]) * 1e-9, 1e-9)
-    return np.asarray(np.abs(apart[1] - apart[0]) / seconds)
+    return np.asarray((apart[1] - apart[0]) / seconds)
 
 
 def join(parts: list[Increments]) -> Increments:
@@ -237,7 +255,6 @@ class Arcs:
 
     Attributes:
         steps, wheels: rotations and sizes of the wheels.
-        wider: (n,) effective over stated separation in each step, or 1.
         ds, turn: (n,) length and turn of each step, m and rad.
         direction: (2, n) of each chord, in the frame of its leg's start.
         chord, slope: (n,) chord length / arc length, and its derivative by h.
@@ -245,7 +262,6 @@ class Arcs:
 
     steps: Increments
     wheels: WheelGeometry
-    wider: FloatArray | float
     ds: FloatArray
     turn: FloatArray
     direction: FloatArray
@@ -278,21 +294,19 @@ class Arcs:
     def by_wheels(self) -> tuple[FloatArray, FloatArray]:
         """Derivatives by (rR, rL, b) of psi (L, 3), rad/m, and of (x, y), (L, 2, 3), m/m."""
         steps, b = self.steps, self.wheels.separation_m
-        right, left, wide = steps.right_rad, steps.left_rad, b * self.wider
-        by_radii = steps.total(right / self.wider), -steps.total(left / self.wider)
-        d_psi = np.stack([*by_radii, -self.psi_rad], axis=1) / b
+        right, left = steps.right_rad, steps.left_rad
+        d_psi = np.stack([steps.total(right), -steps.total(left), -self.psi_rad], axis=1) / b
         d_t = np.empty((steps.legs, 2, 3))
         for k, (by_length, by_turn) in enumerate(zip(*self._by_step, strict=True)):
-            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / wide))
-            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / wide))
+            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / b))
+            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / b))
             d_t[:, k, 2] = -steps.total(self.turn * by_turn) / b
         return d_psi, d_t
 
-    def by_widening(self, rate: FloatArray) -> FloatArray:
-        """(L, 3) derivatives of (x, y, psi) by a number that times `rate`, (n,), is added to `wider`."""
-        turned = -self.turn * rate / self.wider
-        x, y = self._by_step[1] * turned
-        return np.stack([self.steps.total(part) for part in (x, y, turned)], axis=1)
+    def by_rotations(self, right: FloatArray, left: FloatArray) -> FloatArray:
+        """(L, 3) derivatives of (x, y, psi) by a number that changes each step's rotations at these rates, (n,)."""
+        change = self.sensitivity() @ np.stack([right, left], axis=1)[:, :, None]
+        return np.stack([self.steps.total(part) for part in change[..., 0].T], axis=1)
 
     def sensitivity(self, at: IntArray | slice = slice(None)) -> FloatArray:
         """Derivatives of the leg ends by the wheel rotations of some steps.
@@ -301,20 +315,19 @@ class Arcs:
             (k, 3, 2) derivatives of the leg's (x, y, psi) by the right and left rotation of one of its steps,
             m/rad and rad/rad.
         """
-        rR, rL = self.wheels.radius_right_m, self.wheels.radius_left_m
-        b = self.wheels.separation_m * (np.broadcast_to(self.wider, self.turn.shape)[at])
+        rR, rL, b = self.wheels.vector
         by_length, by_turn = (by[:, at] for by in self._by_step)
         out = np.empty((3, 2, by_turn.shape[1]))
         out[:2, 0] = rR * (by_length / 2 + by_turn / b)
         out[:2, 1] = rL * (by_length / 2 - by_turn / b)
-        out[2] = rR / b, -rL / b
+        out[2] = [[rR / b], [-rL / b]]
         return np.moveaxis(out, -1, 0)
 
 
-def integrate(steps: Increments, wheels: WheelGeometry, wider: FloatArray | float = 1.0) -> Arcs:
+def integrate(steps: Increments, wheels: WheelGeometry) -> Arcs:
     """Motion over each leg by dead reckoning along circular arcs, with its derivatives; see `Arcs`."""
     right, left = wheels.radius_right_m * steps.right_rad, wheels.radius_left_m * steps.left_rad
-    turn = (right - left) / (wheels.separation_m * wider)
+    turn = (right - left) / wheels.separation_m
     heading = _up_to(steps, turn) - turn / 2
     direction = np.stack([np.cos(heading), np.sin(heading)])
-    return Arcs(steps, wheels, wider, (right + left) / 2, turn, direction, *_arc(turn / 2))
+    return Arcs(steps, wheels, (right + left) / 2, turn, direction, *_arc(turn / 2))

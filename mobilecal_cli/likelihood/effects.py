@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import JointFrames
+from mobilecal_cli.kinematics import JointFrames, Unevenness
 from mobilecal_cli.likelihood.measurements import Measurements
 from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
 
@@ -318,6 +318,7 @@ class BaseLean(FloorEffect):
         return np.broadcast_to(np.eye(3)[self.axis], (len(base), 3))
 
 
+_FEW_PLACES = 3  # a drift of two numbers takes up all that the legs between them show
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
 
 
@@ -366,9 +367,44 @@ class FloorShape(FloorEffect):
 
 
 @dataclass(frozen=True, slots=True)
-class TurnSlip(Effect):
-    """Relative change of the effective separation per turning rate over its mean: wheels that slip in turns."""
+class FloorDrift(Effect):
+    """Drift over a floor that carries the base along, as a carpet does: m in the world frame, per m of the wheels.
+
+    Attributes:
+        axis: x (0) or y (1).
+        log: the recording that it belongs to.
+    """
+
+    axis: int
+    log: int
+
+    def offered(self, data: Measurements) -> bool:
+        """Only a base that drives to several places shows it."""
+        return int(((data.log == self.log) & data.drives).sum()) > _FEW_PLACES
+
+    def carried(self, data: Measurements, heading: FloatArray, rolled_m: FloatArray) -> FloatArray:
+        """(L, 2) displacement over each leg in the frame of its start by a value of one, m.
+
+        Args:
+            data: L legs.
+            heading: (L,) at their starts, rad.
+            rolled_m: (L,) mean distance that the wheels roll.
+        """
+        cos, sin = np.cos(heading), np.sin(heading)
+        along = np.stack([sin, cos] if self.axis else [cos, -sin], axis=1)
+        return np.asarray(along * (rolled_m * (data.log[data.legs[:, 0]] == self.log))[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class Widening(Effect):
+    """Relative change of the effective separation in some turns: of wheels that slip, or that do not stand alike.
+
+    Attributes:
+        of: see `Increments.unevenness`.
+    """
+
+    of: Unevenness
 
     def offered(self, data: Measurements) -> bool:
         """Only several wheels a side slip in every turn."""
-        return data.several_wheels
+        return data.several_wheels or self.of != "rate"

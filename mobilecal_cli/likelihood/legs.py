@@ -10,10 +10,12 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import Clock, TurnSlip
+from mobilecal_cli.likelihood.effects import Clock, FloorDrift, Widening
 from mobilecal_cli.likelihood.measurements import (
     BASE,
     ENCODERS,
+    ERRORS,
+    FLOOR,
     SCALES,
     STAMP,
     SensorMotions,
@@ -56,15 +58,16 @@ class Legs:
         return replace(self, residual=self.residual + change)
 
 
-def _steps(state: State, processes: Processes) -> Increments:
+def _steps(state: State, processes: Processes) -> tuple[Increments, Increments]:
+    """Steps of the legs between the errors of readings at their ends: as read, and as the wheels drove."""
     data, clock_s = state.data, state.clock_s("wheels")
     i, j = data.legs.T
     errors = state.base[:, ENCODERS]
     if np.any(state.base[:, STAMP:]):
         errors = errors + data.wheel_rates(clock_s) * state.base[:, STAMP:]
-    steps = data.steps(clock_s).with_ends(-errors[i], errors[j])
-    right, left = (1 + mean_scales(state, processes))[steps.leg].T
-    return replace(steps, right_rad=right * steps.right_rad, left_rad=left * steps.left_rad)
+    read = data.steps(clock_s).with_ends(-errors[i], errors[j])
+    even, (right, left) = state.evened(read), (1 + mean_scales(state, processes))[read.leg].T
+    return read, replace(even, right_rad=right * even.right_rad, left_rad=left * even.left_rad)
 
 
 def mean_scales(state: State, processes: Processes) -> FloatArray:
@@ -84,12 +87,8 @@ def base_legs(state: State) -> FloatArray:
 def linearize_legs(state: State, processes: Processes) -> Legs:
     """Residuals of all legs and their derivatives."""
     data, (i, j) = state.data, state.data.legs.T
-    steps = _steps(state, processes)
-    above = steps.above_mean_rate if data.several_wheels else None
-    slip = sum(value for value, _ in state.present(TurnSlip))
-    # Effective over mean separation in each step.
-    wider = 1.0 if above is None else np.asarray(1 + slip * above)
-    arcs = integrate(steps, state.parameters.wheels, wider)
+    read, steps = _steps(state, processes)
+    arcs = integrate(steps, state.parameters.wheels)
     d_psi, d_t = arcs.by_wheels()
     between = base_legs(state)
     count = len(between)
@@ -100,6 +99,11 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     by_start[:, :, BASE] = np.eye(3)
     by_start[:, 0, 2], by_start[:, 1, 2] = -between[:, 1], between[:, 0]
     by_end[:, :, BASE] = -se3.rotation_z(between[:, 2])
+    rolled, heading = processes.distance_m[j, FLOOR.start - ERRORS.start], state.base[i, 2]
+    drifts = [(value, effect.carried(data, heading, rolled)) for value, effect in state.present(FloorDrift)]
+    carried = sum((value * each for value, each in drifts), np.zeros((count, 2)))
+    by_start[:, 0, 2] += carried[:, 1]
+    by_start[:, 1, 2] -= carried[:, 0]
     by_start[data.first[i], :, BASE] = 0.0
     scale = 1 + mean_scales(state, processes)[:, None]
     by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale
@@ -115,15 +119,18 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]
-    residual = _wrapped(np.column_stack([arcs.t_m, arcs.psi_rad]) - between)
+    residual = _wrapped(np.column_stack([arcs.t_m + carried, arcs.psi_rad]) - between)
     by_shared = np.zeros((count, 3, data.layout.size))
     by_shared[:, :, 6:9] = by_wheels
     for column, _, clock in data.layout.of(Clock):
         if clock.of == "wheels":
             by_shared[:, :, column] = by_clock * clock.stations(data)[i, None]
-    for column, _, _ in data.layout.of(TurnSlip):
-        if above is not None:
-            by_shared[:, :, column] = arcs.by_widening(above)
+    for column, _, widening in data.layout.of(Widening):
+        more = read.unevenness(widening.of) / state.wider(read) ** 2 * (read.right_rad - read.left_rad) / 2
+        right, left = (1 + mean_scales(state, processes))[read.leg].T
+        by_shared[:, :, column] = arcs.by_rotations(-right * more, left * more)
+    for column, _, drift in data.layout.of(FloorDrift):
+        by_shared[:, :2, column] = drift.carried(data, heading, rolled)
     odometry = residual, by_start, by_end, by_shared
     if data.motions is None:
         return Legs(*odometry)

@@ -112,15 +112,13 @@ def legs_between(log: IntArray) -> IntArray:
     return np.stack([first, first + 1], axis=1)
 
 
-def steps_between(
-    tracks: Sequence[WheelTrack], log: IntArray, stamps_ns: IntArray, rates: bool = False
-) -> Increments:
-    """Wheel rotations of the legs between stations in recordings (N,), cut at stamps (N,); rates: see `cut_at`."""
+def steps_between(tracks: Sequence[WheelTrack], log: IntArray, stamps_ns: IntArray) -> Increments:
+    """Wheel rotations of the legs between stations in recordings (N,), with their turning rates, cut at stamps (N,)."""
     parts = []
     for number, track in enumerate(tracks):
         times = stamps_ns[log == number]
         if len(times) > 1:
-            parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=rates))
+            parts.append(cut_at(track, np.clip(times, track.time_ns[0], track.time_ns[-1]), rates=True))
     return join(parts) if parts else Increments(np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64), 0)
 
 
@@ -349,11 +347,11 @@ class Measurements:
         if not (np.any(time_offset_s) and self.moving.any()):
             return self._steps_as_stamped
         stamps_ns = self.stamps_ns(time_offset_s)
-        return steps_between(self.tracks, self.log, stamps_ns, rates=self.several_wheels)
+        return steps_between(self.tracks, self.log, stamps_ns)
 
     @cached_property
     def _steps_as_stamped(self) -> Increments:
-        return steps_between(self.tracks, self.log, self.times_ns, rates=self.several_wheels)
+        return steps_between(self.tracks, self.log, self.times_ns)
 
     @cached_property
     def pairs(self) -> MotionPairs:

@@ -22,10 +22,11 @@ from mobilecal_cli.likelihood.effects import (
     ChainEffect,
     Clock,
     Effect,
+    FloorDrift,
     FloorShape,
     ImageEffect,
     JointReading,
-    TurnSlip,
+    Widening,
     bent,
     resized,
     sheared,
@@ -107,14 +108,17 @@ KINDS: tuple[Kind, ...] = (
     Kind("joint_scale", *_SHARE, 0.001, "scale of a head joint's reading", r".+_scale"),
     Kind("joint_axis", *_ANGLE, 0.1 * _DEGREE, "direction of a head joint's axis", r".+_axis_[xyz]"),
     Kind("joint_position", *_LENGTH, 0.001, "position of a head joint's axis", r".+_position_[xyz]"),
+    Kind("floor_drift", *_LENGTH, 0.001, "drift of the base over the floor, per m that the wheels roll",
+         r"drift_[xy](_\d+)?"),
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
+    Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in turns to the left over that in all"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
 _BY_NAME = {kind.name: kind for kind in KINDS}
 _TOGETHER = {"baseline_length": "square_size"}
 #: Kinds that no description states: no data contradict them.
-UNSTATED = frozenset({"board_corners", "floor_shape", "lens_waves"})
+UNSTATED = frozenset({"board_corners", "floor_drift", "floor_shape", "lens_waves"})
 #: Kinds of errors of many numbers, see `patterns`: estimated, but never part of an exported camera or board.
 PATTERNS = frozenset({"board_corners", "lens_waves"})
 #: Kinds of which each recording has rows of its own, beside those of `table`.
@@ -252,7 +256,10 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         *(_row(name, kind, "board", meaning, BoardEffect(shape)) for name, kind, meaning, shape in _SHAPES),
         _row("lean_roll", "lean", "base", "roll of the base against the floor's normal", BaseLean(0)),
         _row("lean_pitch", "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
-        _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate", TurnSlip()),
+        _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate",
+             Widening("rate")),
+        _row("turn_sides", "turn_sides", "wheels", "effective separation in turns to the left over that in all",
+             Widening("side")),
         *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
                CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
         _row("readout", "readout", every, "time between the first and the last row",
@@ -341,7 +348,7 @@ def clocks_of(logs: Iterable[int]) -> Iterator[Constant]:
 
 
 def floors_of(logs: Iterable[int]) -> Iterator[Constant]:
-    """Rows of the floor's shape in recordings, numbered from 0."""
+    """Rows of the floor in recordings, numbered from 0: its shape, and how it carries the base."""
     for log in logs:
         number = f"_{log + 1}" if log else ""
         for a, b in _FLOOR_POWERS:
@@ -349,6 +356,9 @@ def floors_of(logs: Iterable[int]) -> Iterator[Constant]:
             meaning = f"height of the {term} term at 1 m"
             effect = FloorShape((a, b), log, len(_FLOOR_POWERS))
             yield _row(f"floor_{term}{number}", "floor_shape", "floor", meaning, effect)
+        for axis, letter in enumerate("xy"):
+            meaning = f"drift along {letter} per m that the wheels roll"
+            yield _row(f"drift_{letter}{number}", "floor_drift", "floor", meaning, FloorDrift(axis, log))
 
 
 def clock_s(of: str, log: int, constants: Mapping[str, float]) -> float:

@@ -10,7 +10,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import JointFrames, head_pose
+from mobilecal_cli.kinematics import Increments, JointFrames, head_pose
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import (
     BoardEffect,
@@ -21,6 +21,7 @@ from mobilecal_cli.likelihood.effects import (
     Effect,
     FloorEffect,
     JointReading,
+    Widening,
 )
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
 from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change
@@ -174,6 +175,19 @@ class State:
         for value, effect in self.present(BoardEffect):
             points = points + value * effect.displacement(self.data.points_k)
         return points
+
+    # -- wheels -------------------------------------------------------------------------------------
+
+    def wider(self, steps: Increments) -> FloatArray:
+        """(n,) effective over mean separation in each step of the legs."""
+        wider = np.ones(len(steps.leg))
+        for value, effect in self.present(Widening):
+            wider += value * steps.unevenness(effect.of)
+        return wider
+
+    def evened(self, steps: Increments) -> Increments:
+        """The rotations that wheels at the mean separation would turn by."""
+        return steps.evened(self.wider(steps))
 
     # -- base ---------------------------------------------------------------------------------------
 

@@ -789,6 +789,7 @@ _ERROR_CURES = {
     "floor": "Record on a flat floor, and check that the base does not rock.",
     "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
     "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
+    "turns": "Check tires, casters and load: turns to the left and to the right differ.",
     "chain": "Check that the head chain has all joints that move the camera.",
 }
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
@@ -797,8 +798,8 @@ _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 def unexplained(solution: Solution, corners: int) -> ErrorPart:
     """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
 
-    Noise of corners, joints, floor and wheels has limits of its own, and what lenses do beside their models is
-    estimated: none of it is an error of the calibration. Each is counted with its largest mean square.
+    Noise of corners, joints, floor and wheels has limits of its own. What lenses do beside their models, and turns that
+    differ, are estimated. None of it is an error of the calibration. Each is counted with its largest mean square.
 
     Args:
         solution: with legs.

@@ -87,7 +87,12 @@ def reprojection_sentence(solution: Solution) -> str:
     parts_px = {name: part.px for name, part in solution.error_parts.items()}
     if solution.uncertainty is None or not parts_px:
         return ""
-    words = {"joints": "joint readings", "floor": "the uneven floor", "lenses": "lenses beside their models"}
+    words = {
+        "joints": "joint readings",
+        "floor": "the uneven floor",
+        "lenses": "lenses beside their models",
+        "turns": "turns that differ",
+    }
     each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
     return (
         f"One corner coordinate has a noise of {std_text(solution.uncertainty.noise.pixel_px)} px. The reprojection "

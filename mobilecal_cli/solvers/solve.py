@@ -13,6 +13,7 @@ import numpy as np
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
+from mobilecal_cli.likelihood.effects import Widening
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -155,8 +156,10 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     parts = error_parts(fit.lin, corrected, solution.residuals)
     if any(row.kind in PATTERNS for row in data.layout.constants):
         undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
-        without = residuals_of(undone, parameters, *used)
-        parts["lenses"] = _of_lenses(fit, solution.residuals, without)
+        parts["lenses"] = _less(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
+    if any(together.present(Widening)):
+        even = replace(corrected.pairs, steps=together.evened(corrected.pairs.steps))
+        parts["turns"] = _less(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -176,20 +179,24 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     )
 
 
-def _of_lenses(fit: Fit, residuals: Residuals, without: Residuals) -> ErrorPart:
-    """What the lenses do beside their models contributes to the errors: so much less are these `without` it.
+def _less(solution: Solution, without: Residuals, share: float = 1.0) -> ErrorPart:
+    """What an error of the robot contributes: residuals `without` it are so much less. A share of its square."""
+    squares = [
+        float(np.mean(getattr(solution.residuals, name) ** 2 - getattr(without, name) ** 2))
+        for name in ("leg_reprojection_px", "leg_point_rms_m")
+    ]
+    return ErrorPart(*(math.sqrt(share * max(square, 0.0)) for square in squares))
 
-    A few tenths of a pixel there are centimeters of a point's depth. Of more than lenses do, only the usual counts: the
-    description of the cameras is wrong.
+
+def _usual_lenses(fit: Fit) -> float:
+    """The share that is usual of what the lenses do beside their models, as a mean square.
+
+    A few tenths of a pixel there are centimeters of a point's depth. If it is more, the description of the cameras is
+    wrong.
     """
     patterns = [row for row in fit.data.layout.constants if row.kind in PATTERNS]
     square = float(np.mean([(fit.lin.state.value(row.name) / row.sigma) ** 2 for row in patterns]))
-    usual = min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
-    squares = [
-        float(np.mean(getattr(residuals, name) ** 2 - getattr(without, name) ** 2))
-        for name in ("leg_reprojection_px", "leg_point_rms_m")
-    ]
-    return ErrorPart(*(math.sqrt(usual * max(square, 0.0)) for square in squares))
+    return min(1.0, _LENS_SIGMAS**2 / max(square, 1.0))
 
 
 def _linear_start(
@@ -360,8 +367,8 @@ def _refused(diagnosis: Diagnosis) -> SolveError:
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     """Whether known noise does not explain the point error, or many stations of a recording have an outlier.
 
-    Known are that of corners, what lenses do beside their models, the steps of the encoders, and the estimated noise of
-    wheels: its largest mean square, but at most what noise at its limit causes.
+    Known are that of corners, what lenses do beside their models, turns that differ, the steps of the encoders, and the
+    estimated noise of wheels: its largest mean square, but at most what noise at its limit causes.
     """
     stations = Counter(o.log for o in extraction.observations)
     gross = Counter(outlier.log for outlier in solution.gross_outliers)
@@ -372,11 +379,11 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     step_rad = float(right_m + left_m) / solution.parameters.wheels.separation_m
     error_m = max(_BAD_SHARE, step_rad) * distance_m
     of_wheels, parts = 0.0, solution.error_parts
-    of_lenses_m = parts["lenses"].m if "lenses" in parts else 0.0
+    of_robot = sum(parts[name].m ** 2 for name in ("lenses", "turns") if name in parts)
     if solution.uncertainty is not None and "wheels" in parts:
         level, legs = solution.uncertainty.noise.wheel_rad_per_sqrt_rad, len(solution.residuals.legs)
         of_wheels = parts["wheels"].m ** 2 * min(largest_mean_square(legs), (WHEEL_NOISE / level) ** 2)
-    explained = of_corners_m**2 + of_lenses_m**2 + of_wheels
+    explained = of_corners_m**2 + of_robot + of_wheels
     misfits = solution.point_rms_m**2 - explained > error_m**2
     return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 

@@ -43,7 +43,13 @@ def loaded(npz, **flags):
 def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     rig = loaded(npz, priors__all="fixed", priors__pan_zero=0.2, noise__floor_m=0.001).rig
     names = {row.name for row in table(rig.cameras, rig.chain)}
-    assert rig.prior_sigmas.keys() == names | {"board_corners", "clock", "floor_shape", "lens_waves"}
+    assert rig.prior_sigmas.keys() == names | {
+        "board_corners",
+        "clock",
+        "floor_drift",
+        "floor_shape",
+        "lens_waves",
+    }
     assert rig.prior_sigmas["pan_zero"] == pytest.approx(math.radians(0.2))
     assert rig.noise == {"floor_m": 0.001}
     again = tmp_path / "extraction.npz"
@@ -75,8 +81,12 @@ def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz
         data = dataset_for(extraction, Constraints())
         return {row.kind: row.sigma for row in data.layout.constants if row.kind in OF_RECORDINGS}
 
-    assert sigmas() == pytest.approx({"board_corners": 0.00015, "floor_shape": 0.001, "lens_waves": 0.0002})
-    fixed = {"priors__floor_shape": "fixed", "priors__lens_waves": "fixed"}
+    floor, others = (
+        {"floor_drift": 0.001, "floor_shape": 0.001},
+        {"board_corners": 0.00015, "lens_waves": 0.0002},
+    )
+    assert sigmas() == pytest.approx(floor | others)
+    fixed = {f"priors__{kind}": "fixed" for kind in (*floor, "lens_waves")}
     assert sigmas(priors__board_corners=0.3, **fixed) == {"board_corners": 0.0003}
     assert sigmas(priors__all="fixed") == {}
 

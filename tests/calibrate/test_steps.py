@@ -94,7 +94,7 @@ def test_values_are_shown_in_a_line(data, report):
     assert repr(data) == f"Data({stations})"
     assert repr(data.extraction) == stations
     for value in (report.fit, report.fit.solution, report):
-        assert "point error 11.9 mm" in repr(value)
+        assert "point error 11.8 mm" in repr(value)
         assert "\n" not in repr(value)
         assert len(repr(value)) < 150
     assert repr(report).startswith("Report(PASS, Fit('ml', ")
