@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli.kinematics import between_steps, encoder_steps_rad
-from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, legs_between
+from mobilecal_cli.likelihood.measurements import Measurements, SensorMotions, legs_between, steps_between
 from mobilecal_cli.likelihood.nuisance import Constant, Layout, kind
 from mobilecal_cli.model import BoolArray, Extraction, FloatArray, IntArray, Observation, Track, WheelTrack
 
@@ -137,6 +137,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         log=log,
         legs=legs_between(log),
         tracks=tracks,
+        driven=steps_between(tracks, log, times_ns),
         motions=motions,
         times_ns=times_ns,
         encoder_step_rad=steps,

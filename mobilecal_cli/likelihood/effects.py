@@ -318,7 +318,6 @@ class BaseLean(FloorEffect):
         return np.broadcast_to(np.eye(3)[self.axis], (len(base), 3))
 
 
-_FEW_PLACES = 3  # a drift of two numbers takes up all that the legs between them show
 _FLOOR_REACH_M = 100.0  # no polynomial goes further: a fit that is lost there must not overflow
 
 
@@ -379,8 +378,8 @@ class FloorDrift(Effect):
     log: int
 
     def offered(self, data: Measurements) -> bool:
-        """Only a base that drives to several places shows it."""
-        return int(((data.log == self.log) & data.drives).sum()) > _FEW_PLACES
+        """Only a base that drives shows it."""
+        return bool(((data.log == self.log) & data.drives).any())
 
     def carried(self, data: Measurements, heading: FloatArray, rolled_m: FloatArray) -> FloatArray:
         """(L, 2) displacement over each leg in the frame of its start by a value of one, m.

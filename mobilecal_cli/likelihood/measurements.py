@@ -181,6 +181,7 @@ class Measurements:
         log: (N,) the recording of each station. Each recording has a board pose of its own.
         legs: (L, 2) consecutive stations of one recording.
         tracks: wheels of each recording.
+        driven: their rotations over the legs, cut at the stations' stamps.
         motions: of a planar sensor over each leg; None where there is none.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
@@ -209,6 +210,7 @@ class Measurements:
     log: IntArray
     legs: IntArray
     tracks: tuple[WheelTrack, ...]
+    driven: Increments
     motions: SensorMotions | None
     times_ns: IntArray
     encoder_step_rad: FloatArray
@@ -264,7 +266,7 @@ class Measurements:
     @cached_property
     def drives(self) -> BoolArray:
         """(N,) stations of recordings in which the base moves: there the floor differs from station to station."""
-        turned = np.abs(self._steps_as_stamped.totals_rad).max(axis=1, initial=0.0)
+        turned = np.abs(self.driven.totals_rad).max(axis=1, initial=0.0)
         moved = turned > _AT_REST_RAD + 2 * self.encoder_step_rad.max()
         return np.isin(self.log, self.log[self.legs[moved, 0]])
 
@@ -345,13 +347,9 @@ class Measurements:
     def steps(self, time_offset_s: FloatArray | float = 0.0) -> Increments:
         """Wheel rotations of the legs, cut at the stations' stamps by another clock."""
         if not (np.any(time_offset_s) and self.moving.any()):
-            return self._steps_as_stamped
+            return self.driven
         stamps_ns = self.stamps_ns(time_offset_s)
         return steps_between(self.tracks, self.log, stamps_ns)
-
-    @cached_property
-    def _steps_as_stamped(self) -> Increments:
-        return steps_between(self.tracks, self.log, self.times_ns)
 
     @cached_property
     def pairs(self) -> MotionPairs:

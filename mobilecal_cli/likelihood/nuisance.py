@@ -46,6 +46,8 @@ from mobilecal_cli.model import (
 # Prior sigmas of the nine: what a drawing or a ruler gives without any recording.
 NINE_SIGMAS = np.array([0.2, 0.2, 0.2, 0.1, 0.1, 0.1])  # rad, m; wheels: a share of their size
 WHEEL_SIGMA = 0.2
+#: A recording of no more stations says nothing of its floor: two numbers take up what the legs between them show.
+FEW_PLACES = 3
 #: A constant that the user frees has so many times its default prior sigma.
 FREE = 100.0
 

@@ -11,7 +11,15 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.kinematics import JointFrames, head_pose, unseen_height
 from mobilecal_cli.likelihood.dataset import Inliers
-from mobilecal_cli.likelihood.measurements import BASE, BY_STATION, ERRORS, LEAST_DEPTH_M, STAMP, planar_pose
+from mobilecal_cli.likelihood.measurements import (
+    BASE,
+    BY_STATION,
+    ERRORS,
+    LEAST_DEPTH_M,
+    STAMP,
+    planar_pose,
+    steps_between,
+)
 from mobilecal_cli.likelihood.normal import station_rows
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
@@ -138,13 +146,14 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     copies["times_ns"] = 3 * np.arange(count)
     copies["seen"] = np.ones_like(copies["seen"])
     copies["whitening"] = np.broadcast_to(np.eye(2), copies["whitening"].shape)
+    tracks = (WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1)
     wide = replace(
         data,
         **copies,
-        several_wheels=False,  # how fast a stop's turns will be is not known
         joint_tracks=(),
         joint_widths_ns=(),
-        tracks=(WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1),
+        tracks=tracks,
+        driven=steps_between(tracks, copies["log"], copies["times_ns"]),
         motions=None,
         legs=np.stack([np.minimum(np.arange(count - 1), 1), np.arange(1, count)], axis=1),
     )

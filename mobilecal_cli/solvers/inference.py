@@ -67,7 +67,7 @@ def dataset_for(extraction: Extraction, constraints: Constraints) -> Dataset:
     data, rig = dataset_of(extraction), extraction.rig
     described = nuisance.table(rig.cameras, rig.chain)
     clocks = nuisance.clocks_of(np.unique(data.log[data.moving])[1:].tolist())
-    floors = nuisance.floors_of(np.unique(data.log).tolist())
+    floors = nuisance.floors_of(np.flatnonzero(np.bincount(data.log) > nuisance.FEW_PLACES).tolist())
     rows = (*described, *patterns(data, described), *clocks, *floors)
     constraints.check([row.name for row in rows], rig.nominal)
     sigmas = dict(rig.prior_sigmas)
