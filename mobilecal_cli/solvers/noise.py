@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -34,7 +34,9 @@ _EXACT = 1e-12  # variance over the prior's of a constant that the data show com
 # much more, up to this.
 _FASTEST, _FARTHEST, _ANYWAY, _AT_ONCE = 4.5, 3.0, 0.3, 1.0
 _AT_LIMIT = 1e-9  # relative: rounding
-_WORSE = 4.0  # times what the slopes promise: the search begins again
+# Times what the slopes promise: beyond the first the search begins again; beyond the second it goes back half of the
+# step, at most so often.
+_WORSE, _WILD, _MOST_HALVES = 4.0, 100.0, 5
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -242,19 +244,34 @@ class LevelSearch:
         self._at: FloatArray = np.zeros(0)
         self._rise: FloatArray = np.zeros(0)
         self._inverse: FloatArray = np.zeros((0, 0))  # of the second derivatives
-        self._promise = 0.0
+        self._promise = math.inf
+        self._halves = 0
 
     def next(self, noise: Noise, found: Mapping[str, Slope], wider: Mapping[str, float]) -> Noise:
         """Levels for the next round, from those of this round and their slopes; with these scales of the priors."""
         at = np.log([getattr(noise, name) for name in found])
         rise, bend = np.reshape([*found.values()], (-1, 2)).T
         promise = float(np.sum(rise**2 / bend))
-        self._inverse = self._updated(at, rise) if promise < _WORSE * self._promise else np.diag(1 / bend)
+        if promise > _WILD * self._promise and self._halves < _MOST_HALVES:
+            self._halves += 1
+            return self._with_levels(noise, found, (at + self._at) / 2, wider)
+        self._halves = 0
+        self._inverse = (
+            self._updated(at, rise)
+            if len(self._at) and promise < _WORSE * self._promise
+            else np.diag(1 / bend)
+        )
         self._at, self._rise, self._promise = at, rise, promise
         own = np.minimum(np.abs(rise / bend), _FASTEST)
         farthest = np.maximum(own, np.minimum(_FARTHEST * own + _ANYWAY, _AT_ONCE))
         step = np.where(rise == 0, 0.0, np.clip(-self._inverse @ rise, -farthest, farthest))
-        levels = dict(zip(found, np.exp(at + step).tolist(), strict=True))
+        return self._with_levels(noise, found, at + step, wider)
+
+    @staticmethod
+    def _with_levels(
+        noise: Noise, names: Iterable[str], logs: FloatArray, wider: Mapping[str, float]
+    ) -> Noise:
+        levels = dict(zip(names, np.exp(logs).tolist(), strict=True))
         within = {name: min(max(level, _LEAST[name]), _MOST[name]) for name, level in levels.items()}
         return replace(noise.with_levels(within), wider=dict(wider))
 
@@ -268,6 +285,11 @@ class LevelSearch:
         along = np.eye(len(at)) - np.outer(moved, steeper) / curved
         updated: FloatArray = along @ self._inverse @ along.T + np.outer(moved, moved) / curved
         return updated
+
+
+def halfway(a: Noise, b: Noise) -> Noise:
+    """Levels between two others; the scales of the priors are those of the second."""
+    return b.with_levels({name: math.sqrt(getattr(a, name) * getattr(b, name)) for name in _LEAST})
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:

@@ -16,7 +16,7 @@ from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.findings import jumps_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import moved_between, robust_fit
-from tests.actual import draw
+from tests.actual import STATION_NOISE, draw
 from tests.bench.imperfect import CORRELATED, ROBOTS, USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS
 from tests.bench.jumps import changed as changed_recording
@@ -33,6 +33,7 @@ from tests.extractions import (
 )
 from tests.judging import judge
 from tests.pairs import with_views
+from tests.truth import parameters_of
 
 ROBOT, STATIONS, HALF = tick_robot(), 16, 8
 ROUTE = plan_route(ROBOT, "standard", stations=STATIONS, seed=2)
@@ -287,6 +288,23 @@ def test_legs_that_slip_one_after_another(whole, two_slips):
     # Nor the values that the other legs had: the wheels differ for too long.
     (jump,) = solve(slipping(whole, (7, 8, 9, 10))).jumps
     assert (jump.part, jump.station, sum(jump.rejected)) == ("", 8, 4)
+
+
+@pytest.mark.long
+def test_a_board_that_moves_twice_is_named_with_its_first_move():
+    """The search for noise levels ended where rounding decides: "do not determine all parameters", record more stations."""
+    robot, random, parts = tick_robot(), np.random.default_rng(3), []
+    route = plan_route(robot, "standard", 24, seed=3)
+    noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4, wheel_rad_per_sqrt_rad=0.002)
+    for _ in range(3):
+        parts.append(ideal_extraction(robot, route, noise, 3))
+        route = replace(route, T_w_k=route.T_w_k @ se3.exp(0.02 * random.normal(size=6)))
+    first, second, third = parts
+    solution = solve(spliced(spliced(first, second, 8), third, 16))
+    assert solution.jumps[0].part == "board"
+    assert solution.jumps[0].station == 8
+    off = solution.parameters.minus(parameters_of(robot)) / solution.uncertainty.std
+    assert np.abs(off).max() < 4
 
 
 def test_an_estimate_without_an_end_names_the_moment(whole):

@@ -112,6 +112,23 @@ def test_a_search_for_levels_descends_where_two_act_alike():
     assert np.log([getattr(level, name) for name in names]) == pytest.approx(bottom, abs=1e-3)
 
 
+def test_a_search_that_ends_in_far_too_small_a_level_goes_back():
+    """Where nothing fits, one step made a level a hundredth as large, and the next a hundred times, for ever."""
+    search, level, bottom = (
+        LevelSearch(),
+        Noise(**Noise.limits("guess") | {"encoder_rad": 0.0}, wider={}),
+        0.002,
+    )
+    visited = []
+    for _ in range(30):
+        steep = (bottom / level.wheel_share) ** 2
+        # The likelihood's rise, with a bend that is right beyond the bottom alone.
+        level = search.next(level, {"wheel_share": Slope(1 - steep, 0.2)}, {})
+        visited.append(level.wheel_share)
+    assert visited[-1] == pytest.approx(bottom, rel=1e-3)
+    assert min(visited) > 1e-3 * bottom
+
+
 @pytest.mark.long
 def test_play_of_the_encoders_is_told_from_noise_of_the_wheels():
     # Every stop is read wrong by whole steps, 2 on average.
