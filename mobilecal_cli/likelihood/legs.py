@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import Increments, integrate
+from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import Clock, FloorDrift, Widening
 from mobilecal_cli.likelihood.measurements import (
@@ -28,6 +28,9 @@ from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 _STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
+_BENT = (
+    1 / 8
+)  # of the change of a step's rates: half a step early or late is 1 / 4, and a steady change 1 / 16
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"
 
@@ -179,6 +182,24 @@ def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     return wide
 
 
+def _bent(arcs: Arcs) -> FloatArray:
+    """(L, 2, 2) covariance of x and y by what the wheels do between two readings, m^2.
+
+    A step is an arc if both wheels turn evenly in it. Their rates in the steps before and after tell how much they
+    change: heading and way differ from those of the arc by a share of the differences between these steps.
+    """
+    steps, none = arcs.steps, np.zeros(1)
+    same = np.diff(steps.leg) == 0  # before and after a leg, the wheels are at rest
+    of_way, of_turn = (
+        np.abs(np.append(each[1:] * same, none) - np.append(none, each[:-1] * same))
+        for each in (arcs.ds, arcs.turn)
+    )
+    across = _BENT * (np.abs(arcs.ds) * of_turn + np.abs(arcs.turn) * of_way)
+    cos, sin = arcs.direction
+    xx, xy, yy = (steps.total(across**2 * part) for part in (sin**2, -sin * cos, cos**2))
+    return np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+
+
 def leg_covariances(
     steps: Increments, wheels: WheelGeometry, noise: Noise, ends_known: bool = False
 ) -> Mapping[str, FloatArray]:
@@ -209,6 +230,7 @@ def leg_covariances(
     slip = np.zeros_like(root)
     slip[:, 0, 0] = slip[:, 1, 1] = _STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
     slip[:, 2, 2] = _STANDSTILL_RAD**2
+    slip[:, :2, :2] += _bent(arcs)
     return {
         "wheel_rad_per_sqrt_rad": root,
         "wheel_share": by_radii @ by_radii.mT,
