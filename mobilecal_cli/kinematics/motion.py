@@ -12,6 +12,7 @@ from mobilecal_cli.model import FloatArray
 TILTED_RAD = math.radians(3.0)  # in a smaller range, the rotation axes are practically parallel for Tsai-Lenz
 TURNED_RAD = 0.1  # wheel rotation: about 2.5 degrees of heading with typical wheels
 DRIVEN_RAD = 0.1  # wheel rotation: about 2 cm with typical wheels
+_UNEQUAL = 0.02  # share of their size by which the wheels of a robot may differ
 FEWEST_LEGS = 3  # nine equations in translation and nine in rotation for nine unknowns
 _WHEEL_RAD_PER_SQRT_RAD = 0.004  # noise of wheels that roll on a firm floor
 _CLEAR = 3.0  # rotations over their noise
@@ -41,8 +42,8 @@ class MotionSeen:
 
     @property
     def turns(self) -> bool:
-        """Whether the base turns over a leg."""
-        return self.turned_rad >= TURNED_RAD
+        """Whether the base turns over a leg: more than wheels that differ in size do, driving straight."""
+        return self.turned_rad >= max(TURNED_RAD, _UNEQUAL * self.driven_rad)
 
     @property
     def drives(self) -> bool:

@@ -157,7 +157,8 @@ def linear_estimate(
 def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSeen) -> Parameters:
     """The linear method with weak priors from nominal values, for motion that does not show all parameters.
 
-    Or the nominal values themselves, where most legs agree better with them.
+    Or the nominal values themselves, where most legs agree better with them, and where neither head nor base turns: then
+    the axes of rotation are noise of the floor.
 
     Raises:
         SolveError: wheels that the motion does not show, and no nominal ones.
@@ -168,8 +169,10 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSe
             "drive and turn the base between stations, or state nominal.wheels in rig.yaml",
         )
     ratios = ratios_of(prior.wheels) if prior.wheels is not None else np.zeros(2)
-    signs = (0,) if motion.tilts or prior.head_eye_fixed else (1, -1)
     solutions = [] if prior.T_h_c is None or prior.wheels is None else [Parameters(prior.T_h_c, prior.wheels)]
+    if solutions and not (motion.tilts or motion.turns):
+        return solutions[0]
+    signs = (0,) if motion.tilts or prior.head_eye_fixed else (1, -1)
     for sign in signs:
         try:
             solutions.append(Rounds(pairs, prior, sign).after(ratios, ROUNDS))
