@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_steps_rad
+from mobilecal_cli.kinematics import encoder_steps_rad, unseen_height
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
@@ -330,7 +330,8 @@ def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     because = " and ".join(
         extent.too_small.format(extent.text(motion[key])) for key, extent in lacking.items()
     )
-    cures = [MOTION["tilt_range_deg"].cure] if head and "tilt_range_deg" not in lacking else []
+    shows_head = "tilt_range_deg" if unseen_height(made.extraction.rig.chain) is None else "turned_deg"
+    cures = [MOTION[shows_head].cure] if head and shows_head not in lacking else []
     cures += [extent.cure for extent in lacking.values()]
     return f": {because}" if because else "", f"Record again and {'; '.join(cures)}."
 

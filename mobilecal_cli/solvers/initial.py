@@ -157,8 +157,8 @@ def linear_estimate(
 def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSeen) -> Parameters:
     """The linear method with weak priors from nominal values, for motion that does not show all parameters.
 
-    Or the nominal values themselves, where most legs agree better with them, and where neither head nor base turns: then
-    the axes of rotation are noise of the floor.
+    Or the nominal values themselves, where most legs agree better with them, and where neither head nor base turns: the
+    axes of rotation are noise of the floor then.
 
     Raises:
         SolveError: wheels that the motion does not show, and no nominal ones.

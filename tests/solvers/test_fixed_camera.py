@@ -1,6 +1,7 @@
 """A camera that is fixed to the base: no joint tilts it, so its height is as described."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import unseen_height
-from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink
+from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, WheelTrack
 from mobilecal_cli.simulate.robot import fixed_camera_robot
+from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.inference import Inference
 from tests.extractions import Noise, simulated
 from tests.fits import maximum_likelihood
 from tests.truth import nees, parameters_of
@@ -72,6 +75,23 @@ def test_which_heads_show_the_height(axes, height):
     chain = HeadChain("base", "head", (FixedLink(np.eye(4)), *links))
     found = unseen_height(chain)
     assert found is None if height is None else found == pytest.approx(height)
+
+
+def test_wheels_of_different_size_do_not_turn_the_base():
+    """Slopes of the floor were taken for turns: the start was off by a radian, and "did not converge" the answer."""
+    noise = Noise(0.005, 2e-4, 0.0, 0.0, floor_rad=2e-3, floor_m=5e-4)
+    extraction = simulated("straight", noise, "rgbd", 12, 8)
+    (track,) = extraction.wheels
+    wheels = WheelTrack.at_same_times(track.time_ns, track.right_rad, 1.01 * track.left_rad)
+    extraction = replace(extraction, wheels=(wheels,))
+    inference = Inference.of(extraction, Constraints())
+    assert 0.1 < inference.motion.turned_rad < 0.02 * inference.motion.driven_rad
+    assert not inference.motion.turns
+    assert inference.initial().T_h_c == pytest.approx(inference.nominal.T_h_c)
+    verdict = Report(Data(extraction), fitted(extraction)).verdict
+    assert verdict.level == "NOT ENOUGH"
+    assert "turn the base" in verdict.next_step
+    assert "tilt the head" not in verdict.next_step
 
 
 def test_the_vertical_is_in_the_head_frame():
