@@ -69,6 +69,7 @@ from mobilecal_cli.model.robot_description import (
 from mobilecal_cli.model.signals import (
     FEW_READINGS,
     NO_IMAGES,
+    TURNS_AT_REST,
     PictureIndex,
     Rejection,
     Shot,

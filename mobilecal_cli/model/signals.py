@@ -101,6 +101,8 @@ class PictureIndex(ReadOnly):
 NO_IMAGES = "No images for"
 #: Part of a note on joints or wheels that are published too slowly.
 FEW_READINGS = "too few readings per second"
+#: In a note on odometry.
+TURNS_AT_REST = "the heading changes while the robot stands still"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from mobilecal_cli.model import (
     MATERIAL_SIGMAS,
     NINE,
     NO_IMAGES,
+    TURNS_AT_REST,
     WHEEL_NOISE,
     ErrorPart,
     Evaluation,
@@ -348,6 +349,19 @@ def motion(made: Calibration, *metrics: Metric) -> Iterator[Check]:
                 value, extent.least, extent.name if judged else "", cure,
                 why=f"The {extent.name} in the recording is {small}.",
             )  # fmt: skip
+
+
+@criterion(Metric("odometry_heading", section="description"), gated=False)
+def odometry_heading(made: Calibration, metric: Metric) -> Iterator[Check]:
+    """Heading of the odometry from a gyro: how far the base turns says nothing of the wheels."""
+    gyros = [note for note in made.extraction.notes if TURNS_AT_REST in note]
+    if gyros:
+        yield metric.check(
+            len(gyros), 0, "odometry with a gyro's heading",
+            "Switch the gyro off in the driver of the odometry, or record the wheel joints or counters instead.",
+            why=f"{visible(gyros[0])}: it is that of a gyro, and so is the wheel separation (or its multiplier).",
+            beyond="warning",
+        )  # fmt: skip
 
 
 @criterion(Metric("camera_info", section="description"), gated=False)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import Sources, WheelGeometry, WheelSource
+from mobilecal_cli.model import TURNS_AT_REST, Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations
+from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations, turns_at_rest
 from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
@@ -105,3 +105,16 @@ def test_motion_sideways_is_that_of_another_drive():
     with pytest.raises(RecordingError, match="m ahead: a differential drive cannot") as told:
         check_forward("/odom", time_ns, pose)
     assert told.value.hint.startswith("mecanum and other omnidirectional robots")
+
+
+def test_a_heading_that_changes_at_rest_is_that_of_a_gyro():
+    """A gyro's scale was taken for that of the wheels: a multiplier was off by 22 of its sigmas, with a PASS."""
+    time_ns = np.arange(0, 40 * 10**9, 20 * 10**6)
+    drives = (time_ns // (2 * 10**9)) % 2 == 1
+    way, heading = (np.cumsum(np.where(drives, step, 0.0)) for step in (0.004, 0.01))
+    pose = np.stack([way, np.zeros(len(way)), heading], axis=1)
+    assert turns_at_rest("/odom", time_ns, pose) == []
+    drifting = pose + np.radians(1.5 / 60) * 1e-9 * time_ns[:, None] * [0, 0, 1]
+    assert turns_at_rest("/odom", time_ns, drifting) == [f"/odom: {TURNS_AT_REST}, by 1.5 degrees a minute"]
+    turning = np.where(drives, 0.0, pose[:, 0])[:, None] * [0, 0, 1]  # in place
+    assert turns_at_rest("/odom", time_ns, turning) == []

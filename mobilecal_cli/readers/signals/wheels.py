@@ -10,6 +10,7 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
+    TURNS_AT_REST,
     BoolArray,
     FloatArray,
     IntArray,
@@ -285,6 +286,9 @@ _ALONE, _NOT_LEAST = 5.0, 0.1
 _OFFSET_M = 0.01
 #: No robot in front of a checkerboard drives so fast; one whose positions are in millimeters seems to.
 _FAST_MPS = 20.0
+#: A rest lasts so long. A gyro changes the heading in most messages, by more than rounding, and less than a base turns.
+_REST_S, _MOSTLY, _LEAST_TURN, _SLOWLY_RADPS = 1.0, 0.5, 1e-9, 0.02
+_FEW_RESTS = 3
 
 
 class OdometryWheel(Source):
@@ -309,6 +313,7 @@ class OdometryWheel(Source):
         time_ns, pose = samples.ordered(notes)
         check_speed(samples.topic, time_ns, pose[:, :2])
         notes += check_forward(samples.topic, time_ns, pose)
+        notes += turns_at_rest(samples.topic, time_ns, pose)
         right, left, jumps = rotations(pose[:, :2], pose[:, 2], wheels)
         if self._assumed:
             notes.append(
@@ -377,6 +382,28 @@ def check_forward(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
         f"{topic}: the base frame of the odometry is {offset_m * 1e3:.0f} mm ahead of the axle, about which the base "
         "turns; camera poses are given against the axle"
     ]
+
+
+def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
+    """A note on odometry whose heading changes while its position does not, to the last bit: it is that of a gyro.
+
+    Wheels that stand still change neither; those that turn the base in place turn it faster.
+
+    Args:
+        topic, time_ns, pose: see `check_forward`.
+    """
+    turn = _steps(pose[:, :2], pose[:, 2])[0]
+    slow = np.abs(turn) < _SLOWLY_RADPS * np.diff(time_ns) * 1e-9
+    still = slow & np.all(np.diff(pose[:, :2], axis=0) == 0, axis=1)
+    ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
+    rest_s, turned, rests = 0.0, 0.0, 0
+    for begin, end in ends.tolist():
+        seconds = (time_ns[end] - time_ns[begin]) * 1e-9
+        if seconds >= _REST_S and np.mean(np.abs(turn[begin:end]) > _LEAST_TURN) > _MOSTLY:
+            rest_s, turned, rests = rest_s + seconds, turned + float(turn[begin:end].sum()), rests + 1
+    if rests < _FEW_RESTS:
+        return []
+    return [f"{topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees a minute"]
 
 
 def _sideways(pose: FloatArray, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
