@@ -28,9 +28,8 @@ from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 _STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
-_BENT = (
-    1 / 8
-)  # of the change of a step's rates: half a step early or late is 1 / 4, and a steady change 1 / 16
+# Share of the change of a step's rates: a change at once, in the middle of the step, is 1 / 4, a steady one 1 / 16.
+_BENT = 1 / 8
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"
 

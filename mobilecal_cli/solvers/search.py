@@ -388,6 +388,7 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
     ratios = radii_m / nominal.vector[:2]
     factor = float(np.mean(np.abs(ratios)))
     right, left = (f"{1e3 * radius_m:.4g}" for radius_m in radii_m)
+    times = f"{float(f'{factor:.2g}'):g} times the nominal ones"
     if 1 / _OTHER_WHEELS < factor < _OTHER_WHEELS:
         if ratios[0] * ratios[1] > 0:
             return None
@@ -398,12 +399,12 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
     wider = abs(wheels.separation_m) / nominal.separation_m
     if abs(wider / factor - 1) < _ALIKE_SIZES:  # readings in another unit leave the separation as it is
         return Diagnosis(
-            f"radii and separation that fit are all {factor:.2g} times the nominal ones (radii {right} and {left} mm)",
+            f"radii and separation that fit are all {times} (radii {right} and {left} mm)",
             "check the unit of board.square_m, of the camera poses and of nominal.wheels: all are in m",
         )
     meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
     return Diagnosis(
-        f"the wheel radii that fit are {right} and {left} mm, {factor:.2g} times the nominal ones{meters}",
+        f"the wheel radii that fit are {right} and {left} mm, {times}{meters}",
         "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
     )
 
