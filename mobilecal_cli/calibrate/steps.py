@@ -23,6 +23,7 @@ from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.model import (
+    CLOCK_STEPS,
     FEW_READINGS,
     CalibratedRobot,
     CameraRig,
@@ -221,8 +222,10 @@ def fitted(
         )
     except SolveError as error:
         gaps = motion_gaps(extraction, constraints.fixed)
-        slow = [note.removesuffix(".") for note in extraction.notes if FEW_READINGS in note]
-        cures = [*slow, *(gap.cure for gap in gaps)]
+        notes = [
+            note.removesuffix(".") for note in extraction.notes if FEW_READINGS in note or CLOCK_STEPS in note
+        ]
+        cures = [*notes, *(gap.cure for gap in gaps)]
         if not cures:
             raise
         message = "; ".join([error.message, *(gap.because for gap in gaps)])

@@ -67,6 +67,7 @@ from mobilecal_cli.model.robot_description import (
     TopicInfo,
 )
 from mobilecal_cli.model.signals import (
+    CLOCK_STEPS,
     FEW_READINGS,
     NO_IMAGES,
     TURNS_AT_REST,

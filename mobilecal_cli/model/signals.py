@@ -101,6 +101,8 @@ class PictureIndex(ReadOnly):
 NO_IMAGES = "No images for"
 #: Part of a note on joints or wheels that are published too slowly.
 FEW_READINGS = "too few readings per second"
+#: Part of a note on stamps of one topic.
+CLOCK_STEPS = "the clock steps back by up to"
 #: In a note on odometry.
 TURNS_AT_REST = "the heading changes while the robot stands still"
 

@@ -18,6 +18,7 @@ from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
     CHAIN_ENDS,
+    CLOCK_STEPS,
     CONTRADICTION_SIGMAS,
     FACTORS,
     MATERIAL_SIGMAS,
@@ -714,9 +715,12 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
     }
     moved_board = {(jump.part, jump.also) for jump in made.solution.jumps} == {("board", "")}
+    stepped = [visible(note) for note in made.extraction.notes if CLOCK_STEPS in note]
     stated = ", and the priors in rig.yaml" if made.extraction.rig.prior_sigmas else ""
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
+        if metric.name == "noise.stamp" and stepped:
+            cause = f"that no clock is set during the recording ({stepped[0]})"
         yield metric.check(
             level, bad, f"noise of the {name}" if level else "", f"Check {cause}{stated}. Then record again.",
             measured=f"{level:.2g} {metric.unit}",

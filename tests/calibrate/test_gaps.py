@@ -135,8 +135,14 @@ def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cu
     assert cure in caught.value.hint
 
 
-def test_a_refusal_names_readings_that_are_too_few():
-    note = "wheels: too few readings per second (1, at least 8 needed). Publish them faster."
+@pytest.mark.parametrize(
+    "note",
+    [
+        "wheels: too few readings per second (1, at least 8 needed). Publish them faster.",
+        "/joint_states: the clock steps back by up to 0.030 s; 2 of 4500 samples are out of order and dropped.",
+    ],
+)
+def test_a_refusal_names_readings_that_are_too_few_and_clocks_that_step(note):
     whole = extraction("head_fixed")
     whole = replace(whole, rig=replace(whole.rig, nominal=Nominal()), notes=(note, "of no concern"))
     with pytest.raises(SolveError, match="the head's tilt spans") as caught:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.noise import _LOG_FACTORS, expected_factors
 from tests.bench import imperfect
@@ -107,3 +108,15 @@ def test_a_late_camera_moves_no_scale(late_s, seed):
     assert run.level == "PASS"
     assert np.abs(run.error / run.std).max() < 3.5
     assert run.named[0] == "stereo_clock"
+
+
+def test_stamps_that_vary_where_a_clock_stepped_are_no_fault_of_the_images():
+    """Joint states were stamped 50 ms earlier from the middle on: "check that images have hardware time stamps"."""
+    note = "/joint_states: the clock steps back by up to 0.030 s"
+    extraction = replace(moving(0.0).extraction(0), notes=(note,))
+    found = fitted(extraction)
+    uncertainty = found.solution.uncertainty
+    noisy = replace(uncertainty, noise=replace(uncertainty.noise, stamp_s=0.025))
+    report = Report(Data(extraction), replace(found, solution=replace(found.solution, uncertainty=noisy)))
+    (check,) = [check for check in report.verdict.checks if check.id == "noise.stamp"]
+    assert check.next_step == f"Check that no clock is set during the recording ({note}). Then record again."

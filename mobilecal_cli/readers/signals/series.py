@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import BoolArray, FloatArray, IntArray, Track
+from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
 
@@ -75,7 +75,7 @@ class Samples:
         if dropped := different - int(keep.sum()):
             back_s = -float(np.diff(self.stamp_ns).min()) * 1e-9
             notes.append(
-                f"{self.topic}: the clock steps back by up to {back_s:.3f} s; {dropped} of {total} samples "
+                f"{self.topic}: {CLOCK_STEPS} {back_s:.3f} s; {dropped} of {total} samples "
                 "are out of order and dropped"
             )
         return keep
