@@ -23,7 +23,7 @@ from mobilecal_cli.kinematics import (
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 from mobilecal_cli.stations import NO_READINGS
-from mobilecal_cli.vision import OTHER_BOARDS, SQUARES_UNKNOWN, readable_words
+from mobilecal_cli.vision import OTHER_BOARDS, SECOND_BOARD, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
@@ -153,6 +153,8 @@ def require_stations(extraction: Extraction) -> None:
             f"set the number of the board's inner corners with --board: {extraction.board.columns} x "
             f"{extraction.board.rows} was used; keep other checkerboards out of view"
         )
+    if reason == SECOND_BOARD:
+        cure = "cover the other checkerboard, or take it away: only one may be in view"
     if reason == SQUARES_UNKNOWN:
         cure = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
     if extraction.measured:

@@ -25,7 +25,7 @@ from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, SECOND_BOARD, Appearance, Detection, Miss
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 # For uneven light; slow in full images.
@@ -115,7 +115,7 @@ def detect(
             x, y = other.mean(axis=0)
             first_x, first_y = result.pixels.mean(axis=0)
             return Miss(
-                "second board in view",
+                SECOND_BOARD,
                 f"boards of {columns} x {rows} at ({first_x:.0f}, {first_y:.0f}) and ({x:.0f}, {y:.0f}) px",
             )
     return result

@@ -30,6 +30,8 @@ OCCLUDED: Final = "board partly occluded or outside the image"
 INCONSISTENT: Final = "left and right images inconsistent"
 #: Of images that show a checkerboard with other numbers of corners.
 OTHER_BOARDS: Final = ("board extends beyond the grid", "board of a different size")
+#: Of images that show two boards of the same size.
+SECOND_BOARD: Final = "second board in view"
 #: For arrays where single precision is enough.
 Single = NDArray[np.float32]
 LARGE_PX = 1280  # image width from which detectors run at reduced size first, which is three times as fast

@@ -123,6 +123,7 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
     [
         ("stations", "too few readings per second", "noted: wheels: too few readings per second"),
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
+        ("vision", "second board in view", "cover the other checkerboard"),
         ("vision", "blurred", "in good light"),
     ],
 )
