@@ -32,6 +32,7 @@ _TURNS_DEG = (0, -50, -25, 25, 50)
 _DRIVES_M = (0.0, -0.3, 0.6)
 #: Where the board is in the first camera's image, from its middle, in shares of what the board leaves free there.
 _LOOKS = ((0.0, 0.0), (-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7))
+_PIECES = 20  # readings of the wheels while the robot turns, drives and turns
 _MARGIN = 0.02  # of the picture's size
 _ROOM = 1.2  # range of distances: the log's own, so much wider
 _REACH_RAD = 0.35  # beyond the joints' range in the log
@@ -136,14 +137,14 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     data, state, wheels = lin.data, lin.state, lin.state.parameters.wheels
     count, last, half_m = len(ways) + 2, int(data.log[-1]), wheels.separation_m / 2
     right, left = (
-        np.concatenate([np.zeros(4), np.cumsum(ways * [side * half_m, 1.0, side * half_m])]) / radius_m
+        _evenly(ways * [side * half_m, 1.0, side * half_m]) / radius_m
         for side, radius_m in ((1, wheels.radius_right_m), (-1, wheels.radius_left_m))
     )
     copies: dict[str, Any] = {name: np.repeat(getattr(data, name)[-1:], count, axis=0) for name in BY_STATION}
     zero = ("moving", "approach_direction", "wheels_between", "joints_between", "pose_weight")
     copies.update((name, np.zeros_like(copies[name])) for name in zero)
     copies["joints"][2:] = joints
-    copies["times_ns"] = 3 * np.arange(count)
+    copies["times_ns"] = 3 * _PIECES * np.arange(count)
     copies["seen"] = np.ones_like(copies["seen"])
     copies["whitening"] = np.broadcast_to(np.eye(2), copies["whitening"].shape)
     tracks = (WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1)
@@ -161,6 +162,12 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     there = State.without_errors(wide, state.parameters, state.T_w_k[: last + 1], base)
     there = replace(there, constants=state.constants)
     return Posterior.at(there, Inliers.all_of(wide), lin.noise, lin.priors)
+
+
+def _evenly(ways: FloatArray) -> FloatArray:
+    """(n,) way after each piece of a rest and of ways (N, 3), at even rates in each of these."""
+    pieces = np.repeat(np.concatenate([np.zeros(3), ways.ravel()]) / _PIECES, _PIECES)
+    return np.concatenate([np.zeros(1), np.cumsum(pieces)])
 
 
 def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
