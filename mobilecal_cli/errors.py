@@ -39,7 +39,16 @@ class ObservationError(MobilecalError, exit_code=4):
 
 
 class SolveError(MobilecalError, exit_code=5):
-    """The nine parameters cannot be estimated: not observable, or not converged."""
+    """The nine parameters cannot be estimated: not observable, or not converged.
+
+    Args:
+        message, hint: see `MobilecalError`.
+        explained: the message names the cause, so the hint needs no other.
+    """
+
+    def __init__(self, message: str, hint: str = "", explained: bool = False) -> None:
+        super().__init__(message, hint)
+        self.explained = explained
 
 
 class QualityError(MobilecalError, exit_code=6):

@@ -443,7 +443,7 @@ def _slow_wheels(channels: Sequence[_Channel]) -> Iterator[str]:
         if channel.interval_s > _WHEEL_INTERVAL_S:
             yield (
                 f"{channel.name}: {FEW_READINGS} ({1 / channel.interval_s:.2g}, at least {1 / _WHEEL_INTERVAL_S:g} "
-                f"needed). The path between them is not known. Publish {_RATE}."
+                f"needed). The path between two readings is uncertain. Publish {_RATE}."
             )
 
 

@@ -154,7 +154,7 @@ def require_stations(extraction: Extraction) -> None:
             f"{extraction.board.rows} was used; keep other checkerboards out of view"
         )
     if reason == SECOND_BOARD:
-        cure = "cover the other checkerboard, or take it away: only one may be in view"
+        cure = "cover or remove the other checkerboard: only one may be in view"
     if reason == SQUARES_UNKNOWN:
         cure = "set board.square_m in rig.yaml, or with --set: stations that one camera alone shows need it"
     if extraction.measured:

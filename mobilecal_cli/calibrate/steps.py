@@ -222,9 +222,8 @@ def fitted(
         )
     except SolveError as error:
         gaps = motion_gaps(extraction, constraints.fixed)
-        notes = [
-            note.removesuffix(".") for note in extraction.notes if FEW_READINGS in note or CLOCK_STEPS in note
-        ]
+        told = () if error.explained else (FEW_READINGS, CLOCK_STEPS)
+        notes = [note.removesuffix(".") for note in extraction.notes if any(part in note for part in told)]
         cures = [*notes, *(gap.cure for gap in gaps)]
         if not cures:
             raise

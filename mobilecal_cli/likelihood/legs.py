@@ -29,7 +29,7 @@ from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 _STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
 # Share of the change of a step's rates: a change at once, in the middle of the step, is 1 / 4, a steady one 1 / 16.
-_BENT = 1 / 8
+_UNSTEADY = 1 / 8
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
 SUPPOSED = "slip"
 
@@ -181,7 +181,7 @@ def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     return wide
 
 
-def _bent(arcs: Arcs) -> FloatArray:
+def _between_readings(arcs: Arcs) -> FloatArray:
     """(L, 2, 2) covariance of x and y by what the wheels do between two readings, m^2.
 
     A step is an arc if both wheels turn evenly in it. Their rates in the steps before and after tell how much they
@@ -193,7 +193,7 @@ def _bent(arcs: Arcs) -> FloatArray:
         np.abs(np.append(each[1:] * same, none) - np.append(none, each[:-1] * same))
         for each in (arcs.ds, arcs.turn)
     )
-    across = _BENT * (np.abs(arcs.ds) * of_turn + np.abs(arcs.turn) * of_way)
+    across = _UNSTEADY * (np.abs(arcs.ds) * of_turn + np.abs(arcs.turn) * of_way)
     cos, sin = arcs.direction
     xx, xy, yy = (steps.total(across**2 * part) for part in (sin**2, -sin * cos, cos**2))
     return np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
@@ -229,7 +229,7 @@ def leg_covariances(
     slip = np.zeros_like(root)
     slip[:, 0, 0] = slip[:, 1, 1] = _STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
     slip[:, 2, 2] = _STANDSTILL_RAD**2
-    slip[:, :2, :2] += _bent(arcs)
+    slip[:, :2, :2] += _between_readings(arcs)
     return {
         "wheel_rad_per_sqrt_rad": root,
         "wheel_share": by_radii @ by_radii.mT,

@@ -110,10 +110,10 @@ KINDS: tuple[Kind, ...] = (
     Kind("joint_scale", *_SHARE, 0.001, "scale of a head joint's reading", r".+_scale"),
     Kind("joint_axis", *_ANGLE, 0.1 * _DEGREE, "direction of a head joint's axis", r".+_axis_[xyz]"),
     Kind("joint_position", *_LENGTH, 0.001, "position of a head joint's axis", r".+_position_[xyz]"),
-    Kind("floor_drift", *_LENGTH, 0.001, "drift of the base over the floor, per m that the wheels roll",
+    Kind("floor_drift", *_LENGTH, 0.001, "drift of the base over the floor, per meter of wheel travel",
          r"drift_[xy](_\d+)?"),
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
-    Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in turns to the left over that in all"),
+    Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in left turns against the mean of all turns"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
@@ -260,8 +260,7 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("lean_pitch", "lean", "base", "pitch of the base against the floor's normal", BaseLean(1)),
         _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate",
              Widening("rate")),
-        _row("turn_sides", "turn_sides", "wheels", "effective separation in turns to the left over that in all",
-             Widening("side")),
+        _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
         *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
                CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
         _row("readout", "readout", every, "time between the first and the last row",
@@ -359,7 +358,7 @@ def floors_of(logs: Iterable[int]) -> Iterator[Constant]:
             effect = FloorShape((a, b), log, len(_FLOOR_POWERS))
             yield _row(f"floor_{term}{number}", "floor_shape", "floor", meaning, effect)
         for axis, letter in enumerate("xy"):
-            meaning = f"drift along {letter} per m that the wheels roll"
+            meaning = f"drift along {letter} per meter of wheel travel"
             yield _row(f"drift_{letter}{number}", "floor_drift", "floor", meaning, FloorDrift(axis, log))
 
 

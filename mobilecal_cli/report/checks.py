@@ -352,30 +352,28 @@ def motion(made: Calibration, *metrics: Metric) -> Iterator[Check]:
             )  # fmt: skip
 
 
-@criterion(Metric("odometry_heading", section="description"), gated=False)
-def odometry_heading(made: Calibration, metric: Metric) -> Iterator[Check]:
-    """Heading of the odometry from a gyro: how far the base turns says nothing of the wheels."""
-    gyros = [note for note in made.extraction.notes if TURNS_AT_REST in note]
-    if gyros:
-        yield metric.check(
-            len(gyros), 0, "odometry with a gyro's heading",
-            "Switch the gyro off in the driver of the odometry, or record the wheel joints or counters instead.",
-            why=f"{visible(gyros[0])}: it is that of a gyro, and so is the wheel separation (or its multiplier).",
-            beyond="warning",
-        )  # fmt: skip
+#: Part of a note → criterion, its name, what the note means for the result, and what to do.
+_NOTED = {
+    TURNS_AT_REST: (
+        Metric("odometry_heading", section="description"), "odometry with the heading of a gyro",
+        " The heading comes from a gyro: the wheel separation (or its multiplier) describes the gyro, not the wheels.",
+        "Switch the gyro off in the driver of the odometry, or record the wheel joints or counters instead.",
+    ),
+    CAMERA_INFO_CHANGES: (
+        Metric("camera_info", section="description"), "changes of camera_info", "",
+        "Record again with one camera calibration, or state the correct one in rig.yaml.",
+    ),
+}  # fmt: skip
 
 
-@criterion(Metric("camera_info", section="description"), gated=False)
-def camera_info(made: Calibration, metric: Metric) -> Iterator[Check]:
-    """One calibration of each camera for the whole recording; the estimate uses the first."""
-    changes = [note for note in made.extraction.notes if CAMERA_INFO_CHANGES in note]
-    if changes:
-        yield metric.check(
-            len(changes), 0, "changes of camera_info",
-            "Record again with one camera calibration, or state the correct one in rig.yaml.",
-            why=f"{visible(changes[0])}.",
-            beyond="warning",
-        )  # fmt: skip
+@criterion(*(metric for metric, *_ in _NOTED.values()), gated=False)
+def noted(made: Calibration, *_: Metric) -> Iterator[Check]:
+    """Warnings of what the recording's notes say: the estimate takes the first camera_info and any heading."""
+    for part, (metric, name, meaning, cure) in _NOTED.items():
+        notes = [note for note in made.extraction.notes if part in note]
+        if notes:
+            why = f"{visible(notes[0])}.{meaning}"
+            yield metric.check(len(notes), 0, name, cure, why=why, beyond="warning")
 
 
 @criterion(Metric("prior", "sigma", section="description"), gated=False)
@@ -720,7 +718,7 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         if metric.name == "noise.stamp" and stepped:
-            cause = f"that no clock is set during the recording ({stepped[0]})"
+            cause = f"that no clock is adjusted during the recording ({stepped[0]})"
         yield metric.check(
             level, bad, f"noise of the {name}" if level else "", f"Check {cause}{stated}. Then record again.",
             measured=f"{level:.2g} {metric.unit}",
@@ -808,7 +806,7 @@ _ERROR_CURES = {
     "floor": "Record on a flat floor, and check that the base does not rock.",
     "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
     "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
-    "turns": "Check tires, casters and load: turns to the left and to the right differ.",
+    "turns": "Check tires, casters and load: left and right turns differ.",
     "chain": "Check that the head chain has all joints that move the camera.",
 }
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise

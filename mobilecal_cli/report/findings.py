@@ -91,7 +91,7 @@ def reprojection_sentence(solution: Solution) -> str:
         "joints": "joint readings",
         "floor": "the uneven floor",
         "lenses": "lenses beside their models",
-        "turns": "turns that differ",
+        "turns": "unequal left and right turns",
     }
     each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
     return (

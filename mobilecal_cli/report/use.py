@@ -350,8 +350,8 @@ STATED: dict[str, Stated] = {
                         "Turn more slowly, or on a floor with more grip."),
     "floor_drift": Stated("floor", "Record on a hard floor", "a floor that carries nothing along",
                           "Record on a hard floor, not on a carpet."),
-    "turn_sides": Stated("wheels", "Turn as often to the left as to the right", "equal turns to both sides",
-                         "Check tires, casters and load: no separation fits the turns to both sides."),
+    "turn_sides": Stated("wheels", "Turn as often to the left as to the right", "the mean of all turns",
+                         "Check tires, casters and load: one separation cannot describe left and right turns."),
     "backlash": Stated("head geometry", "Approach each head pose from both sides", "no backlash",
                        "Repair the joint, or approach each head pose from the same side."),
 }

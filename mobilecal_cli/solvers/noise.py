@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -241,10 +241,11 @@ class LevelSearch:
     """
 
     def __init__(self) -> None:
+        self._last: Noise | None = None
         self._at: FloatArray = np.zeros(0)
         self._rise: FloatArray = np.zeros(0)
         self._inverse: FloatArray = np.zeros((0, 0))  # of the second derivatives
-        self._promise = math.inf
+        self._promise = 0.0
         self._halves = 0
 
     def next(self, noise: Noise, found: Mapping[str, Slope], wider: Mapping[str, float]) -> Noise:
@@ -252,26 +253,16 @@ class LevelSearch:
         at = np.log([getattr(noise, name) for name in found])
         rise, bend = np.reshape([*found.values()], (-1, 2)).T
         promise = float(np.sum(rise**2 / bend))
-        if promise > _WILD * self._promise and self._halves < _MOST_HALVES:
+        if self._last is not None and promise > _WILD * self._promise and self._halves < _MOST_HALVES:
             self._halves += 1
-            return self._with_levels(noise, found, (at + self._at) / 2, wider)
+            return replace(halfway(self._last, noise), wider=dict(wider))
         self._halves = 0
-        self._inverse = (
-            self._updated(at, rise)
-            if len(self._at) and promise < _WORSE * self._promise
-            else np.diag(1 / bend)
-        )
-        self._at, self._rise, self._promise = at, rise, promise
+        self._inverse = self._updated(at, rise) if promise < _WORSE * self._promise else np.diag(1 / bend)
+        self._last, self._at, self._rise, self._promise = noise, at, rise, promise
         own = np.minimum(np.abs(rise / bend), _FASTEST)
         farthest = np.maximum(own, np.minimum(_FARTHEST * own + _ANYWAY, _AT_ONCE))
         step = np.where(rise == 0, 0.0, np.clip(-self._inverse @ rise, -farthest, farthest))
-        return self._with_levels(noise, found, at + step, wider)
-
-    @staticmethod
-    def _with_levels(
-        noise: Noise, names: Iterable[str], logs: FloatArray, wider: Mapping[str, float]
-    ) -> Noise:
-        levels = dict(zip(names, np.exp(logs).tolist(), strict=True))
+        levels = dict(zip(found, np.exp(at + step).tolist(), strict=True))
         within = {name: min(max(level, _LEAST[name]), _MOST[name]) for name, level in levels.items()}
         return replace(noise.with_levels(within), wider=dict(wider))
 
@@ -288,8 +279,9 @@ class LevelSearch:
 
 
 def halfway(a: Noise, b: Noise) -> Noise:
-    """Levels between two others; the scales of the priors are those of the second."""
-    return b.with_levels({name: math.sqrt(getattr(a, name) * getattr(b, name)) for name in _LEAST})
+    """Geometric mean of the levels; the scales of the priors are those of the second."""
+    levels = {name: (getattr(a, name), getattr(b, name)) for name in _LEAST}
+    return b.with_levels({name: math.sqrt(x * y) for name, (x, y) in levels.items() if x != y})
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:

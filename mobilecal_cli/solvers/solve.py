@@ -156,10 +156,10 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     parts = error_parts(fit.lin, corrected, solution.residuals)
     if any(row.kind in PATTERNS for row in data.layout.constants):
         undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
-        parts["lenses"] = _less(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
+        parts["lenses"] = _explained(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
     if any(together.present(Widening)):
         even = replace(corrected.pairs, steps=together.evened(corrected.pairs.steps))
-        parts["turns"] = _less(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
+        parts["turns"] = _explained(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
     if refusal is not None and _fits_badly(solution, extraction):
         raise refusal
@@ -179,7 +179,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     )
 
 
-def _less(solution: Solution, without: Residuals, share: float = 1.0) -> ErrorPart:
+def _explained(solution: Solution, without: Residuals, share: float = 1.0) -> ErrorPart:
     """What an error of the robot contributes: residuals `without` it are so much less. A share of its square."""
     squares = [
         float(np.mean(getattr(solution.residuals, name) ** 2 - getattr(without, name) ** 2))
@@ -359,9 +359,8 @@ def _refusal(extraction: Extraction, search: Search) -> SolveError | None:
 
 
 def _refused(diagnosis: Diagnosis) -> SolveError:
-    return SolveError(
-        f"the recording does not fit the robot's description: {diagnosis.cause}", diagnosis.cure
-    )
+    message = f"the recording does not fit the robot's description: {diagnosis.cause}"
+    return SolveError(message, diagnosis.cure, explained=True)
 
 
 def _fits_badly(solution: Solution, extraction: Extraction) -> bool:

@@ -123,7 +123,7 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
     [
         ("stations", "too few readings per second", "noted: wheels: too few readings per second"),
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
-        ("vision", "second board in view", "cover the other checkerboard"),
+        ("vision", "second board in view", "cover or remove the other checkerboard"),
         ("vision", "blurred", "in good light"),
     ],
 )
@@ -149,3 +149,14 @@ def test_a_refusal_names_readings_that_are_too_few_and_clocks_that_step(note):
     with pytest.raises(SolveError, match="the head's tilt spans") as caught:
         fitted(whole)
     assert caught.value.hint.startswith(f"{note[:-1]}; tilt the head")
+
+
+def test_a_known_mistake_needs_no_other_cure():
+    """Of a wheel with the wrong sign, the hint began with the rate of the readings."""
+    whole = simulated(noise=Noise(0.1, 0.003, 0.0, 1e-4))
+    (track,) = whole.wheels
+    wrong = WheelTrack.at_same_times(track.time_ns, -track.right_rad, track.left_rad)
+    note = "wheels: too few readings per second (4, at least 8 needed)."
+    with pytest.raises(SolveError, match="wrong sign") as caught:
+        fitted(replace(whole, wheels=(wrong,), notes=(note,)))
+    assert caught.value.hint == "negate wheels.right.sign in rig.yaml"

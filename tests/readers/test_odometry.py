@@ -115,6 +115,6 @@ def test_a_heading_that_changes_at_rest_is_that_of_a_gyro():
     pose = np.stack([way, np.zeros(len(way)), heading], axis=1)
     assert turns_at_rest("/odom", time_ns, pose) == []
     drifting = pose + np.radians(1.5 / 60) * 1e-9 * time_ns[:, None] * [0, 0, 1]
-    assert turns_at_rest("/odom", time_ns, drifting) == [f"/odom: {TURNS_AT_REST}, by 1.5 degrees a minute"]
+    assert turns_at_rest("/odom", time_ns, drifting) == [f"/odom: {TURNS_AT_REST}, by 1.5 degrees per minute"]
     turning = np.where(drives, 0.0, pose[:, 0])[:, None] * [0, 0, 1]  # in place
     assert turns_at_rest("/odom", time_ns, turning) == []

@@ -119,4 +119,7 @@ def test_stamps_that_vary_where_a_clock_stepped_are_no_fault_of_the_images():
     noisy = replace(uncertainty, noise=replace(uncertainty.noise, stamp_s=0.025))
     report = Report(Data(extraction), replace(found, solution=replace(found.solution, uncertainty=noisy)))
     (check,) = [check for check in report.verdict.checks if check.id == "noise.stamp"]
-    assert check.next_step == f"Check that no clock is set during the recording ({note}). Then record again."
+    assert (
+        check.next_step
+        == f"Check that no clock is adjusted during the recording ({note}). Then record again."
+    )

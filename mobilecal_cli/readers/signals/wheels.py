@@ -403,7 +403,7 @@ def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
             rest_s, turned, rests = rest_s + seconds, turned + float(turn[begin:end].sum()), rests + 1
     if rests < _FEW_RESTS:
         return []
-    return [f"{topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees a minute"]
+    return [f"{topic}: {TURNS_AT_REST}, by {math.degrees(turned) / rest_s * 60:.2g} degrees per minute"]
 
 
 def _sideways(pose: FloatArray, jumping: IntArray | slice = slice(0)) -> tuple[FloatArray, float, float]:
