@@ -39,14 +39,13 @@ from mobilecal_cli.solvers.noise import (
     LevelSearch,
     components,
     converged,
-    halfway,
     slopes,
     widths,
 )
 from mobilecal_cli.solvers.optimize import MOST_STEPS, optimize, to_first_order
 
 NO_SQUARE = 0.1  # prior sigma of the squares' size where none is stated: the baseline gives the scale
-_NOISE_ROUNDS, _NOISE_FITS, _MOST_HALVES = 60, 20, 3
+_NOISE_ROUNDS, _NOISE_FITS = 60, 20
 _OBSERVABILITY_ROUNDS = 8
 #: A jump is significant beyond the first; beyond the second it is tested at noise levels of its own.
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
@@ -405,22 +404,8 @@ class Inference:
             noise = search.next(lin.noise, slopes(lin, given, self.guess), wider)
             if converged(lin.noise, noise, tolerance):
                 break
-            lin = _at_levels(lin, noise)
+            lin = to_first_order(lin.with_noise(noise))
         return lin, noise
-
-
-def _at_levels(lin: Posterior, noise: Noise) -> Posterior:
-    """The optimum at other noise levels, to first order; nearer ones, where those are so small that rounding decides.
-
-    Raises:
-        SolveError: a singular matrix.
-    """
-    for _ in range(_MOST_HALVES):
-        try:
-            return to_first_order(lin.with_noise(noise))
-        except SolveError:
-            noise = halfway(lin.noise, noise)
-    return to_first_order(lin.with_noise(noise))
 
 
 def _unbiased(lin: Posterior) -> Posterior:

@@ -30,13 +30,10 @@ _AS_STATED, _TOO_NARROW, _ALL_TOO_NARROW = 0.95, 1.0, 1.5
 _SHOWN, _WIDEST = 0.01, 1e3
 _LOG_FACTORS = np.linspace(0.0, math.log(_WIDEST), 500)  # that are compared
 _EXACT = 1e-12  # variance over the prior's of a constant that the data show completely
-# How far a level may move in a round (as a logarithm): at most so far by its own residuals; times what these say and so
-# much more, up to this.
-_FASTEST, _FARTHEST, _ANYWAY, _AT_ONCE = 4.5, 3.0, 0.3, 1.0
+# How far a level may move in a round (as a logarithm): times what its own residuals say and so much more, up to this.
+_FARTHEST, _ANYWAY, _AT_ONCE = 3.0, 0.3, 1.0
 _AT_LIMIT = 1e-9  # relative: rounding
-# Times what the slopes promise: beyond the first the search begins again; beyond the second it goes back half of the
-# step, at most so often.
-_WORSE, _WILD, _MOST_HALVES = 4.0, 100.0, 5
+_WORSE = 4.0  # times what the slopes promise, beyond which the search begins again
 UNIFORM = 1 / math.sqrt(12)  # sigma of an encoder's reading, in steps
 
 
@@ -241,26 +238,19 @@ class LevelSearch:
     """
 
     def __init__(self) -> None:
-        self._last: Noise | None = None
         self._at: FloatArray = np.zeros(0)
         self._rise: FloatArray = np.zeros(0)
         self._inverse: FloatArray = np.zeros((0, 0))  # of the second derivatives
         self._promise = 0.0
-        self._halves = 0
 
     def next(self, noise: Noise, found: Mapping[str, Slope], wider: Mapping[str, float]) -> Noise:
         """Levels for the next round, from those of this round and their slopes; with these scales of the priors."""
         at = np.log([getattr(noise, name) for name in found])
         rise, bend = np.reshape([*found.values()], (-1, 2)).T
         promise = float(np.sum(rise**2 / bend))
-        if self._last is not None and promise > _WILD * self._promise and self._halves < _MOST_HALVES:
-            self._halves += 1
-            return replace(halfway(self._last, noise), wider=dict(wider))
-        self._halves = 0
         self._inverse = self._updated(at, rise) if promise < _WORSE * self._promise else np.diag(1 / bend)
-        self._last, self._at, self._rise, self._promise = noise, at, rise, promise
-        own = np.minimum(np.abs(rise / bend), _FASTEST)
-        farthest = np.maximum(own, np.minimum(_FARTHEST * own + _ANYWAY, _AT_ONCE))
+        self._at, self._rise, self._promise = at, rise, promise
+        farthest = np.minimum(_FARTHEST * np.abs(rise / bend) + _ANYWAY, _AT_ONCE)
         step = np.where(rise == 0, 0.0, np.clip(-self._inverse @ rise, -farthest, farthest))
         levels = dict(zip(found, np.exp(at + step).tolist(), strict=True))
         within = {name: min(max(level, _LEAST[name]), _MOST[name]) for name, level in levels.items()}
@@ -276,12 +266,6 @@ class LevelSearch:
         along = np.eye(len(at)) - np.outer(moved, steeper) / curved
         updated: FloatArray = along @ self._inverse @ along.T + np.outer(moved, moved) / curved
         return updated
-
-
-def halfway(a: Noise, b: Noise) -> Noise:
-    """Geometric mean of the levels; the scales of the priors are those of the second."""
-    levels = {name: (getattr(a, name), getattr(b, name)) for name in _LEAST}
-    return b.with_levels({name: math.sqrt(x * y) for name, (x, y) in levels.items() if x != y})
 
 
 def converged(before: Noise, after: Noise, tolerance: float) -> bool:

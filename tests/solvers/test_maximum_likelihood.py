@@ -112,7 +112,7 @@ def test_a_search_for_levels_descends_where_two_act_alike():
     assert np.log([getattr(level, name) for name in names]) == pytest.approx(bottom, abs=1e-3)
 
 
-def test_a_search_that_ends_in_far_too_small_a_level_goes_back():
+def test_a_search_does_not_step_over_the_level_that_it_looks_for():
     """Where nothing fits, one step made a level a hundredth as large, and the next a hundred times, for ever."""
     search, level, bottom = (
         LevelSearch(),
