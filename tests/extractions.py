@@ -62,6 +62,7 @@ class Outside:
         lens_waves_px: shortest and longest of these waves.
         lens_seed: see there.
         turn_sides: relative change of the separation in turns to the left, and its negative in those to the right.
+        wheel_delay_s: delay of the right wheel's readings.
         drift: the floor carries the base along x and y of the world, m per m that the wheels roll.
     """
 
@@ -76,6 +77,7 @@ class Outside:
     lens_waves_px: tuple[float, float] = (320.0, 320.0)
     lens_seed: int = 0
     turn_sides: float = 0.0
+    wheel_delay_s: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
 
 
@@ -196,6 +198,7 @@ def _wheel_track(
     turned = np.diff(angles @ [1.0, -1.0], prepend=0.0)
     further = np.cumsum(actual.outside.turn_sides / 2 * np.abs(turned))[:, None]
     angles = angles + further * [1.0, -1.0]
+    angles[:, 0] = np.interp(moments - actual.outside.wheel_delay_s, moments, angles[:, 0])
     leg = np.searchsorted(stamps_s, moments[:-1], side="right")
     if noise.wheel_length_m:  # the scale error changes after so much driven distance, not from leg to leg
         rolled_m = driven_m(actual, route, np.clip((moments[:-1] + moments[1:]) / 2, 0, route.duration_s))

@@ -20,7 +20,7 @@ _MOST_PARTS = 30  # steps in the smallest change
 _CHANGES_TRIED = 500  # enough to find no divisor of smooth readings, and fast
 _BY_CHANCE = 1e-3  # probability
 _FEW_STEPS = 2.5  # between two readings: their middle is nearer to the truth than they are
-_RATE_NS = 50_000_000  # turning rates are means over this time to either side
+_RATE_NS = 50_000_000  # rates are means over this time to either side
 _SLOW = 0.2  # of the mean turning rate
 _SMALL = 0.1  # rad; below this the series' error (h^10 / 11!) is less than one ulp
 
@@ -36,19 +36,19 @@ class Increments:
         right_rad, left_rad: (n,) rotation in each step.
         leg: (n,) leg of each step, not decreasing.
         legs: number of legs; a leg without motion has no steps.
-        rate: (n,) rate at which the right wheel turns against the left one, rad/s; NaN where it is unknown, by default
-            everywhere.
+        rates: (n, 2, 2) at the start and the end of each step, of the right and left wheel, rad/s; NaN where they are
+            unknown, by default everywhere.
     """
 
     right_rad: FloatArray
     left_rad: FloatArray
     leg: IntArray
     legs: int
-    rate: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rates: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        if not len(self.rate):
-            object.__setattr__(self, "rate", np.full(len(self.leg), np.nan))
+        if not len(self.rates):
+            object.__setattr__(self, "rates", np.full((len(self.leg), 2, 2), np.nan))
 
     def unevenness(self, of: Unevenness) -> FloatArray:
         """(n,) how a step differs from the mean turn (all weighted with the turns); 0 where its rate is unknown.
@@ -57,9 +57,10 @@ class Increments:
             of: "rate", the turning rate over its mean, less 1, at most 1; "side", 1 to the left and -1 to the right,
                 less in slow turns, whose side is noise, minus its mean.
         """
-        known = np.isfinite(self.rate)
+        rate = np.mean(self.rates @ [1.0, -1.0], axis=1)
+        known = np.isfinite(rate)
         turned = np.abs(self.right_rad - self.left_rad) * known
-        rate = np.where(known, self.rate, 0.0)
+        rate = np.where(known, rate, 0.0)
         all_turned = max(float(turned.sum()), 1e-12)
         mean = max(float(turned @ np.abs(rate)) / all_turned, 1e-12)
         if of == "rate":
@@ -67,10 +68,14 @@ class Increments:
         side = rate / np.hypot(rate, _SLOW * mean)
         return np.where(known, side - float(turned @ side) / all_turned, 0.0)
 
-    def evened(self, wider: FloatArray) -> Increments:
-        """Increments of wheels at the mean separation that turn as these do at `wider` times it in each step, (n,)."""
-        less = (1 / wider - 1) / 2 * (self.right_rad - self.left_rad)
-        return replace(self, right_rad=self.right_rad + less, left_rad=self.left_rad - less)
+    @property
+    def hastened(self) -> FloatArray:
+        """(2, n) by how much the right and left wheel turn faster at the end of each step, rad/s; 0 if unknown."""
+        return np.asarray(np.nan_to_num(self.rates[:, 1] - self.rates[:, 0]).T)
+
+    def turned_further(self, more: FloatArray) -> Increments:
+        """Increments in which the right and left wheel turn by so much more in each step, (2, n), rad."""
+        return replace(self, right_rad=self.right_rad + more[0], left_rad=self.left_rad + more[1])
 
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""
@@ -87,7 +92,7 @@ class Increments:
         number[legs] = np.arange(len(legs))
         kept = number[self.leg] >= 0
         steps = (self.right_rad[kept], self.left_rad[kept], number[self.leg[kept]])
-        return Increments(*steps, len(legs), self.rate[kept])
+        return Increments(*steps, len(legs), self.rates[kept])
 
     def with_ends(self, start_rad: FloatArray, end_rad: FloatArray) -> Increments:
         """Increments with one more step at the start and end of every leg: (legs, 2) each, right and left, rad."""
@@ -96,9 +101,9 @@ class Increments:
         order = np.argsort(leg, kind="stable")
         right = np.concatenate([start_rad[:, 0], self.right_rad, end_rad[:, 0]])
         left = np.concatenate([start_rad[:, 1], self.left_rad, end_rad[:, 1]])
-        unknown = np.full(self.legs, np.nan)
-        rate = np.concatenate([unknown, self.rate, unknown])
-        return Increments(right[order], left[order], leg[order], self.legs, rate[order])
+        unknown = np.full((self.legs, 2, 2), np.nan)
+        rates = np.concatenate([unknown, self.rates, unknown])
+        return Increments(right[order], left[order], leg[order], self.legs, rates[order])
 
 
 def encoder_step_rad(readings_rad: FloatArray) -> float:
@@ -181,10 +186,10 @@ def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increm
     Args:
         track: both wheels of one recording.
         times_ns: (N,) increasing, inside the time that both wheels cover.
-        rates: with the turning rates, which take as long as all else.
+        rates: with the wheels' rates, which take as long as all else.
 
     Returns:
-        Steps of the N - 1 legs between consecutive stations. Steps without rotation are omitted.
+        Steps of the N - 1 legs between consecutive stations. Steps at rest are omitted.
     """
     place = np.searchsorted(track.time_ns, times_ns)
     between = track.time_ns[np.minimum(place, len(track.time_ns) - 1)] != times_ns
@@ -193,17 +198,22 @@ def cut_at(track: WheelTrack, times_ns: IntArray, rates: bool = False) -> Increm
     right, left = np.diff(track.right.at(moments)), np.diff(track.left.at(moments))
     leg = np.searchsorted(times_ns, moments[:-1], side="right") - 1
     moved = (right != 0) | (left != 0)
-    steps = Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1)
-    return replace(steps, rate=_turning_rate(track, moments)[moved]) if rates else steps
+    of_steps = np.zeros(0)
+    if rates:
+        at_moments = _rates(track, moments)
+        of_steps = np.stack([at_moments[:-1], at_moments[1:]], axis=1)
+        moved |= np.any(of_steps != 0, axis=(1, 2))
+        of_steps = of_steps[moved]
+    return Increments(right[moved], left[moved], leg[moved], len(times_ns) - 1, of_steps)
 
 
-def _turning_rate(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
-    """(n - 1,) rate of the right wheel against the left one, around the middle of each step, rad/s."""
-    middle = (moments_ns[:-1] + moments_ns[1:]) // 2
-    ends = (np.clip(middle + way * _RATE_NS, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1))
-    apart, times = zip(*((track.right.at(at) - track.left.at(at), at) for at in ends), strict=True)
-    seconds = np.maximum((times[1] - times[0]) * 1e-9, 1e-9)
-    return np.asarray((apart[1] - apart[0]) / seconds)
+def _rates(track: WheelTrack, moments_ns: IntArray) -> FloatArray:
+    """(n, 2) rates of the right and left wheel around some moments, rad/s."""
+    before, after = (
+        np.clip(moments_ns + way * _RATE_NS, track.time_ns[0], track.time_ns[-1]) for way in (-1, 1)
+    )
+    turned = np.stack([wheel.at(after) - wheel.at(before) for wheel in (track.right, track.left)], axis=1)
+    return np.asarray(turned / np.maximum((after - before) * 1e-9, 1e-9)[:, None])
 
 
 def join(parts: list[Increments]) -> Increments:
@@ -214,7 +224,7 @@ def join(parts: list[Increments]) -> Increments:
         np.concatenate([part.left_rad for part in parts]),
         np.concatenate([part.leg + offset for part, offset in zip(parts, offsets[:-1], strict=True)]),
         int(offsets[-1]),
-        np.concatenate([part.rate for part in parts]),
+        np.concatenate([part.rates for part in parts]),
     )
 
 

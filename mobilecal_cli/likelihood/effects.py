@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import JointFrames, Unevenness
+from mobilecal_cli.kinematics import Increments, JointFrames, Unevenness
 from mobilecal_cli.likelihood.measurements import Measurements
 from mobilecal_cli.model import BoolArray, CameraRig, FloatArray, HeadChain, JointLink, LensCorrection
 
@@ -394,8 +394,22 @@ class FloorDrift(Effect):
         return np.asarray(along * (rolled_m * (data.log[data.legs[:, 0]] == self.log))[:, None])
 
 
+class Rolling(Effect, ABC):
+    """Changes how far the wheels turn in the steps of the legs, against what is read."""
+
+    __slots__ = ()
+
+    @abstractmethod
+    def further(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) rotation of the right and left wheel in each step that a value adds, rad."""
+
+    @abstractmethod
+    def by_value(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) derivative of it by the value."""
+
+
 @dataclass(frozen=True, slots=True)
-class Widening(Effect):
+class Widening(Rolling):
     """Relative change of the effective separation in some turns: of wheels that slip, or that do not stand alike.
 
     Attributes:
@@ -407,3 +421,35 @@ class Widening(Effect):
     def offered(self, data: Measurements) -> bool:
         """Only several wheels a side slip in every turn."""
         return data.several_wheels or self.of != "rate"
+
+    def further(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) wheels at the mean separation turn the base by less where the effective one is wider."""
+        uneven = steps.unevenness(self.of)
+        return -value * uneven / (1 + value * uneven) * _apart(steps)
+
+    def by_value(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) derivative of it by the value."""
+        uneven = steps.unevenness(self.of)
+        return -uneven / (1 + value * uneven) ** 2 * _apart(steps)
+
+
+def _apart(steps: Increments) -> FloatArray:
+    """(2, n) rotation of the right and left wheel beside their mean, rad."""
+    half = (steps.right_rad - steps.left_rad) / 2
+    return np.stack([half, -half])
+
+
+@dataclass(frozen=True, slots=True)
+class WheelDelay(Rolling):
+    """Delay of the right wheel's readings against the left one's, s: both are read at a mean time.
+
+    By when a wheel turns faster, less of its rotation has been read.
+    """
+
+    def further(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) what each wheel turns faster by at the end of a step, for half of the delay."""
+        return value * self.by_value(steps, value)
+
+    def by_value(self, steps: Increments, value: float) -> FloatArray:
+        """(2, n) derivative of it by the value."""
+        return np.asarray(steps.hastened * [[0.5], [-0.5]])

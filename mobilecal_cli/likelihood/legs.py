@@ -10,7 +10,7 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import Arcs, Increments, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.effects import Clock, FloorDrift, Widening
+from mobilecal_cli.likelihood.effects import Clock, FloorDrift, Rolling
 from mobilecal_cli.likelihood.measurements import (
     BASE,
     ENCODERS,
@@ -127,10 +127,9 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     for column, _, clock in data.layout.of(Clock):
         if clock.of == "wheels":
             by_shared[:, :, column] = by_clock * clock.stations(data)[i, None]
-    for column, _, widening in data.layout.of(Widening):
-        more = read.unevenness(widening.of) / state.wider(read) ** 2 * (read.right_rad - read.left_rad) / 2
-        right, left = (1 + mean_scales(state, processes))[read.leg].T
-        by_shared[:, :, column] = arcs.by_rotations(-right * more, left * more)
+    for column, name, rolling in data.layout.of(Rolling):
+        further = rolling.by_value(read, state.value(name)) * (1 + mean_scales(state, processes))[read.leg].T
+        by_shared[:, :, column] = arcs.by_rotations(*further)
     for column, _, drift in data.layout.of(FloorDrift):
         by_shared[:, :2, column] = drift.carried(data, heading, rolled)
     odometry = residual, by_start, by_end, by_shared

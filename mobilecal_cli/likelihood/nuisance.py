@@ -26,6 +26,7 @@ from mobilecal_cli.likelihood.effects import (
     FloorShape,
     ImageEffect,
     JointReading,
+    WheelDelay,
     Widening,
     bent,
     resized,
@@ -114,6 +115,7 @@ KINDS: tuple[Kind, ...] = (
          r"drift_[xy](_\d+)?"),
     Kind("turn_slip", *_SHARE, 0.03, "effective wheel separation at twice the mean turning rate (four wheels)"),
     Kind("turn_sides", *_SHARE, 0.002, "effective wheel separation in left turns against the mean of all turns"),
+    Kind("wheel_delay", *_TIME, 0.001, "delay of the right wheel's readings against the left one's"),
     Kind("backlash", *_ANGLE, 0.1 * _DEGREE, "backlash of a head joint", r"backlash_.+"),
 )
 # fmt: on
@@ -261,6 +263,8 @@ def _common(names: Sequence[str], calibrated: bool) -> tuple[Constant, ...]:
         _row("turn_slip", "turn_slip", "wheels", "effective separation at twice the mean turning rate",
              Widening("rate")),
         _row("turn_sides", "turn_sides", "wheels", "effective separation in left turns", Widening("side")),
+        _row("wheel_delay", "wheel_delay", "wheels", "delay of the right wheel's readings against the left one's",
+             WheelDelay()),
         *(_row(f"time_{name}", "stereo_clock", camera_words(name), f"delay against the {first}",
                CameraEffect("delay_s", (1.0,), k)) for k, name in enumerate(names[1:], 1)),
         _row("readout", "readout", every, "time between the first and the last row",

@@ -21,7 +21,7 @@ from mobilecal_cli.likelihood.effects import (
     Effect,
     FloorEffect,
     JointReading,
-    Widening,
+    Rolling,
 )
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, JOINTS, STAMP, SWAY, planar_pose
 from mobilecal_cli.likelihood.nuisance import PATTERNS, camera_change
@@ -178,16 +178,10 @@ class State:
 
     # -- wheels -------------------------------------------------------------------------------------
 
-    def wider(self, steps: Increments) -> FloatArray:
-        """(n,) effective over mean separation in each step of the legs."""
-        wider = np.ones(len(steps.leg))
-        for value, effect in self.present(Widening):
-            wider += value * steps.unevenness(effect.of)
-        return wider
-
     def evened(self, steps: Increments) -> Increments:
-        """The rotations that wheels at the mean separation would turn by."""
-        return steps.evened(self.wider(steps))
+        """The rotations of wheels at the mean separation that are read at one time, of those that are read."""
+        further = (effect.further(steps, value) for value, effect in self.present(Rolling))
+        return steps.turned_further(sum(further, np.zeros((2, len(steps.leg)))))
 
     # -- base ---------------------------------------------------------------------------------------
 

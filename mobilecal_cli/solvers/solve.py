@@ -13,7 +13,7 @@ import numpy as np
 from mobilecal_cli.errors import ConfigError, SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
-from mobilecal_cli.likelihood.effects import Widening
+from mobilecal_cli.likelihood.effects import Rolling
 from mobilecal_cli.likelihood.evidence import evidence
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
@@ -157,7 +157,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     if any(row.kind in PATTERNS for row in data.layout.constants):
         undone = at_state(together, fit.noise, patterns=True, T_c_k=corrected.pairs.T_c_k)
         parts["lenses"] = _explained(solution, residuals_of(undone, parameters, *used), _usual_lenses(fit))
-    if any(together.present(Widening)):
+    if any(together.present(Rolling)):
         even = replace(corrected.pairs, steps=together.evened(corrected.pairs.steps))
         parts["turns"] = _explained(solution, residuals_of(replace(corrected, pairs=even), parameters, *used))
     solution = replace(solution, outliers=outliers_of(extraction, fit), error_parts=parts)
