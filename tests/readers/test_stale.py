@@ -41,6 +41,23 @@ def test_a_coarse_encoder_shows_them_too():
     assert set(dropped) <= set(range(195, 245))
 
 
+@pytest.mark.parametrize("encoder_step", [0.0, 0.005])
+@pytest.mark.parametrize(
+    "repeated", [lambda k: k % 3 > 0, lambda k: np.random.default_rng(k).uniform(size=600) < 0.3]
+)
+def test_readings_that_a_driver_repeats_here_and_there_are_dropped(encoder_step, repeated):
+    """A publisher that is faster than the joint's controller: estimates in motion "did not converge" with every second one."""
+    moving, stale = np.abs(_TIME_S - 15) < 8, repeated(np.arange(600))
+    angle = np.interp(_TIME_S, [7, 15, 23], [0, 4, -4]) + 0.3 * np.sin(_TIME_S)
+    read = encoder_step * np.round(angle / encoder_step) if encoder_step else angle
+    stale[0] = False
+    fresh = np.maximum.accumulate(np.where(stale, 0, np.arange(600)))
+    keep, notes = _kept(read[fresh])
+    assert np.mean(keep[moving & stale]) < 0.05
+    assert keep[~stale].all()
+    assert len(notes) == 1
+
+
 def _stops_and_goes():
     return np.interp(_TIME_S, [0, 2, 4, 7, 9, 12, 14, 30], [0, 0, 0.5, 0.5, -0.5, -0.5, 0.2, 0.2])
 
@@ -52,12 +69,10 @@ def _stops_and_goes():
         0.02 * np.round(_stops_and_goes() / 0.02),  # a coarse encoder
         0.5 * np.floor(_TIME_S / 3),  # set from stop to stop by a simulator
         0.001 * np.round(0.01 * _TIME_S / 0.001),  # one step after every two readings
-        np.sin(0.4 * _TIME_S)[
-            np.maximum(np.arange(600) - (np.arange(600) % 3), 0)
-        ],  # each reading three times
+        np.cumsum(np.arange(600) % 8 < 2),  # two steps, and a rest
         np.zeros(600),
     ],
-    ids=["rests", "coarse", "set", "slow", "slower driver", "still"],
+    ids=["rests", "coarse", "set", "slow", "short", "still"],
 )
 def test_a_joint_that_rests_or_has_coarse_steps_keeps_all_readings(value):
     keep, notes = _kept(value)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
@@ -242,48 +243,51 @@ class Series:
         return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
 
 
-#: Equal readings are stale if there are so many or more of them, so many times as many as between the steps before and
-#: after them, and the step after them catches up: it is so many times as large as those steps, and at least and at most
-#: so many times what these would change since the first of them.
-_EQUAL, _LONGER, _LEAP, _CATCHES_UP = 5, 4, 2.0, (1 / 3, 3.0)
+#: No joint and no wheel rests for so short a time, s. Longer ones may be rests, unless they have so many equal readings
+#: or more, and are so many times as long as the intervals between other readings beside them.
+_NO_REST_S, _EQUAL, _LONGER = 0.25, 5, 4.0
+#: A step catches up if it is larger than that of so many steps of an encoder, and at most so many times as large as the
+#: motion beside it would make since the last reading that was not stale.
+_STEPS, _CATCHES_UP = 5.0, 3.0
 
 
 def without_stale(label: str, track: Track, notes: list[str]) -> Track:
     """A track without readings that a driver repeated while the joint or the wheel went on; notes how many.
 
-    They are between steps of a motion, and end with a step that catches up. What stood still starts with a step that is
-    no larger than the steps after it.
+    The step after them catches up: it is nearer to what the motion before and after, in the same direction, would make
+    since the last reading that differs from the one before, than to what it would make since the last one. What stood
+    still starts slowly.
     """
-    step = np.abs(np.diff(track.value))
-    at = np.flatnonzero(step)
-    if len(at) < 6:
+    fresh = np.flatnonzero(np.diff(track.value)) + 1
+    if len(fresh) < 6:
         return track
-    # Two steps, equal readings, the step after them, and two steps.
-    _, _, before, last, _, _ = steps = np.stack([at[k : len(at) - 5 + k] for k in range(6)])
-    beside = steps[[1, 2, 4, 5]]
-    apart = (beside - steps[[0, 1, 3, 4]]).max(axis=0)
     time_s = 1e-9 * (track.time_ns - track.time_ns[0])
+    at_s, change = time_s[fresh], np.diff(track.value[fresh])
+    step = np.abs(change)
+    since_s, last_s = np.diff(at_s), at_s[1:] - time_s[fresh[1:] - 1]
+    stale = np.zeros(len(step), dtype=np.bool_)
+    inner = np.arange(2, len(step) - 2)
+    beside = np.stack([inner - 2, inner - 1, inner + 1, inner + 2])
     speed = np.maximum(
-        *(
-            step[pair].sum(axis=0) / (time_s[pair[1] + 1] - time_s[pair[0]])
-            for pair in (beside[:2], beside[2:])
-        )
+        *(step[pair].sum(axis=0) / since_s[pair].sum(axis=0) for pair in (beside[:2], beside[2:]))
     )
-    since_s = time_s[last + 1] - time_s[before + 1]
-    caught_up = step[last] / (speed * since_s)
-    stale = (last - before >= np.maximum(_EQUAL, _LONGER * apart)) & (
-        step[last] > _LEAP * step[beside].max(axis=0)
+    repeats, since = np.diff(fresh)[inner], since_s[inner]
+    no_rest = (since < _NO_REST_S) | ((repeats > _EQUAL) & (since > _LONGER * since_s[beside].max(axis=0)))
+    one_way = np.all(np.sign(change[beside]) == np.sign(change[inner]), axis=0)
+    catches_up = (step[inner] > speed * (since + last_s[inner]) / 2) & (
+        step[inner] < _CATCHES_UP * speed * since
     )
-    stale &= (_CATCHES_UP[0] < caught_up) & (caught_up < _CATCHES_UP[1])
+    stale[inner] = (repeats > 1) & no_rest & one_way & catches_up
+    if stale.any():
+        stale &= step > _STEPS * encoder_step_rad(track.value)
     if not stale.any():
         return track
     keep = np.ones(len(track.value), dtype=np.bool_)
-    for first, end in zip(before[stale] + 2, last[stale] + 1, strict=True):
+    for first, end in zip(fresh[:-1][stale] + 1, fresh[1:][stale], strict=True):
         keep[first:end] = False
-    longest_s = float(since_s[stale].max())
     notes.append(
         f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat an old value during a motion, for up to "
-        f"{longest_s:.2f} s; dropped"
+        f"{since_s[stale].max():.2f} s; dropped"
     )
     return Track(track.time_ns[keep], track.value[keep])
 
