@@ -205,30 +205,34 @@ def legs(made: Calibration, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
-_JUMPS = {
-    "": ("something", "Check the mounts of head, cameras and board, the wheels, and the cables"),
-    "board": ("the board", "Fasten the board"),
-    "board's shape": ("the board's size or shape", "Use the same board in all recordings, on a flat plate"),
-    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
-    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+_WHEEL_CHANGED = ("changed", "Check the tire, the load and the encoder of this wheel")
+#: Part of the robot → what it is called, the verb for its change, and what to do about it.
+_PARTS = {
+    "": ("something", "changed", "Check the mounts of head, cameras and board, the wheels, and the cables"),
+    "board": ("the board", "moved", "Fasten the board"),
+    "board's shape": (
+        "the board's size or shape", "changed", "Use the same board in all recordings, on a flat plate",
+    ),
+    "right wheel": ("the size of the right wheel", *_WHEEL_CHANGED),
+    "left wheel": ("the size of the left wheel", *_WHEEL_CHANGED),
     "both wheels": (
-        "the sizes of both wheels",
+        "the sizes of both wheels", "changed",
         "Check the tires, the load, and that all recordings show the same board",
     ),
-}
+}  # fmt: skip
 
 
-def _jumps(part: str, extraction: Extraction) -> tuple[str, str]:
-    """What a part that changed is called, and what to do about it."""
-    joint = visible(part.removeprefix("joint "))
-    if joint != part:
-        return f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}"
+def _part_words(part: str, extraction: Extraction) -> tuple[str, str, str]:
+    """What a part that changed is called, the verb for it, and what to do about it."""
+    if part.startswith("joint "):
+        joint = visible(part.removeprefix("joint "))
+        return f"the zero position of {joint}", "changed", f"Check the coupling and the encoder of {joint}"
     if part == "head mount":
         on = "head" if extraction.rig.chain.joints else "base"
-        return f"the camera on the {on}", f"Fasten the camera to the {on}"
+        return f"the camera on the {on}", "moved", f"Fasten the camera to the {on}"
     first = camera_words(extraction.rig.cameras.names[0])
-    camera = f"the {visible(part)} against the {first}", "Fasten the cameras to their mount"
-    return _JUMPS.get(part, camera)
+    camera = f"the {visible(part)} against the {first}", "moved", "Fasten the cameras to their mount"
+    return _PARTS.get(part, camera)
 
 
 @criterion(Metric(CHANGED, "sigma", section="stations"), gated=False)
@@ -249,15 +253,13 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
     for change in made.solution.jumps:
         at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
-        what, cure = _jumps(change.part, made.extraction)
+        what, moved, cure = _part_words(change.part, made.extraction)
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
         if change.also:
-            other, also = _jumps(change.also, made.extraction)
+            other, _, also = _part_words(change.also, made.extraction)
             what, size, cure = f"{what} or {other}", "", f"{cure}. {also}"
-        changed = change.part.startswith("joint ") or (change.part in _JUMPS and change.part != "board")
-        moved = "changed" if changed else "moved"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
