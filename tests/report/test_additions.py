@@ -39,7 +39,7 @@ def test_a_table_is_one_function(case, monkeypatch):
     @tables.table
     def turns(case):
         rows = [("right", f"{len(case.extraction.observations)}.5", "")]
-        return Table.of(("name:wheel", "number:turns", "unit"), rows, "record", "Wheels")
+        yield Table.of(("name:wheel", "number:turns", "unit"), rows, "record", "Wheels")
 
     report, page = made(*case), page_of(*case)
     (table,) = (each for each in report.tables if each.title == "Wheels")

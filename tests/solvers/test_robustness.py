@@ -139,8 +139,8 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     lift = JointLink("lift", np.array([0.0, 0.0, 1.0]), "prismatic")
     chain = replace(extraction.rig.chain, links=(lift,), pan="", tilt="")
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
-    rows = noise(Case(found, lifted, provenance=make_provenance(lifted))).rows
-    assert [unit for meaning, _, unit, _ in rows if meaning == "joint reading"] == ["mm"]
+    (table,) = noise(Case(found, lifted, provenance=make_provenance(lifted)))
+    assert [unit for meaning, _, unit, _ in table.rows if meaning == "joint reading"] == ["mm"]
     check = judge(found, lifted).checks["noise.sliding_joint"]
     assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "pass")
 
