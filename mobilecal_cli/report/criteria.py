@@ -88,6 +88,11 @@ class Check:
         """The outcome in words."""
         return self.outcome.replace("_", " ")
 
+    @property
+    def met(self) -> bool:
+        """Whether the criterion is met, also with a warning."""
+        return self.outcome in ("pass", "warning")
+
 
 @dataclass(frozen=True, slots=True)
 class Metric:

@@ -19,7 +19,7 @@ from mobilecal_cli.report.plots import SHOWN_LEGS, budget_bar, leg_views, path_p
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN, worst_error
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import LEVELS, Case
+from mobilecal_cli.report.verdict import Case
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -38,8 +38,8 @@ CONTENTS = {
 
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
-    failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
-    return next((check.section for check in failed if check.why == report.verdict.reason), "")
+    checks = report.verdict.checks
+    return next((c.section for c in checks if not c.met and c.why == report.verdict.reason), "")
 
 
 def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = ()) -> str:

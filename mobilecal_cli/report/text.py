@@ -11,7 +11,6 @@ from mobilecal_cli.report.numbers import numbers_table
 from mobilecal_cli.report.page import template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import LEVELS
 
 _wrapped = functools.partial(wrapped, indent="  ", width=80)
 _MOST_NOTES = 3  # on the terminal without --verbose
@@ -87,5 +86,5 @@ def job_summary(report: ReportData) -> str:
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
     lines += [""] if open_checks else []
     for check in open_checks:
-        lines.append(f"- {'failed' if check.outcome in LEVELS else 'warning'}: {markdown(check.why)}")
+        lines.append(f"- {'warning' if check.met else 'failed'}: {markdown(check.why)}")
     return "\n".join(lines) + "\n"

@@ -17,14 +17,12 @@ from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import Evaluation, Provenance
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
-from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
+from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric
 from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
-#: Outcome of a check → the verdict that it alone decides.
-LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
 _GATE = "gate."  # how the ids of the user's limits begin
 
 
@@ -40,7 +38,7 @@ class Verdict:
     @property
     def reasons(self) -> tuple[str, ...]:
         """One sentence or two for each criterion that is not met; none for PASS."""
-        return tuple(check.why for check in self.checks if check.outcome in LEVELS)
+        return tuple(check.why for check in self.checks if not check.met)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,7 +58,7 @@ def verdict_of(made: Calibration) -> Verdict:
     solution = made.solution
     gated = gate_checks(made.gates, figures_of(made), lambda *gate: _gate_cure(made, *gate))
     checks = Checks((*(check for check in made.checks if check.name), *gated))
-    decisive = next((check for check in checks if check.outcome in LEVELS), None)
+    decisive = next((check for check in checks if not check.met), None)
     if decisive is not None:
         return decided_by(decisive, checks)
     if solution.uncertainty is None:
@@ -82,7 +80,9 @@ def _first(checks: Checks) -> str:
 
 def decided_by(check: Check, checks: Checks) -> Verdict:
     """The verdict where one check decides."""
-    level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
+    level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
+    if check.id.startswith(_GATE):
+        level = "GATE FAILED"
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
     return Verdict(level, check.why, check.next_step + first, checks)
 
