@@ -36,6 +36,15 @@ CONTENTS = {
 }
 
 
+#: Level of a verdict, outcome of a check or another tag, in small letters → its style; all others are failures.
+_STYLES = {"pass": "pass", "not enough": "short", "warning": "short", "outlier": "short"}
+
+
+def style_of(label: str) -> str:
+    """Style of a level of a verdict, an outcome or a tag: "pass", "short" or "fail"."""
+    return _STYLES.get(label.lower(), "fail")
+
+
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
     checks = report.verdict.checks
@@ -101,4 +110,5 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
         finalize=shown,
     )
+    environment.filters["style"] = style_of
     return environment.get_template(name)
