@@ -23,7 +23,7 @@ from mobilecal_cli.report.numbers import PARAMETERS, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
-_GATE = "gate."  # how the ids of the user's limits begin
+GATE = "gate."  # how the ids of the user's limits begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ def _first(checks: Checks) -> str:
 def decided_by(check: Check, checks: Checks) -> Verdict:
     """The verdict where one check decides."""
     level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
-    if check.id.startswith(_GATE):
+    if check.id.startswith(GATE):
         level = "GATE FAILED"
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
     return Verdict(level, check.why, check.next_step + first, checks)
@@ -191,7 +191,7 @@ def gate_checks(
         if name in _USE_GATES and value is not None:
             continue
         metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
-        yield replace(metric, name=f"{_GATE}{name}", section="checks").check(
+        yield replace(metric, name=f"{GATE}{name}", section="checks").check(
             value, limit, f"gate {name}", cure(name, limit) or "Record again, or change the limit.",
             measured=f"{measured} {metric.unit}".rstrip(),
             why=f"{name} = {measured} (limit {limit:g}).",
