@@ -126,7 +126,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             for name, at in zip(names, suggestion.joints, strict=True)
         )
         now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
-        unit = "" if shown.unit == "1" else f" {shown.unit}"
+        unit = f" {shown.unit}".rstrip()
         path, worst = _path(suggestion), suggestion.worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (

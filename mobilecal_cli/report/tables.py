@@ -50,7 +50,7 @@ def change(case: Case) -> Iterator[Table]:
         (
             p.name,
             value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
-            p.unit.removeprefix("1"),
+            p.unit,
             shown(sigmas, 1),
             shown(percent, 2),
         )
