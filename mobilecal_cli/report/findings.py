@@ -103,16 +103,15 @@ def reprojection_sentence(solution: Solution) -> str:
 
 def _path(suggestion: Suggestion) -> str:
     """How the base gets to a suggested stop."""
+
+    def turn(rad: float, what: str) -> str:
+        degrees, side = math.degrees(rad), "left" if rad > 0 else "right"
+        return f"{what} {side} by {abs(degrees):.0f} degrees" if round(degrees) else ""
+
     drive = suggestion.drive_m
-    turns = [
-        f"turn {'the base ' if first else ''}{'left' if rad > 0 else 'right'} by {math.degrees(abs(rad)):.0f} degrees"
-        if round(math.degrees(rad))
-        else ""
-        for first, rad in ((True, suggestion.turn_rad), (False, suggestion.face_rad))
-    ]
     driven = f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m" if drive else ""
-    parts = [part for part in (turns[0], driven, turns[1]) if part]
-    return ", then ".join(parts) or "do not move the base"
+    parts = turn(suggestion.turn_rad, "turn the base"), driven, turn(suggestion.face_rad, "turn")
+    return ", then ".join(filter(None, parts)) or "do not move the base"
 
 
 def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[str, ...]:
