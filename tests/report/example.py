@@ -217,6 +217,14 @@ def drawn():
     return solve(extraction), extraction
 
 
+def with_uncertainty(solution, **changes):
+    return replace(solution, uncertainty=replace(solution.uncertainty, **changes))
+
+
+def with_noise(solution, **levels):
+    return with_uncertainty(solution, noise=replace(solution.uncertainty.noise, **levels))
+
+
 def with_share(solution, source, share):
     """The solution with a budget in which one source has a share of everything."""
     budget = solution.uncertainty.budget
@@ -227,7 +235,7 @@ def with_share(solution, source, share):
     budget = replace(
         budget, nine=np.repeat(column[:, None], 9, axis=1), at_work=dict.fromkeys(budget.at_work, column)
     )
-    return replace(solution, uncertainty=replace(solution.uncertainty, budget=budget))
+    return with_uncertainty(solution, budget=budget)
 
 
 VOID = {"meta", "br", "link", "img"}

@@ -100,10 +100,6 @@ def test_the_linear_method_alone(extraction):
     assert json.loads(json_text(made(solution, extraction)))["refinement"] is None
 
 
-def test_the_page_explains_its_words(page):
-    assert "Outlier A measurement that does not fit the others." in page.text
-
-
 def test_the_section_that_the_verdict_names_is_open(extraction, html):
     assert "<details" in html
     assert not re.search("<details[^>]* open", html)
