@@ -382,10 +382,11 @@ def noted(made: Calibration, *_: Metric) -> Iterator[Check]:
 def prior(made: Calibration, metric: Metric) -> Iterator[Check]:
     """Values and priors of the user that the data contradict; those that move the result fail."""
     uncertainty = made.solution.uncertainty
-    for name, (sigmas, shift) in uncertainty.asked.items() if uncertainty is not None else ():
+    if uncertainty is None:
+        return
+    for name, (sigmas, shift) in uncertainty.asked.items():
         if sigmas > CONTRADICTION_SIGMAS:
-            fixed = uncertainty is not None and uncertainty.fixed[NINE.index(name)]
-            given = f"--fix {name}" if fixed else f"--prior {name}"
+            given = f"--fix {name}" if uncertainty.fixed[NINE.index(name)] else f"--prior {name}"
             yield metric.check(
                 sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
                 f"Correct {given} (m, rad), or leave it out.",
