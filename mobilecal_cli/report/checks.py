@@ -36,7 +36,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import CHANGED, Calibration, Check, Metric, Outcome, criterion
-from mobilecal_cli.report.findings import contradiction_sentences
+from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
@@ -800,18 +800,6 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-#: Largest part of the error → what to check; "" where the parts are unknown, "chain" where no noise makes it so large.
-_ERROR_CURES = {
-    "": "Calibrate with --method ml (the default), which names the cause.",
-    "corners": "Calibrate the stereo pair again, and check that the board is flat.",
-    "poses": "Check how the poses are measured: their noise is larger than all else.",
-    "joints": "Check the head joints for play, and the head chain in the URDF.",
-    "floor": "Record on a flat floor, and check that the base does not rock.",
-    "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
-    "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
-    "turns": "Check tires, casters and load: left and right turns differ.",
-    "chain": "Check that the head chain has all joints that move the camera.",
-}
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 
 
@@ -853,7 +841,9 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
     cause = max(parts, key=lambda name: parts[name].px, default="")
     limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
     gross = cause != "" and error_px > _NO_NOISE * limit
-    cure = _ERROR_CURES["chain" if gross else cause]
+    _, cure = ERROR_PARTS.get(cause, ("", "Calibrate with --method ml (the default), which names the cause."))
+    if gross:
+        cure = "Check that the head chain has all joints that move the camera."
     noise = "noise of the poses" if made.extraction.measured else "depth noise"
     depth = f"({noise} alone: {solution.residuals.corner_noise_m * 1e3:.1f} mm)"
     yield of_points.check(

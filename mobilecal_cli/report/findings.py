@@ -82,18 +82,28 @@ _KINDS = {
 }
 
 
+#: Key of `Solution.error_parts` → what it is called in a sentence, and what to do if it is the largest.
+ERROR_PARTS = {
+    "corners": ("corners", "Calibrate the stereo pair again, and check that the board is flat."),
+    "poses": ("poses", "Check how the poses are measured: their noise is larger than all else."),
+    "joints": ("joint readings", "Check the head joints for play, and the head chain in the URDF."),
+    "floor": ("the uneven floor", "Record on a flat floor, and check that the base does not rock."),
+    "wheels": (
+        "wheels", "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
+    ),
+    "lenses": (
+        "lenses beside their models", "Calibrate the cameras with a distortion model that fits their lenses.",
+    ),
+    "turns": ("unequal left and right turns", "Check tires, casters and load: left and right turns differ."),
+}  # fmt: skip
+
+
 def reprojection_sentence(solution: Solution) -> str:
     """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
     parts_px = {name: part.px for name, part in solution.error_parts.items()}
     if solution.uncertainty is None or not parts_px:
         return ""
-    words = {
-        "joints": "joint readings",
-        "floor": "the uneven floor",
-        "lenses": "lenses beside their models",
-        "turns": "unequal left and right turns",
-    }
-    each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
+    each = ", ".join(f"{ERROR_PARTS[name][0]} {std_text(px)} px" for name, px in parts_px.items())
     return (
         f"One corner coordinate has a noise of {std_text(solution.uncertainty.noise.pixel_px)} px. The reprojection "
         "error compares two stations, so it includes the robot's motion between them. Expected from the noise levels: "
