@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 from mobilecal_cli.model import Snapshot
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.plots import SHOWN_LEGS, budget_bar, leg_views, path_picture, plots, thumbnails
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN, worst_error
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import Case
 
 if TYPE_CHECKING:
     from jinja2 import Template

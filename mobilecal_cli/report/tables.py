@@ -10,10 +10,11 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like
 from mobilecal_cli.report.numbers import DEG, parameters_of, percent_text, reference_std, std_text, value_text
-from mobilecal_cli.report.verdict import Case
+from mobilecal_cli.report.verdict import verdict_of
 
 _Make: TypeAlias = Callable[[Case], Iterator[Table]]
 _TABLES: list[_Make] = []
@@ -186,7 +187,7 @@ def checks(case: Case) -> Iterator[Table]:
     """All criteria."""
     rows = [
         ("" if c.outcome == "pass" else c.label, c.name, c.measured_text, c.limit_text)
-        for c in case.verdict.checks
+        for c in verdict_of(case).checks
     ]
     yield Table.of(("tag:", "criterion", "measured", "limit"), rows, "checks")
 

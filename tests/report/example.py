@@ -24,9 +24,9 @@ from mobilecal_cli.model import (
     Snapshot,
     Solution,
 )
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
-from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.vision import thumbnail_jpeg
@@ -93,8 +93,7 @@ def case_of(
 ) -> Case:
     """A solution with its verdict; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
-    given = (solution, extraction, gates or {}, trial, change)
-    return Case(*given, provenance=origin)
+    return Case(solution, extraction, origin, gates or {}, trial, change)
 
 
 def made(*args, **more) -> ReportData:

@@ -59,8 +59,8 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
 
     @criteria.criterion(criteria.Metric("color", "shades", section="limits"))
-    def color(made, metric):
-        shades = len(made.extraction.observations) / 4
+    def color(case, metric):
+        shades = len(case.extraction.observations) / 4
         why = "The robot is too gray."
         yield metric.check(shades, 2.0, "color of the robot", "Paint it.", why=why)
 

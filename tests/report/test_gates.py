@@ -10,7 +10,7 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import Drift, Evaluation
-from mobilecal_cli.report.criteria import Calibration, Checks, Metric
+from mobilecal_cli.report.criteria import Checks, Metric
 from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.formats import json_text, like
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
@@ -26,7 +26,7 @@ from mobilecal_cli.report.verdict import (
 )
 from tests.conftest import REPOSITORY
 from tests.judging import judge
-from tests.report.example import made, make_solution
+from tests.report.example import case_of, made, make_solution
 
 EVALUATION = Evaluation(
     stations=3,
@@ -101,7 +101,7 @@ def test_each_side_of_a_limit():
 def test_the_default_method_gives_figures_that_others_do_not(extraction, report):
     kinds = ("std.", "predicted.", "noise.", "motion.")
     assert None not in [value for name, value in report.metrics.items() if name.startswith(kinds)]
-    unknown = figures_of(Calibration(make_solution(extraction, "lm"), extraction))
+    unknown = figures_of(case_of(make_solution(extraction, "lm"), extraction))
     assert unknown["std.wheels.separation_m"] is None
     assert unknown["hold_out.legs"] is None
 

@@ -7,7 +7,6 @@ import pytest
 
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
-from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -22,7 +21,15 @@ from mobilecal_cli.report.use import (
 )
 from mobilecal_cli.report.verdict import figures_of
 from tests.judging import judge
-from tests.report.example import drawn, make_extraction, make_solution, solved, with_share, with_uncertainty
+from tests.report.example import (
+    case_of,
+    drawn,
+    make_extraction,
+    make_solution,
+    solved,
+    with_share,
+    with_uncertainty,
+)
 
 
 def test_a_robot_drawn_from_the_priors_passes():
@@ -58,7 +65,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     assert verdict.level == level
     check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
-    assert figures_of(Calibration(solution, extraction))[check.id] == check.value
+    assert figures_of(case_of(solution, extraction))[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
 
 
