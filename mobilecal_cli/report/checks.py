@@ -561,11 +561,10 @@ _IN_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # op
 @criterion(Metric("nominal.frame", "degrees"), gated=False)
 def camera_frame(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether the frame that the images carry is drawn as that of the camera's body (x forward), not as optical."""
-    rig, parameters = case.extraction.rig, case.solution.parameters
+    rig, R = case.extraction.rig, case.solution.T_h_reference[:3, :3]
     if rig.nominal.T_h_reference is None or case.extraction.measured:
         return
     drawn = rig.nominal.T_h_reference[:3, :3]
-    R = (parameters.T_h_c @ case.solution.cameras.T_c_reference)[:3, :3]
     as_is, as_body = (
         math.degrees(float(np.linalg.norm(se3.log_so3(of.T @ R)))) for of in (drawn, drawn @ _IN_BODY)
     )
