@@ -1,8 +1,11 @@
 """The verdict on a solution, without the report."""
 
-from mobilecal_cli.report.criteria import Calibration
+from mobilecal_cli.model import Provenance
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.verdict import Verdict, verdict_of
+
+NOWHERE = Provenance("", "", "", (), {})
 
 
 def judge(solution, extraction, gates=None, trial=None, change=None) -> Verdict:
-    return verdict_of(Calibration(solution, extraction, gates or {}, trial, change))
+    return verdict_of(Case(solution, extraction, NOWHERE, gates or {}, trial, change))

@@ -38,12 +38,13 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import verdict_lines
 from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
 from mobilecal_cli.report.values import Advice, advice_on, build_report
-from mobilecal_cli.report.verdict import Case, gates_of
+from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig
 from mobilecal_cli.rig.settings import settings_of
 from mobilecal_cli.solvers import Constraints, checked_constraints, clock_offsets
@@ -282,13 +283,12 @@ class Report:
             earlier = read_params(path_of("last", last))
             name = f"{last} ({earlier.created})" if earlier.created else str(last)
             self.change = change_since(robot, earlier, name)
-        made = (solution, extraction, limits, fit.trial, self.change)
-        self._case = Case(*made, provenance=self.provenance)
-        self.verdict = self._case.verdict
+        self._case = Case(solution, extraction, self.provenance, limits, fit.trial, self.change)
+        self.values = build_report(self._case)
+        self.verdict = self.values.verdict
         level, reasons = self.verdict.level, self.verdict.reasons
         self.params = with_verdict(params, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
-        self.values = build_report(self._case)
 
     def __repr__(self) -> str:
         """One line."""

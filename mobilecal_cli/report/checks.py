@@ -35,8 +35,8 @@ from mobilecal_cli.model import (
     largest_mean_square,
 )
 from mobilecal_cli.model.text import capitalized, visible
-from mobilecal_cli.report.criteria import CHANGED, Calibration, Check, Metric, Outcome, criterion
-from mobilecal_cli.report.findings import contradiction_sentences
+from mobilecal_cli.report.criteria import CHANGED, Case, Check, Metric, Outcome, criterion
+from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
@@ -100,9 +100,9 @@ EVALUATED: Mapping[Metric, Callable[[Evaluation], float | None]] = {
     *(Metric(f"std.odometry.{name}", "1") for name in FACTORS),
     *(Metric(f"hold_out.{each.name}", each.unit, each.at_least) for each in EVALUATED),
 )
-def figures(made: Calibration, *metrics: Metric) -> Iterator[Check]:
+def figures(case: Case, *metrics: Metric) -> Iterator[Check]:
     """Figures that no criterion judges; of a robot with odometry alone, its factors have standard deviations."""
-    solution, factors = made.solution, odometry_factors(made.extraction.rig, made.solution)
+    solution, factors = case.solution, odometry_factors(case.extraction.rig, case.solution)
     shown = PARAMETERS[: 6 if factors else 9]
     values: dict[str, float | None] = {
         "reprojection_rms_px": solution.reprojection_rms_px,
@@ -111,15 +111,15 @@ def figures(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         **{p.gate: std for p, std in zip(shown, reference_std(solution), strict=False)},
         **{f"std.odometry.{name}": std for name, (_, std) in factors.items()},
     }
-    if made.trial is not None:
-        values |= {f"hold_out.{metric.name}": of(made.trial) for metric, of in EVALUATED.items()}
+    if case.trial is not None:
+        values |= {f"hold_out.{metric.name}": of(case.trial) for metric, of in EVALUATED.items()}
     return (metric.check(values[metric.name]) for metric in metrics if metric.name in values)
 
 
 @criterion(Metric("mistake", "%"), gated=False)
-def mistake(made: Calibration, metric: Metric) -> Iterator[Check]:
+def mistake(case: Case, metric: Metric) -> Iterator[Check]:
     """The mistake in the robot description that explains a bad fit."""
-    diagnosis = made.solution.diagnosis
+    diagnosis = case.solution.diagnosis
     if diagnosis is None:
         return
     shares = [None if s is None else 100 * s for s in (diagnosis.error_share, diagnosis.corrected_share)]
@@ -134,16 +134,16 @@ def mistake(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("stations", at_least=True, section="stations"))
-def stations(made: Calibration, metric: Metric) -> Iterator[Check]:
+def stations(case: Case, metric: Metric) -> Iterator[Check]:
     """Number of stations."""
-    have, cameras = len(made.extraction.observations), made.extraction.rig.cameras
-    everywhere = all(view.seen.any() for o in made.extraction.observations for view in o.views)
+    have, cameras = len(case.extraction.observations), case.extraction.rig.cameras
+    everywhere = all(view.seen.any() for o in case.extraction.observations for view in o.views)
     where = cameras.images_words if everywhere else "an image"
-    notes = made.extraction.notes
+    notes = case.extraction.notes
     causes = [visible(note) for note in notes if NO_IMAGES in note]
     causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
-    for (_, reason), count in rejection_counts(made.extraction).items():
-        details = {item.detail for item in made.extraction.rejections if item.reason == reason}
+    for (_, reason), count in rejection_counts(case.extraction).items():
+        details = {item.detail for item in case.extraction.rejections if item.reason == reason}
         of = f" ({details.pop()})" if len(details) == 1 else ""
         causes.append(visible(f"Not used, {count} time{'s' * (count != 1)}: {reason}{of}."))
     lost = f" {causes[0]}" if causes else ""
@@ -156,13 +156,13 @@ def stations(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("camera", at_least=True, section="stations"), gated=False)
-def blind_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
+def blind_camera(case: Case, metric: Metric) -> Iterator[Check]:
     """A camera that hardly ever shows the board: nothing tests where it is. A stereo pair without one is none.
 
     A warning for a pair of which one camera shows the board at less than half as many stations as the other, in a
     recording.
     """
-    cameras, observations = made.extraction.rig.cameras, made.extraction.observations
+    cameras, observations = case.extraction.rig.cameras, case.extraction.observations
     if not any(o.shown for o in observations):
         return  # measured poses
     log = np.array([o.log for o in observations])
@@ -193,10 +193,10 @@ def blind_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("legs", at_least=True, section="stations"))
-def legs(made: Calibration, metric: Metric) -> Iterator[Check]:
+def legs(case: Case, metric: Metric) -> Iterator[Check]:
     """Legs between consecutive stations: a criterion for several recordings."""
-    logs = len({o.log for o in made.extraction.observations})
-    have = len(made.extraction.observations) - logs
+    logs = len({o.log for o in case.extraction.observations})
+    have = len(case.extraction.observations) - logs
     yield metric.check(
         float(have), MIN_STATIONS - 1, "legs between consecutive stations" if logs > 1 else "",
         "Record again with more stops in each recording.",
@@ -205,34 +205,38 @@ def legs(made: Calibration, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
-_JUMPS = {
-    "": ("something", "Check the mounts of head, cameras and board, the wheels, and the cables"),
-    "board": ("the board", "Fasten the board"),
-    "board's shape": ("the board's size or shape", "Use the same board in all recordings, on a flat plate"),
-    "right wheel": ("the size of the right wheel", "Check the tire, the load and the encoder of this wheel"),
-    "left wheel": ("the size of the left wheel", "Check the tire, the load and the encoder of this wheel"),
+_WHEEL_CHANGED = ("changed", "Check the tire, the load and the encoder of this wheel")
+#: Part of the robot → what it is called, the verb for its change, and what to do about it.
+_PARTS = {
+    "": ("something", "changed", "Check the mounts of head, cameras and board, the wheels, and the cables"),
+    "board": ("the board", "moved", "Fasten the board"),
+    "board's shape": (
+        "the board's size or shape", "changed", "Use the same board in all recordings, on a flat plate",
+    ),
+    "right wheel": ("the size of the right wheel", *_WHEEL_CHANGED),
+    "left wheel": ("the size of the left wheel", *_WHEEL_CHANGED),
     "both wheels": (
-        "the sizes of both wheels",
+        "the sizes of both wheels", "changed",
         "Check the tires, the load, and that all recordings show the same board",
     ),
-}
+}  # fmt: skip
 
 
-def _jumps(part: str, extraction: Extraction) -> tuple[str, str]:
-    """What a part that changed is called, and what to do about it."""
-    joint = visible(part.removeprefix("joint "))
-    if joint != part:
-        return f"the zero position of {joint}", f"Check the coupling and the encoder of {joint}"
+def _part_words(part: str, extraction: Extraction) -> tuple[str, str, str]:
+    """What a part that changed is called, the verb for it, and what to do about it."""
+    if part.startswith("joint "):
+        joint = visible(part.removeprefix("joint "))
+        return f"the zero position of {joint}", "changed", f"Check the coupling and the encoder of {joint}"
     if part == "head mount":
         on = "head" if extraction.rig.chain.joints else "base"
-        return f"the camera on the {on}", f"Fasten the camera to the {on}"
+        return f"the camera on the {on}", "moved", f"Fasten the camera to the {on}"
     first = camera_words(extraction.rig.cameras.names[0])
-    camera = f"the {visible(part)} against the {first}", "Fasten the cameras to their mount"
-    return _JUMPS.get(part, camera)
+    camera = f"the {visible(part)} against the {first}", "moved", "Fasten the cameras to their mount"
+    return _PARTS.get(part, camera)
 
 
 @criterion(Metric(CHANGED, "sigma", section="stations"), gated=False)
-def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
+def jump(case: Case, metric: Metric) -> Iterator[Check]:
     """Moments from which on something is not where it was before, and recordings in which it is elsewhere.
 
     One that moves the result by more than the limit makes it neither the old nor the new one. One that moves it less
@@ -240,24 +244,22 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
     recording that differs makes the standard deviations wider, and only warns if all expected errors are within their
     limits all the same: if it is used, and is not most of the outliers.
     """
-    names, limit = station_names(made.extraction), MATERIAL_SIGMAS
-    stations = Counter(o.log for o in made.extraction.observations)
-    lost_of = Counter(outlier.log for outlier in made.solution.gross_outliers)
+    names, limit = station_names(case.extraction), MATERIAL_SIGMAS
+    stations = Counter(o.log for o in case.extraction.observations)
+    lost_of = Counter(outlier.log for outlier in case.solution.gross_outliers)
     used = all(100 * lost_of[log] <= _MOST_OUTLIERS * count for log, count in stations.items())
-    levels = {check.outcome for check in noise(made, *_NOISE)}
-    usual = used and "fail" not in levels and ("warning" not in levels or made.accurate)
-    first = {o.log: k for k, o in reversed(list(enumerate(made.extraction.observations)))}
-    for change in made.solution.jumps:
-        at_s = (change.time_ns - int(made.extraction.wheels[change.log].time_ns[0])) / 1e9
-        what, cure = _jumps(change.part, made.extraction)
+    levels = {check.outcome for check in noise(case, *_NOISE)}
+    usual = used and "fail" not in levels and ("warning" not in levels or case.accurate)
+    first = {o.log: k for k, o in reversed(list(enumerate(case.extraction.observations)))}
+    for change in case.solution.jumps:
+        at_s = (change.time_ns - int(case.extraction.wheels[change.log].time_ns[0])) / 1e9
+        what, moved, cure = _part_words(change.part, case.extraction)
         parts = [f"{std_text(1e3 * abs(change.move_m))} mm"] if change.move_m else []
         parts += [f"{std_text(math.degrees(change.turn_rad))} degrees"] if change.turn_rad else []
         size = " by " + " and ".join(parts) if parts else ""
         if change.also:
-            other, also = _jumps(change.also, made.extraction)
+            other, _, also = _part_words(change.also, case.extraction)
             what, size, cure = f"{what} or {other}", "", f"{cure}. {also}"
-        changed = change.part.startswith("joint ") or (change.part in _JUMPS and change.part != "board")
-        moved = "changed" if changed else "moved"
         images, wheels = change.rejected
         unused = [f"the images of {images} station{'s' * (images > 1)}"] if images else []
         unused += [f"the wheels on {wheels} leg{'s' * (wheels > 1)}"] if wheels else []
@@ -270,7 +272,7 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
         else:
             when = f"between recording {change.log + 1} and the other{'s' if len(first) > 2 else ''}"
             then = "Then record again, or calibrate each recording alone."
-            harmless = small or (made.accurate and used)
+            harmless = small or (case.accurate and used)
         if small:
             lost = f" That moves the result by {std_text(change.shift_sigmas)} sigma only."
             then = "Do so before the next recording."
@@ -286,12 +288,12 @@ def jump(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("observable", at_least=True, section="stations"), of_change=True)
-def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
+def observable(case: Case, metric: Metric) -> Iterator[Check]:
     """Parameters that the recording does not determine, and the motion that would.
 
     A warning if all expected errors are within their limits all the same.
     """
-    uncertainty, name = made.solution.uncertainty, "observable parameters"
+    uncertainty, name = case.solution.uncertainty, "observable parameters"
     if uncertainty is None:
         return
     known = uncertainty.observable | uncertainty.fixed | uncertainty.described
@@ -303,26 +305,26 @@ def observable(made: Calibration, metric: Metric) -> Iterator[Check]:
         else:
             yield metric.check(float(len(known)))
         return
-    between = made.solution.between
+    between = case.solution.between
     if between is not None and any(between.between_std[NINE.index(name)] for name in missing):
         because = ": the recordings differ from one another"
         cure = "Calibrate each recording alone, and check that all are of one robot on which nothing was changed."
     else:
-        because, cure = _motion_to_add(made, missing)
+        because, cure = _motion_to_add(case, missing)
     yield metric.check(
         9 - len(missing), 9, name, cure,
         measured=f"{9 - len(missing)} of 9 (not observable: {', '.join(missing)})",
-        why=f"{capitalized(plain_names(missing, made.extraction))} not determined{because}.",
-        beyond="warning" if made.accurate else "not_enough",
+        why=f"{capitalized(plain_names(missing, case.extraction))} not determined{because}.",
+        beyond="warning" if case.accurate else "not_enough",
     )  # fmt: skip
 
 
-def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
+def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
     head, base = bool(set(missing) & set(NINE[:6])), bool(set(missing) & set(NINE[6:]))
-    constants, motion = made.solution.constants.values(), made.solution.motion
+    constants, motion = case.solution.constants.values(), case.solution.motion
     free = {c.kind for c in constants if c.prior >= nuisance.FREE * nuisance.kind(c.kind).sigma}
-    ignored = sorted(free - ({"square_size"} if made.extraction.board.square_m is None else set()))
+    ignored = sorted(free - ({"square_size"} if case.extraction.board.square_m is None else set()))
     if ignored and not small_motion(motion, head, base):
         return (
             f": the stated values of {', '.join(ignored)} are ignored",
@@ -332,18 +334,18 @@ def _motion_to_add(made: Calibration, missing: list[str]) -> tuple[str, str]:
     because = " and ".join(
         extent.too_small.format(extent.text(motion[key])) for key, extent in lacking.items()
     )
-    shows_head = "tilt_range_deg" if unseen_height(made.extraction.rig.chain) is None else "turned_deg"
+    shows_head = "tilt_range_deg" if unseen_height(case.extraction.rig.chain) is None else "turned_deg"
     cures = [MOTION[shows_head].cure] if head and shows_head not in lacking else []
     cures += [extent.cure for extent in lacking.values()]
     return f": {because}" if because else "", f"Record again and {'; '.join(cures)}."
 
 
 @criterion(*(Metric(f"motion.{key}", extent.unit, True, "stations") for key, extent in MOTION.items()))
-def motion(made: Calibration, *metrics: Metric) -> Iterator[Check]:
+def motion(case: Case, *metrics: Metric) -> Iterator[Check]:
     """Motion of head and base: a criterion for methods without standard deviations."""
     for (key, extent), metric in zip(MOTION.items(), metrics, strict=True):
-        if key in made.solution.motion:
-            value, judged = made.solution.motion[key], made.solution.uncertainty is None
+        if key in case.solution.motion:
+            value, judged = case.solution.motion[key], case.solution.uncertainty is None
             cure = f"Record again and {extent.cure}."
             small = f"{value:.1f} {extent.unit} only (limit {extent.least:g})"
             yield metric.check(
@@ -367,23 +369,24 @@ _NOTED = {
 
 
 @criterion(*(metric for metric, *_ in _NOTED.values()), gated=False)
-def noted(made: Calibration, *_: Metric) -> Iterator[Check]:
+def noted(case: Case, *_: Metric) -> Iterator[Check]:
     """Warnings of what the recording's notes say: the estimate takes the first camera_info and any heading."""
     for part, (metric, name, meaning, cure) in _NOTED.items():
-        notes = [note for note in made.extraction.notes if part in note]
+        notes = [note for note in case.extraction.notes if part in note]
         if notes:
             why = f"{visible(notes[0])}.{meaning}"
             yield metric.check(len(notes), 0, name, cure, why=why, beyond="warning")
 
 
 @criterion(Metric("prior", "sigma", section="description"), gated=False)
-def prior(made: Calibration, metric: Metric) -> Iterator[Check]:
+def prior(case: Case, metric: Metric) -> Iterator[Check]:
     """Values and priors of the user that the data contradict; those that move the result fail."""
-    uncertainty = made.solution.uncertainty
-    for name, (sigmas, shift) in uncertainty.asked.items() if uncertainty is not None else ():
+    uncertainty = case.solution.uncertainty
+    if uncertainty is None:
+        return
+    for name, (sigmas, shift) in uncertainty.asked.items():
         if sigmas > CONTRADICTION_SIGMAS:
-            fixed = uncertainty is not None and uncertainty.fixed[NINE.index(name)]
-            given = f"--fix {name}" if fixed else f"--prior {name}"
+            given = f"--fix {name}" if uncertainty.fixed[NINE.index(name)] else f"--prior {name}"
             yield metric.check(
                 sigmas, CONTRADICTION_SIGMAS, f"{given} against the data",
                 f"Correct {given} (m, rad), or leave it out.",
@@ -395,13 +398,13 @@ def prior(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("contradiction", "sigma", section="description"), gated=False)
-def contradiction(made: Calibration, metric: Metric) -> Iterator[Check]:
+def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
     """The stated values that the data contradict; those that the result depends on fail, and times beside them."""
-    solution = made.solution
+    solution = case.solution
     some_fail = any(evidence.shift_sigmas > MATERIAL_SIGMAS for evidence in solution.contradictions)
     widths = solution.uncertainty.noise.wider if solution.uncertainty is not None else {}
     for evidence in solution.contradictions:
-        what, cure = contradiction_sentences(evidence, solution, made.extraction)
+        what, cure = contradiction_sentences(evidence, solution, case.extraction)
         wider = widths.get(nuisance.family(evidence.kind), 1.0)
         is_cause = evidence.late_camera or (some_fail and nuisance.kind(evidence.kind).unit == "s")
         yield metric.check(
@@ -418,9 +421,9 @@ def contradiction(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("description", "sigma", section="description"))
-def description(made: Calibration, metric: Metric) -> Iterator[Check]:
+def description(case: Case, metric: Metric) -> Iterator[Check]:
     """The largest evidence against stated values, where none is a contradiction."""
-    solution = made.solution
+    solution = case.solution
     if solution.uncertainty is not None and not solution.contradictions:
         most = max((evidence.sigmas for evidence in solution.evidence), default=0.0)
         name = "largest difference from stated values"
@@ -428,16 +431,16 @@ def description(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("second_solution", at_least=True))
-def second_solution(made: Calibration, metric: Metric) -> Iterator[Check]:
+def second_solution(case: Case, metric: Metric) -> Iterator[Check]:
     """How many times larger the second-best solution's error is; None if there is no second one.
 
     Two solutions whose errors differ by less than the limit cannot be distinguished. Linear solutions that do not fit,
     for example because of a slip, are not compared: their errors are a large share of the distance to the board.
     """
     limit, fitting_share = 1.5, 0.1
-    kept, rival = made.solution.linear.point_rms_m, made.solution.linear.rival_point_rms_m
+    kept, rival = case.solution.linear.point_rms_m, case.solution.linear.rival_point_rms_m
     ratio = rival / kept if kept > 0 else math.inf
-    fits = kept < fitting_share * made.extraction.board_distance_m
+    fits = kept < fitting_share * case.extraction.board_distance_m
     measured = "all starts converge to one solution"
     if math.isfinite(ratio):
         measured = f"second-best point error {ratio:.1f} times larger"
@@ -456,17 +459,17 @@ def second_solution(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("wheel_difference", "%"))
-def wheel_difference(made: Calibration, metric: Metric) -> Iterator[Check]:
+def wheel_difference(case: Case, metric: Metric) -> Iterator[Check]:
     """Relative difference between the wheel radii."""
-    wheels = made.solution.parameters.wheels
+    wheels = case.solution.parameters.wheels
     right, left = wheels.radius_right_m, wheels.radius_left_m
     apart = 100 * (max(right, left) / min(right, left) - 1)
-    assumed = made.extraction.rig.sources.assumed_wheels
+    assumed = case.extraction.rig.sources.assumed_wheels
     sizes = f"right {right:.4f} m, left {left:.4f} m"
     if assumed is not None:
         right, left = right / assumed.radius_right_m, left / assumed.radius_left_m
         sizes = f"right {right:.4f}, left {left:.4f} times those of the driver"
-    counters = any(wheel.ticks_per_revolution for wheel in made.extraction.rig.sources.wheels.values())
+    counters = any(wheel.ticks_per_revolution for wheel in case.extraction.rig.sources.wheels.values())
     signal = "ticks_per_revolution or the gear ratio of each"
     signal = signal if counters else "the gear ratio and the unit of each wheel's positions"
     yield metric.check(
@@ -481,10 +484,10 @@ _LEAST_EFFECTIVE, _MOST_EFFECTIVE = 0.95, 2.5
 
 
 @criterion(*(Metric(f"nominal.{size}", "%") for size in NINE[6:]))
-def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
+def nominal(case: Case, *metrics: Metric) -> Iterator[Check]:
     """Each size of the wheels against its nominal value, or each factor of odometry against 1."""
-    stated, wheels = made.extraction.rig.nominal.wheels, made.solution.parameters.wheels
-    sources = made.extraction.rig.sources
+    stated, wheels = case.extraction.rig.nominal.wheels, case.solution.parameters.wheels
+    sources = case.extraction.rig.sources
     if sources.assumed_odometry is not None:
         values = sources.assumed_odometry.factors(wheels).items()
         cure = (
@@ -506,7 +509,7 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     for metric, parameter, found_m, stated_m in sizes:
         ratio, limit, label = ratios[parameter.name], _SIZE_BAD, parameter.label
         at_limit, passes = f"within {_SIZE_BAD:g} % of {stated_m:.4f} m", None
-        cure = _nominal_cure(parameter.name, ratios, made)
+        cure = _nominal_cure(parameter.name, ratios, case)
         if sources.several_wheels and parameter.name == "separation":
             label, limit = f"effective {label}", 100 * (_MOST_EFFECTIVE - 1)
             at_limit = f"{_LEAST_EFFECTIVE:g} to {_MOST_EFFECTIVE:g} times {stated_m:.4f} m"
@@ -526,10 +529,10 @@ def nominal(made: Calibration, *metrics: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
-def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> str:
+def _nominal_cure(name: str, ratios: Mapping[str, float], case: Case) -> str:
     """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
     like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
-    scale, pair = made.solution.scale, len(made.extraction.rig.cameras.each) > 1
+    scale, pair = case.solution.scale, len(case.extraction.rig.cameras.each) > 1
     if len(like) == len(ratios) and scale is not None and not scale.apart:
         return (
             "All sizes of the wheels differ by this factor, and the squares fit the stereo baseline: correct "
@@ -545,7 +548,7 @@ def _nominal_cure(name: str, ratios: Mapping[str, float], made: Calibration) -> 
     causes = []
     if abs(ratios[name] / 0.5 - 1) < _ALIKE:
         causes.append("that nominal.wheels states radii, not diameters")
-    if made.extraction.rig.sources.wheels["right" if name == "radius_right" else "left"].ticks_per_revolution:
+    if case.extraction.rig.sources.wheels["right" if name == "radius_right" else "left"].ticks_per_revolution:
         causes.append("ticks_per_revolution")
     else:
         causes.append("the unit of the wheel positions (rad at the wheel, not at the motor)")
@@ -556,13 +559,12 @@ _IN_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # op
 
 
 @criterion(Metric("nominal.frame", "degrees"), gated=False)
-def camera_frame(made: Calibration, metric: Metric) -> Iterator[Check]:
+def camera_frame(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether the frame that the images carry is drawn as that of the camera's body (x forward), not as optical."""
-    rig, parameters = made.extraction.rig, made.solution.parameters
-    if rig.nominal.T_h_reference is None or made.extraction.measured:
+    rig, R = case.extraction.rig, case.solution.T_h_reference[:3, :3]
+    if rig.nominal.T_h_reference is None or case.extraction.measured:
         return
     drawn = rig.nominal.T_h_reference[:3, :3]
-    R = (parameters.T_h_c @ made.solution.cameras.T_c_reference)[:3, :3]
     as_is, as_body = (
         math.degrees(float(np.linalg.norm(se3.log_so3(of.T @ R)))) for of in (drawn, drawn @ _IN_BODY)
     )
@@ -579,22 +581,22 @@ def camera_frame(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("nominal.scale", "%"), gated=False)
-def scale_of_one_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
+def scale_of_one_camera(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether all sizes of the wheels are off the nominal ones to the same side, where one camera alone measures.
 
     Its scale is that of the stated squares, which nothing else in the images can contradict.
     """
     bad = 5.0
-    rig, wheels = made.extraction.rig, made.solution.parameters.wheels.vector
+    rig, wheels = case.extraction.rig, case.solution.parameters.wheels.vector
     stated = rig.sources.assumed_wheels or rig.nominal.wheels
-    square_m = made.extraction.board.square_m
-    if len(rig.cameras.each) > 1 or stated is None or square_m is None or made.solution.uncertainty is None:
+    square_m = case.extraction.board.square_m
+    if len(rig.cameras.each) > 1 or stated is None or square_m is None or case.solution.uncertainty is None:
         return
     off = 100 * (wheels / stated.vector - 1)
     common = float(off[np.argmin(np.abs(off))]) if abs(np.sign(off).sum()) == len(off) else 0.0
     yield metric.check(
         common, bad, "common factor of all sizes of the wheels",
-        "Check the scale of the measured poses: it is that of the wheels." if made.extraction.measured else
+        "Check the scale of the measured poses: it is that of the wheels." if case.extraction.measured else
         f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m:g} m) gives the scale. "
         "If it is as stated, correct the nominal wheels.",
         why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
@@ -603,16 +605,16 @@ def scale_of_one_camera(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("stereo_error", "px", section="description"))
-def stereo_error(made: Calibration, metric: Metric) -> Iterator[Check]:
+def stereo_error(case: Case, metric: Metric) -> Iterator[Check]:
     """Corners against the flat board: with the cameras as estimated, or as stated where there is no estimate.
 
     Good camera calibrations give 0.1 to 0.3 px.
     """
-    uncertainty = made.solution.uncertainty
-    stated = float(np.median([o.reprojection_px for o in made.extraction.observations]))
+    uncertainty = case.solution.uncertainty
+    stated = float(np.median([o.reprojection_px for o in case.extraction.observations]))
     px = stated if uncertainty is None else uncertainty.noise.pixel_px
     of = "median" if uncertainty is None else f"with camera_info as stated: {std_text(stated)} px"
-    pair = made.extraction.rig.cameras.calibrated
+    pair = case.extraction.rig.cameras.calibrated
     name = f"{'stereo ' if pair else ''}reprojection error of the board"
     yield metric.check(
         px, 1.2, name,
@@ -623,18 +625,18 @@ def stereo_error(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("stated_priors", section="description"), gated=False)
-def stated_priors(made: Calibration, metric: Metric) -> Iterator[Check]:
+def stated_priors(case: Case, metric: Metric) -> Iterator[Check]:
     """Corner noise over what the images alone show, where rig.yaml states priors: some may keep wrong values.
 
     Of 260 simulated recordings, its median is 0.96 and the largest but one 2.8; with wrong fixed cameras it is 16. Real
     boards and lenses may have more: a failure only where the cameras are fixed as stated.
     """
-    uncertainty, views = made.solution.uncertainty, [v for o in made.extraction.observations for v in o.views]
+    uncertainty, views = case.solution.uncertainty, [v for o in case.extraction.observations for v in o.views]
     shown = [view.sigma_px for view in views if view.seen.any()]
-    if uncertainty is None or not made.extraction.rig.prior_sigmas or not shown:
+    if uncertainty is None or not case.extraction.rig.prior_sigmas or not shown:
         return
     px, alone = uncertainty.noise.pixel_px, float(np.median(shown))
-    of_cameras = {each.kind for each in made.solution.constants.values()} & {
+    of_cameras = {each.kind for each in case.solution.constants.values()} & {
         "focal_length",
         "principal_point",
     }
@@ -649,12 +651,12 @@ def stated_priors(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("square_size", "%", section="description"))
-def square_size(made: Calibration, metric: Metric) -> Iterator[Check]:
+def square_size(case: Case, metric: Metric) -> Iterator[Check]:
     """Stated square size against the stereo baseline, for methods that do not estimate both."""
-    stated = made.extraction.board.square_m
-    sizes = [o.square_m for o in made.extraction.observations if o.several]
-    pair = made.extraction.rig.cameras.calibrated and sizes
-    if made.solution.uncertainty is not None or stated is None or not pair:
+    stated = case.extraction.board.square_m
+    sizes = [o.square_m for o in case.extraction.observations if o.several]
+    pair = case.extraction.rig.cameras.calibrated and sizes
+    if case.solution.uncertainty is not None or stated is None or not pair:
         return
     measured = float(np.median(sizes))
     off, stated_mm, measured_mm = 100 * (measured / stated - 1), stated * 1e3, measured * 1e3
@@ -691,16 +693,16 @@ _NOISE = {
 }  # fmt: skip
 
 
-def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
+def noise(case: Case, *levels: Metric) -> Iterator[Check]:
     """Noise of joints (in mm for a head that only slides), wheels, floor, and times of images where the robot moves.
 
     The estimate allows for it, so the limits are wide. A level of zero is a figure alone. A board that moved makes the
     floor's noise large, and moves none of the nine parameters: then that is a warning.
     """
-    uncertainty, chain = made.solution.uncertainty, made.extraction.rig.chain
+    uncertainty, chain = case.solution.uncertainty, case.extraction.rig.chain
     if uncertainty is None:
         return
-    found, moving = uncertainty.noise, not all(o.at_rest for o in made.extraction.observations)
+    found, moving = uncertainty.noise, not all(o.at_rest for o in case.extraction.observations)
     slides = bool(chain.joints) and len(chain.prismatic) == len(chain.joints)
     measured = {
         "noise.height": 1e3 * found.floor_m,
@@ -712,9 +714,9 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
         "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
     }
-    moved_board = {(jump.part, jump.also) for jump in made.solution.jumps} == {("board", "")}
-    stepped = [visible(note) for note in made.extraction.notes if CLOCK_STEPS in note]
-    stated = ", and the priors in rig.yaml" if made.extraction.rig.prior_sigmas else ""
+    moved_board = {(jump.part, jump.also) for jump in case.solution.jumps} == {("board", "")}
+    stepped = [visible(note) for note in case.extraction.notes if CLOCK_STEPS in note]
+    stated = ", and the priors in rig.yaml" if case.extraction.rig.prior_sigmas else ""
     for metric in levels:
         (usual, bad, name, cause), level = _NOISE[metric], measured[metric.name]
         if metric.name == "noise.stamp" and stepped:
@@ -728,10 +730,10 @@ def noise(made: Calibration, *levels: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("head_chain"), gated=False)
-def head_chain(made: Calibration, metric: Metric) -> Iterator[Check]:
+def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
     """A joint that moves the camera beside the head chain: the likeliest cause of noise beyond its limit."""
-    noisy = any(check.outcome == "fail" for check in noise(made, *_NOISE))
-    for note in made.extraction.notes:
+    noisy = any(check.outcome == "fail" for check in noise(case, *_NOISE))
+    for note in case.extraction.notes:
         if CHAIN_ENDS in note:
             why, _, cure = visible(note).partition(". ")
             yield metric.check(
@@ -747,16 +749,16 @@ def head_chain(made: Calibration, metric: Metric) -> Iterator[Check]:
 criterion(_HEIGHT, of_change=True)(noise)
 
 
-def _warning_of(made: Calibration) -> Outcome:
+def _warning_of(case: Case) -> Outcome:
     """A warning instead of a failure where the estimate has its own outlier test and estimates the cameras."""
-    return "fail" if made.solution.uncertainty is None else "warning"
+    return "fail" if case.solution.uncertainty is None else "warning"
 
 
 @criterion(
     Metric("leg_outlier.point", "mm", section="stations"),
     Metric("leg_outlier.reprojection", "px", section="stations"),
 )
-def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
+def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
     """The leg with the largest error against the median leg, of five legs or more.
 
     Errors of consistent legs are distributed like |x| of a normal x: the largest of 11 is about 3 times the median, the
@@ -766,16 +768,16 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
     wheels grows with the root of the way: a leg that takes longer than the median leg may have so much more.
     """
     least_legs, times, bad, encoder_steps, sigmas = 5, 5.0, 0.01, 1.5, 3.0
-    residuals, names = made.solution.residuals, station_names(made.extraction)
+    residuals, names = case.solution.residuals, station_names(case.extraction)
     if len(residuals.legs) < least_legs:
         return
-    wheels = made.solution.parameters.wheels
-    right_rad, left_rad = encoder_steps_rad(made.extraction.wheels).tolist()
+    wheels = case.solution.parameters.wheels
+    right_rad, left_rad = encoder_steps_rad(case.extraction.wheels).tolist()
     step_rad = (wheels.radius_right_m * right_rad + wheels.radius_left_m * left_rad) / wheels.separation_m
     bad = max(bad, encoder_steps * step_rad)
-    distance_mm, focal_px = made.extraction.board_distance_m * 1e3, float(made.solution.cameras.first.K[0, 0])
+    distance_mm, focal_px = case.extraction.board_distance_m * 1e3, float(case.solution.cameras.first.K[0, 0])
     depth_noise = sigmas * residuals.leg_corner_noise_m * 1e3 / distance_mm
-    stamps = np.array([o.time_ns for o in made.extraction.observations], dtype=np.int64)
+    stamps = np.array([o.time_ns for o in case.extraction.observations], dtype=np.int64)
     took = np.diff(stamps[residuals.legs], axis=1)[:, 0]
     longer = np.sqrt(np.maximum(took / max(float(np.median(took)), 1.0), 1.0))
     for metric, kind, errors, scale in (
@@ -793,22 +795,10 @@ def leg_outlier(made: Calibration, *metrics: Metric) -> Iterator[Check]:
             why=f"The {kind} error between stations {first} and {second} is {error:.1f} {metric.unit} "
             f"(median {median:.1f} {metric.unit}).",
             passes=error <= times * longer[worst] * median or error <= limit,
-            beyond=_warning_of(made),
+            beyond=_warning_of(case),
         )  # fmt: skip
 
 
-#: Largest part of the error → what to check; "" where the parts are unknown, "chain" where no noise makes it so large.
-_ERROR_CURES = {
-    "": "Calibrate with --method ml (the default), which names the cause.",
-    "corners": "Calibrate the stereo pair again, and check that the board is flat.",
-    "poses": "Check how the poses are measured: their noise is larger than all else.",
-    "joints": "Check the head joints for play, and the head chain in the URDF.",
-    "floor": "Record on a flat floor, and check that the base does not rock.",
-    "wheels": "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
-    "lenses": "Calibrate the cameras with a distortion model that fits their lenses.",
-    "turns": "Check tires, casters and load: left and right turns differ.",
-    "chain": "Check that the head chain has all joints that move the camera.",
-}
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 
 
@@ -835,23 +825,25 @@ def unexplained(solution: Solution, corners: int) -> ErrorPart:
     Metric("reprojection_error", "px", section="stations"),
     of_change=True,
 )
-def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
+def errors(case: Case, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
     """Point error and reprojection error, without what is no error of the calibration: see `unexplained`.
 
     Point error: encoders with 300 steps per turn (as in the paper) give about 0.5 % of the distance. 1.5 % is 0.9
     degrees of heading, more than a wheel without slip loses on one leg.
     """
-    solution, distance = made.solution, made.extraction.board_distance_m
+    solution, distance = case.solution, case.extraction.board_distance_m
     if not len(solution.residuals.legs):
         return
     error, error_px = solution.point_rms_m, solution.reprojection_rms_px
-    beyond = unexplained(solution, made.extraction.board.corners)
+    beyond = unexplained(solution, case.extraction.board.corners)
     parts, without = solution.error_parts, "without corner noise, lenses and uneven floor"
     cause = max(parts, key=lambda name: parts[name].px, default="")
     limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
     gross = cause != "" and error_px > _NO_NOISE * limit
-    cure = _ERROR_CURES["chain" if gross else cause]
-    noise = "noise of the poses" if made.extraction.measured else "depth noise"
+    _, cure = ERROR_PARTS.get(cause, ("", "Calibrate with --method ml (the default), which names the cause."))
+    if gross:
+        cure = "Check that the head chain has all joints that move the camera."
+    noise = "noise of the poses" if case.extraction.measured else "depth noise"
     depth = f"({noise} alone: {solution.residuals.corner_noise_m * 1e3:.1f} mm)"
     yield of_points.check(
         100 * beyond.m / distance, 100 * ERROR_BAD, "point error", cure,
@@ -869,15 +861,15 @@ def errors(made: Calibration, of_points: Metric, of_pixels: Metric) -> Iterator[
 
 
 @criterion(Metric("methods"))
-def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
+def methods(case: Case, metric: Metric) -> Iterator[Check]:
     """Difference between the linear and the refined solution; in shares of its limits, the largest.
 
     The linear method alone has errors up to 2 degrees, 60 mm and 5 % of the wheels. It knows no fixed values, and
     unobservable ones only roughly. It uses outliers too: where there are any, a large difference says nothing.
     """
     limits = (6.0, 200.0, 15.0)
-    linear, refined = made.solution.linear.parameters, made.solution.parameters
-    if made.solution.refinement is None:
+    linear, refined = case.solution.linear.parameters, case.solution.parameters
+    if case.solution.refinement is None:
         return
     step = refined.minus(linear)
     apart = [
@@ -885,11 +877,11 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
         1e3 * float(np.linalg.norm(step[3:6])),
         100 * float(np.abs(linear.wheels.vector / refined.wheels.vector - 1).max()),
     ]
-    if made.solution.uncertainty is not None:
-        known = [bool(part.all()) for part in made.solution.uncertainty.observable.reshape(3, 3)]
+    if case.solution.uncertainty is not None:
+        known = [bool(part.all()) for part in case.solution.uncertainty.observable.reshape(3, 3)]
         apart = [value if ok else 0.0 for value, ok in zip(apart, known, strict=True)]
     largest = max(value / limit for value, limit in zip(apart, limits, strict=True))
-    if largest > 1 and made.solution.gross_outliers:
+    if largest > 1 and case.solution.gross_outliers:
         return
     text = "{:.1f} degrees, {:.0f} mm and {:.1f} % of the wheels".format(*apart)
     yield metric.check(
@@ -898,16 +890,16 @@ def methods(made: Calibration, metric: Metric) -> Iterator[Check]:
         measured=f"differ by {text}",
         at_limit="at most {:g} degrees, {:g} mm and {:g} %".format(*limits),
         why=f"The linear and the refined solution differ by {text}.",
-        beyond=_warning_of(made),
+        beyond=_warning_of(case),
     )  # fmt: skip
 
 
 @criterion(Metric("outliers", "%", section="stations"), of_change=True)
-def outliers(made: Calibration, metric: Metric) -> Iterator[Check]:
+def outliers(case: Case, metric: Metric) -> Iterator[Check]:
     """Outliers; the limit is the share that a robust estimate tolerates."""
-    if made.solution.uncertainty is None:
+    if case.solution.uncertainty is None:
         return
-    bad, count, gross = _MOST_OUTLIERS, len(made.extraction.observations), made.solution.gross_outliers
+    bad, count, gross = _MOST_OUTLIERS, len(case.extraction.observations), case.solution.gross_outliers
     share = 100 * len(gross) / max(1, count)
     further = f" Further outliers: {len(gross) - 1}." if len(gross) > 1 else ""
     yield metric.check(
@@ -920,11 +912,11 @@ def outliers(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("outliers_as_noise", section="stations"), gated=False)
-def outliers_as_noise(made: Calibration, metric: Metric) -> Iterator[Check]:
+def outliers_as_noise(case: Case, metric: Metric) -> Iterator[Check]:
     """Kinds of measurements with so many outliers that they are noise."""
-    kinds = made.solution.noisy
+    kinds = case.solution.noisy
     names = {"views": "stations' images", "legs": "legs' wheel rotations", "readings": "joint readings"}
-    if made.solution.uncertainty is not None and kinds:
+    if case.solution.uncertainty is not None and kinds:
         yield metric.check(
             len(kinds), 0, "outliers that are noise", "See the noise levels in the report.",
             measured=", ".join(kinds),
@@ -938,29 +930,29 @@ def outliers_as_noise(made: Calibration, metric: Metric) -> Iterator[Check]:
 criterion(*(metric for metric in _NOISE if metric is not _HEIGHT), of_change=True)(noise)
 
 
-def _moves(made: Calibration, figure: Figure) -> tuple[bool, bool]:
+def _moves(case: Case, figure: Figure) -> tuple[bool, bool]:
     """Whether motion of the head, and of the base, improves an expected error."""
-    fixed = np.zeros(9, bool) if made.solution.uncertainty is None else made.solution.uncertainty.fixed
+    fixed = np.zeros(9, bool) if case.solution.uncertainty is None else case.solution.uncertainty.fixed
     of_camera_alone = figure.of_camera and figure.field != "point_m"
     return figure.of_camera and not fixed[:6].all(), not of_camera_alone and not fixed[6:].all()
 
 
 @criterion(*(Metric(figure.name, figure.unit, section="limits") for figure in FIGURES), of_change=True)
-def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
+def expected_errors(case: Case, *metrics: Metric) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
-    if made.solution.uncertainty is None:
+    if case.solution.uncertainty is None:
         return
-    limited = {use.figure: use for use in uses(made.solution, made.gates)}
+    limited = {use.figure: use for use in uses(case.solution, case.gates)}
     of = dict(zip(FIGURES, metrics, strict=True))
     for figure, metric in of.items():
         if figure not in limited:
-            yield metric.check(figure.of(made.solution.uncertainty.at_work))
+            yield metric.check(figure.of(case.solution.uncertainty.at_work))
     for use in sorted(limited.values(), key=lambda use: -use.share):
         figure, value = use.figure, f"{std_text(use.value)} {use.figure.unit}"
         yield of[figure].check(
             use.value, use.limit, f"expected error: {figure.meaning}",
-            motion_cure(made.solution.motion, *_moves(made, figure))
-            or next_step_of(use, made.solution, made.extraction),
+            motion_cure(case.solution.motion, *_moves(case, figure))
+            or next_step_of(use, case.solution, case.extraction),
             measured=value if use.value else "fixed by the user",
             why=f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:g} {figure.unit}). "
             f"{use.limiting}",
@@ -969,10 +961,10 @@ def expected_errors(made: Calibration, *metrics: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("rejected", "%", section="stations"))
-def rejected(made: Calibration, metric: Metric) -> Iterator[Check]:
+def rejected(case: Case, metric: Metric) -> Iterator[Check]:
     """Share of rejected stations."""
-    detected, used = stations_looked_at(made.extraction), len(made.extraction.observations)
-    counts, lost = rejection_counts(made.extraction), f"{detected - used} of {detected}"
+    detected, used = stations_looked_at(case.extraction), len(case.extraction.observations)
+    counts, lost = rejection_counts(case.extraction), f"{detected - used} of {detected}"
     often = f" (most often: {visible(next(iter(counts))[1])})" if counts else ""
     yield metric.check(
         100 * (1 - used / detected), 50.0, "rejected stations",
@@ -983,12 +975,12 @@ def rejected(made: Calibration, metric: Metric) -> Iterator[Check]:
 
 
 @criterion(Metric("change", "%", at_least=True, section="limits"))
-def change(made: Calibration, metric: Metric) -> Iterator[Check]:
+def change(case: Case, metric: Metric) -> Iterator[Check]:
     """Whether the robot is unchanged since the last calibration.
 
     The limit is how often an unchanged robot shows a change this large.
     """
-    difference, unlikely = made.change, 1e-4
+    difference, unlikely = case.change, 1e-4
     if difference is None or difference.p_value is None:
         return
     worst = int(np.argmax(np.abs(np.nan_to_num(difference.sigmas))))

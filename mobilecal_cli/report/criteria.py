@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
-from mobilecal_cli.model import Evaluation, Extraction, Solution
+from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
 from mobilecal_cli.model.text import capitalized, visible, wrapped
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.use import uses
@@ -17,11 +17,12 @@ CHANGED = "jump"  # id of the criterion of changes inside the recording
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration:
-    """What the criteria judge.
+class Case:
+    """A calibration: what the criteria judge, and what a report is made from.
 
     Attributes:
         solution, extraction: the solution and its data.
+        provenance: version, time, recordings and settings.
         gates: the user's limits by the name of the metric; those on an expected error in use replace the default limit.
         trial: the evaluation on held-out stations, if any.
         change: from the last calibration or from the nominal values, if there is either.
@@ -29,6 +30,7 @@ class Calibration:
 
     solution: Solution
     extraction: Extraction
+    provenance: Provenance
     gates: Mapping[str, float] = field(default_factory=dict)
     trial: Evaluation | None = None
     change: Change | None = None
@@ -87,6 +89,11 @@ class Check:
     def label(self) -> str:
         """The outcome in words."""
         return self.outcome.replace("_", " ")
+
+    @property
+    def met(self) -> bool:
+        """Whether the criterion is met, also with a warning."""
+        return self.outcome in ("pass", "warning")
 
 
 @dataclass(frozen=True, slots=True)

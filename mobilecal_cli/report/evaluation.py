@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, Parameters, Solution
+from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, FloatArray, Parameters, Solution
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import DEG, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
-from mobilecal_cli.report.verdict import Verdict, decided_by
+from mobilecal_cli.report.verdict import GATE, Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.
 _QUANTITIES = (
@@ -219,24 +218,18 @@ class LegErrorData(JsonValue):
     translation_mm: float
 
 
-def _legs(evaluation: Evaluation) -> tuple[LegErrorData, ...]:
-    errors = evaluation.reprojection_px, evaluation.rotation_rad * DEG, evaluation.translation_m * 1e3
+def _legs(e: Evaluation) -> tuple[LegErrorData, ...]:
+    columns = e.legs, e.reprojection_px, e.rotation_rad * DEG, e.translation_m * 1e3
     return tuple(
         LegErrorData(
             log=log, from_station=i, to_station=j, reprojection_px=px, rotation_deg=deg, translation_mm=mm
         )
-        for (log, i, j), px, deg, mm in zip(
-            *(each.tolist() for each in (evaluation.legs, *errors)), strict=True
-        )
+        for (log, i, j), px, deg, mm in zip(*(column.tolist() for column in columns), strict=True)
     )
 
 
-def _spread(name: str) -> Any:  # noqa: ANN401
-    def of(evaluation: Evaluation) -> SpreadData:
-        values = np.array([getattr(leg, name) for leg in _legs(evaluation)])
-        return SpreadData(rms=rms(values), median=float(np.median(values)), worst=float(values.max()))
-
-    return by(of)
+def _spread(errors: FloatArray) -> SpreadData:
+    return SpreadData(rms=rms(errors), median=float(np.median(errors)), worst=float(errors.max()))
 
 
 class EvaluationData(JsonValue):
@@ -246,9 +239,9 @@ class EvaluationData(JsonValue):
     legs: int = by(lambda evaluation: len(evaluation.legs))
     driven_m: float
     turned_deg: float
-    reprojection_px: SpreadData = _spread("reprojection_px")
-    rotation_deg: SpreadData = _spread("rotation_deg")
-    translation_mm: SpreadData = _spread("translation_mm")
+    reprojection_px: SpreadData = by(lambda e: _spread(e.reprojection_px))
+    rotation_deg: SpreadData = by(lambda e: _spread(e.rotation_rad * DEG))
+    translation_mm: SpreadData = by(lambda e: _spread(e.translation_m * 1e3))
     drift_before: DriftData | None = by(lambda e: e.before and like(DriftData, e.before))
     drift_after: DriftData = by(lambda e: like(DriftData, e.after))
     per_leg: tuple[LegErrorData, ...] = by(_legs)
@@ -264,9 +257,9 @@ def evaluation_json(result: Evaluated) -> str:
             "logs": result.extraction.logs,
             "used_for_calibration": result.used,
             "notes": [*result.notes, *result.extraction.notes],
-            **{name: getattr(numbers, name) for name in EvaluationData.__dataclass_fields__},
+            **vars(numbers),
             "verdict": result.verdict,
-            "gates": [check for check in result.verdict.checks if check.id.startswith("gate.")],
+            "gates": [check for check in result.verdict.checks if check.id.startswith(GATE)],
         }
     )
 

@@ -82,18 +82,28 @@ _KINDS = {
 }
 
 
+#: Key of `Solution.error_parts` → what it is called in a sentence, and what to do if it is the largest.
+ERROR_PARTS = {
+    "corners": ("corners", "Calibrate the stereo pair again, and check that the board is flat."),
+    "poses": ("poses", "Check how the poses are measured: their noise is larger than all else."),
+    "joints": ("joint readings", "Check the head joints for play, and the head chain in the URDF."),
+    "floor": ("the uneven floor", "Record on a flat floor, and check that the base does not rock."),
+    "wheels": (
+        "wheels", "Check the wheels for slip, and the board for a move, on the leg with the largest error.",
+    ),
+    "lenses": (
+        "lenses beside their models", "Calibrate the cameras with a distortion model that fits their lenses.",
+    ),
+    "turns": ("unequal left and right turns", "Check tires, casters and load: left and right turns differ."),
+}  # fmt: skip
+
+
 def reprojection_sentence(solution: Solution) -> str:
     """What the reprojection error consists of, by kind of noise; "" where it is unknown."""
     parts_px = {name: part.px for name, part in solution.error_parts.items()}
     if solution.uncertainty is None or not parts_px:
         return ""
-    words = {
-        "joints": "joint readings",
-        "floor": "the uneven floor",
-        "lenses": "lenses beside their models",
-        "turns": "unequal left and right turns",
-    }
-    each = ", ".join(f"{words.get(name, name)} {std_text(px)} px" for name, px in parts_px.items())
+    each = ", ".join(f"{ERROR_PARTS[name][0]} {std_text(px)} px" for name, px in parts_px.items())
     return (
         f"One corner coordinate has a noise of {std_text(solution.uncertainty.noise.pixel_px)} px. The reprojection "
         "error compares two stations, so it includes the robot's motion between them. Expected from the noise levels: "
@@ -103,16 +113,15 @@ def reprojection_sentence(solution: Solution) -> str:
 
 def _path(suggestion: Suggestion) -> str:
     """How the base gets to a suggested stop."""
+
+    def turn(rad: float, what: str) -> str:
+        degrees, side = math.degrees(rad), "left" if rad > 0 else "right"
+        return f"{what} {side} by {abs(degrees):.0f} degrees" if round(degrees) else ""
+
     drive = suggestion.drive_m
-    turns = [
-        f"turn {'the base ' if first else ''}{'left' if rad > 0 else 'right'} by {math.degrees(abs(rad)):.0f} degrees"
-        if round(math.degrees(rad))
-        else ""
-        for first, rad in ((True, suggestion.turn_rad), (False, suggestion.face_rad))
-    ]
     driven = f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m" if drive else ""
-    parts = [part for part in (turns[0], driven, turns[1]) if part]
-    return ", then ".join(parts) or "do not move the base"
+    parts = turn(suggestion.turn_rad, "turn the base"), driven, turn(suggestion.face_rad, "turn")
+    return ", then ".join(filter(None, parts)) or "do not move the base"
 
 
 def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[str, ...]:
@@ -126,7 +135,7 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             for name, at in zip(names, suggestion.joints, strict=True)
         )
         now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
-        unit = "" if shown.unit == "1" else f" {shown.unit}"
+        unit = f" {shown.unit}".rstrip()
         path, worst = _path(suggestion), suggestion.worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
             gain = (

@@ -10,7 +10,7 @@ from pathlib import Path
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model.text import visible
 from mobilecal_cli.report.fleet import FleetRow, robots_of
-from mobilecal_cli.report.verdict import LEVELS, Verdict
+from mobilecal_cli.report.verdict import Verdict
 
 
 def junit_xml(name: str, verdict: Verdict, seconds: float = 0.0) -> bytes:
@@ -20,7 +20,7 @@ def junit_xml(name: str, verdict: Verdict, seconds: float = 0.0) -> bytes:
     """
     cases = []
     for check in verdict.checks:
-        tag, warning = "failure" if check.outcome in LEVELS else "", check.outcome == "warning"
+        tag, warning = "" if check.met else "failure", check.outcome == "warning"
         out = f"measured: {check.measured_text}; limit: {check.limit_text}"
         out += f"; warning: {check.why}" if warning else ""
         cases.append(_case(check.name, tag, check.why, check.label, check.next_step, out))

@@ -42,7 +42,7 @@ class Parameter:
     Attributes:
         name: as in params.yaml.
         label: in a summary.
-        unit: "rad" or "m"; "1" for a factor of odometry.
+        unit: "rad" or "m"; "" for a factor of odometry.
         shown_unit, factor: unit for people, and how many of it one unit of the value in the code (rad or m) is.
         digits: decimals to show where no standard deviation is known.
     """
@@ -62,7 +62,7 @@ class Parameter:
     @property
     def per_unit(self) -> float:
         """How many of `unit` a value of one in the code is: rad and m stay, of assumed wheels follow factors."""
-        return self.factor if self.unit == "1" else 1.0
+        return 1.0 if self.unit else self.factor
 
 
 _ANGLE, _LENGTH = ("rad", "deg", DEG, 3), ("m", "mm", 1e3, 2)
@@ -80,7 +80,7 @@ def parameters_of(assumed: WheelGeometry | None) -> tuple[Parameter, ...]:
     return (
         *PARAMETERS[:6],
         *(
-            Parameter(name, name.replace("_", " "), "1", "", factor=1 / size, digits=5)
+            Parameter(name, name.replace("_", " "), "", "", factor=1 / size, digits=5)
             for name, size in zip(FACTORS, assumed.vector.tolist(), strict=False)
         ),
     )

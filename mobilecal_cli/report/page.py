@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 from mobilecal_cli.model import Snapshot
 from mobilecal_cli.model.text import visible
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.formats import json_text
 from mobilecal_cli.report.plots import SHOWN_LEGS, budget_bar, leg_views, path_picture, plots, thumbnails
 from mobilecal_cli.report.svg import STYLE
 from mobilecal_cli.report.use import LEAST_GAIN, worst_error
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import LEVELS, Case
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -36,10 +36,19 @@ CONTENTS = {
 }
 
 
+#: Level of a verdict, outcome of a check or another tag, in small letters → its style; all others are failures.
+_STYLES = {"pass": "pass", "not enough": "short", "warning": "short", "outlier": "short"}
+
+
+def style_of(label: str) -> str:
+    """Style of a level of a verdict, an outcome or a tag: "pass", "short" or "fail"."""
+    return _STYLES.get(label.lower(), "fail")
+
+
 def opened_section(report: ReportData) -> str:
     """The section that shows what decides the verdict; "" for one that passes."""
-    failed = (check for check in report.verdict.checks if check.outcome in LEVELS)
-    return next((check.section for check in failed if check.why == report.verdict.reason), "")
+    checks = report.verdict.checks
+    return next((c.section for c in checks if not c.met and c.why == report.verdict.reason), "")
 
 
 def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = ()) -> str:
@@ -101,4 +110,5 @@ def template(name: str) -> Template:
         lstrip_blocks=True,
         finalize=shown,
     )
+    environment.filters["style"] = style_of
     return environment.get_template(name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from typing import TypeAlias
 
@@ -10,12 +10,13 @@ import numpy as np
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, SIDES, HeadChain
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData, evaluation_tables
 from mobilecal_cli.report.formats import Table, like
 from mobilecal_cli.report.numbers import DEG, parameters_of, percent_text, reference_std, std_text, value_text
-from mobilecal_cli.report.verdict import Case
+from mobilecal_cli.report.verdict import verdict_of
 
-_Make: TypeAlias = Callable[[Case], Table | None]
+_Make: TypeAlias = Callable[[Case], Iterator[Table]]
 _TABLES: list[_Make] = []
 _MOST_REJECTIONS = 100  # further ones are in report.json only
 _MOST_CONSTANTS = 6  # that the page lists, if none is contradicted
@@ -23,24 +24,22 @@ _LEAST_PROBABILITY = 1e-6  # worth a digit
 
 
 def table(make: _Make) -> _Make:
-    """Add a function to the tables of the page; it returns None where there is nothing to show."""
+    """Add a function to the tables of the page; it yields nothing where there is nothing to show."""
     _TABLES.append(make)
     return make
 
 
 def tables(case: Case) -> tuple[Table, ...]:
     """All tables that have rows; columns without any text are left out."""
-    tested = () if case.trial is None else evaluation_tables(like(EvaluationData, case.trial))
-    made = (made for made in (make(case) for make in _TABLES) if made is not None and made.rows)
-    return (*(each.without_empty_columns() for each in made), *tested)
+    return tuple(each.without_empty_columns() for make in _TABLES for each in make(case) if each.rows)
 
 
 @table
-def change(case: Case) -> Table | None:
+def change(case: Case) -> Iterator[Table]:
     """Change of each parameter from the last calibration or the nominal values."""
     difference = case.change
     if difference is None:
-        return None
+        return
 
     def shown(value: float, digits: int) -> str:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
@@ -52,7 +51,7 @@ def change(case: Case) -> Table | None:
         (
             p.name,
             value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
-            p.unit.removeprefix("1"),
+            p.unit,
             shown(sigmas, 1),
             shown(percent, 2),
         )
@@ -65,7 +64,7 @@ def change(case: Case) -> Table | None:
         chance = percent_text(difference.p_value, _LEAST_PROBABILITY)
         note += f" If the robot did not change, the probability of a difference this large is {chance}."
     heads = ("name:", "number:change", "unit", "number:in sigma", "number:in %")
-    return Table.of(heads, rows, "limits", "Change", note)
+    yield Table.of(heads, rows, "limits", "Change", note)
 
 
 #: Noise level → label, unit, factor.
@@ -86,10 +85,10 @@ _LEVELS = {
 
 
 @table
-def noise(case: Case) -> Table | None:
+def noise(case: Case) -> Iterator[Table]:
     """Noise levels, and how each was obtained."""
     if case.solution.uncertainty is None:
-        return None
+        return
     levels, given = case.solution.uncertainty.noise, case.extraction.rig.noise
     moving = not all(o.at_rest for o in case.extraction.observations)
     seen_moving = {*levels.estimated, *(given if moving else ())}
@@ -112,7 +111,7 @@ def noise(case: Case) -> Table | None:
         kinds = [("", factor, unit)] if level != "joint_rad" else _joint_kinds(case.extraction.rig.chain)
         rows += [(f"{meaning}{kind}", std_text(std * f), shown, source) for kind, f, shown in kinds]
     heads = ("measurement", "number:1 sigma", "unit", "source")
-    return Table.of(heads, rows, "limits", "Measurement noise")
+    yield Table.of(heads, rows, "limits", "Measurement noise")
 
 
 def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
@@ -125,11 +124,11 @@ def _joint_kinds(chain: HeadChain) -> list[tuple[str, float, str]]:
 
 
 @table
-def separately(case: Case) -> Table | None:
+def separately(case: Case) -> Iterator[Table]:
     """Each recording's own estimate minus the common one, and the spread between recordings."""
     between, uncertainty = case.solution.between, case.solution.uncertainty
     if between is None or uncertainty is None:
-        return None
+        return
     present = sorted({o.log for o in case.extraction.observations})
     per_unit = [each.per_unit for each in parameters_of(case.extraction.rig.sources.assumed_wheels)]
     without = ["fixed" if by_user else "unobservable" for by_user in uncertainty.fixed]
@@ -152,11 +151,11 @@ def separately(case: Case) -> Table | None:
     rows.append(("spread between recordings", *spread))
     note = "Difference from the common estimate ± 1 sigma, in rad and m; the last row: the spread between recordings."
     heads = ("", *(f"number:{name}" for name in NINE))
-    return Table.of(heads, rows, "limits", "Each recording separately", note)
+    yield Table.of(heads, rows, "limits", "Each recording separately", note)
 
 
 @table
-def constants(case: Case) -> Table | None:
+def constants(case: Case) -> Iterator[Table]:
     """The constants that are contradicted, the clocks, and those that are furthest from their stated values."""
     solution = case.solution
     wrong = {(evidence.kind, evidence.part) for evidence in solution.contradictions}
@@ -180,21 +179,21 @@ def constants(case: Case) -> Table | None:
     note = "Difference from the stated value. params.yaml lists all constants."
     heads = ("name:", "constant", "number:difference", "number:1 sigma", "number:prior", "unit", "tag:")
     shown = rows[: max(len(always), _MOST_CONSTANTS)]
-    return Table.of(heads, shown, "description", "Estimated constants", note)
+    yield Table.of(heads, shown, "description", "Estimated constants", note)
 
 
 @table
-def checks(case: Case) -> Table | None:
+def checks(case: Case) -> Iterator[Table]:
     """All criteria."""
     rows = [
         ("" if c.outcome == "pass" else c.label, c.name, c.measured_text, c.limit_text)
-        for c in case.verdict.checks
+        for c in verdict_of(case).checks
     ]
-    return Table.of(("tag:", "criterion", "measured", "limit"), rows, "checks")
+    yield Table.of(("tag:", "criterion", "measured", "limit"), rows, "checks")
 
 
 @table
-def each_rejected(case: Case) -> Table | None:
+def each_rejected(case: Case) -> Iterator[Table]:
     """Each rejected station and image."""
     extraction, items = case.extraction, case.extraction.rejections
     rows = [
@@ -208,7 +207,7 @@ def each_rejected(case: Case) -> Table | None:
     ]
     more = len(items) - _MOST_REJECTIONS
     rows += [("", "", f"report.json lists {more} more.", "")] if more > 0 else []
-    return Table.of(("time (UTC)", "station", "reason", "details"), rows, "stations", "Not used")
+    yield Table.of(("time (UTC)", "station", "reason", "details"), rows, "stations", "Not used")
 
 
 def _moment(time_ns: int) -> str:
@@ -220,7 +219,7 @@ def _moment(time_ns: int) -> str:
 
 
 @table
-def inputs(case: Case) -> Table | None:
+def inputs(case: Case) -> Iterator[Table]:
     """Topics, board, recordings and version."""
     sources, board = case.extraction.rig.sources, case.extraction.board
     elsewhere = (f"{name}: {source.topic} {source.where}" for name, source in sources.elsewhere.items())
@@ -245,4 +244,11 @@ def inputs(case: Case) -> Table | None:
     rows += [(log.path, f"SHA-256 {log.sha256}") for log in case.provenance.logs]
     made = f"mobilecal {case.provenance.version}, method {case.provenance.method}, {case.provenance.created}"
     rows.append(("calibrated", f"{made}; params.yaml lists all settings"))
-    return Table.of(("", "code:"), [row for row in rows if row[1]], "record")
+    yield Table.of(("", "code:"), [row for row in rows if row[1]], "record")
+
+
+@table
+def held_out(case: Case) -> Iterator[Table]:
+    """The errors on the held-out stations, and the drift of dead reckoning there."""
+    if case.trial is not None:
+        yield from evaluation_tables(like(EvaluationData, case.trial))

@@ -8,14 +8,13 @@ import functools
 from mobilecal_cli.model.text import visible, wrapped
 from mobilecal_cli.report.formats import markdown
 from mobilecal_cli.report.numbers import numbers_table
-from mobilecal_cli.report.page import template
+from mobilecal_cli.report.page import style_of, template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
-from mobilecal_cli.report.verdict import LEVELS
 
 _wrapped = functools.partial(wrapped, indent="  ", width=80)
 _MOST_NOTES = 3  # on the terminal without --verbose
-_COLORS = {"PASS": "#14875a", "NOT ENOUGH": "#a05f00"}  # red for others
+_COLORS = {"pass": "#14875a", "short": "#a05f00", "fail": "#c4312b"}
 
 
 def summary_text(report: ReportData, verbose: bool = False) -> str:
@@ -64,7 +63,7 @@ def notebook_html(report: ReportData, path: str) -> str:
     return template("card.html.jinja").render(
         report=report,
         rows=numbers_table(report.numbers).rows,
-        color=_COLORS.get(report.verdict.level, "#c4312b"),
+        color=_COLORS[style_of(report.verdict.level)],
         picture=picture,
     )
 
@@ -87,5 +86,5 @@ def job_summary(report: ReportData) -> str:
     open_checks = [check for check in verdict.checks if check.outcome != "pass"]
     lines += [""] if open_checks else []
     for check in open_checks:
-        lines.append(f"- {'failed' if check.outcome in LEVELS else 'warning'}: {markdown(check.why)}")
+        lines.append(f"- {'warning' if check.met else 'failed'}: {markdown(check.why)}")
     return "\n".join(lines) + "\n"

@@ -30,6 +30,7 @@ from mobilecal_cli.model import (
     Uncertainty,
 )
 from mobilecal_cli.report.comparison import Change
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.findings import (
     SCALES,
@@ -68,7 +69,7 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.plots import trail
 from mobilecal_cli.report.tables import tables
 from mobilecal_cli.report.use import LEAST_GAIN, cures_of, worst_error
-from mobilecal_cli.report.verdict import Case, Verdict, figures_of
+from mobilecal_cli.report.verdict import Verdict, figures_of, verdict_of
 
 
 class ParametersData(JsonValue):
@@ -519,7 +520,7 @@ class ReportData(JsonValue):
     """All numbers, sentences and tables of a report."""
 
     schema_version: Literal[7] = by(lambda _: 7)
-    verdict: Verdict
+    verdict: Verdict = by(verdict_of)
     numbers: tuple[NumberData, ...] = by(lambda case: numbers_of(case.solution, case.extraction.rig))
     metrics: Mapping[str, Number] = by(figures_of)
     parameters: ResultData = by(

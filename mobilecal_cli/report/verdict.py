@@ -10,22 +10,19 @@ import difflib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Annotated, Literal
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Evaluation, Provenance
+from mobilecal_cli.model import Evaluation
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
-from mobilecal_cli.report.criteria import CRITERIA, Calibration, Check, Checks, Metric, Outcome
+from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Checks, Metric
 from mobilecal_cli.report.formats import json_as
 from mobilecal_cli.report.numbers import PARAMETERS, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
-#: Outcome of a check → the verdict that it alone decides.
-LEVELS: dict[Outcome, Level] = {"not_enough": "NOT ENOUGH", "fail": "FAIL"}
-_GATE = "gate."  # how the ids of the user's limits begin
+GATE = "gate."  # how the ids of the user's limits begin
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,27 +37,15 @@ class Verdict:
     @property
     def reasons(self) -> tuple[str, ...]:
         """One sentence or two for each criterion that is not met; none for PASS."""
-        return tuple(check.why for check in self.checks if check.outcome in LEVELS)
+        return tuple(check.why for check in self.checks if not check.met)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Case(Calibration):
-    """A calibration with its verdict and provenance: what a report is made from."""
-
-    provenance: Provenance
-
-    @cached_property
-    def verdict(self) -> Verdict:
-        """See `verdict_of`."""
-        return verdict_of(self)
-
-
-def verdict_of(made: Calibration) -> Verdict:
+def verdict_of(case: Case) -> Verdict:
     """The verdict: the first criterion that is not met decides."""
-    solution = made.solution
-    gated = gate_checks(made.gates, figures_of(made), lambda *gate: _gate_cure(made, *gate))
-    checks = Checks((*(check for check in made.checks if check.name), *gated))
-    decisive = next((check for check in checks if check.outcome in LEVELS), None)
+    solution = case.solution
+    gated = gate_checks(case.gates, figures_of(case), lambda *gate: _gate_cure(case, *gate))
+    checks = Checks((*(check for check in case.checks if check.name), *gated))
+    decisive = next((check for check in checks if not check.met), None)
     if decisive is not None:
         return decided_by(decisive, checks)
     if solution.uncertainty is None:
@@ -69,7 +54,7 @@ def verdict_of(made: Calibration) -> Verdict:
         reason = f"{error} The method {solution.method} {unknown}."
         next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
-        reason = use_sentence(solution.uncertainty.at_work, made.gates)
+        reason = use_sentence(solution.uncertainty.at_work, case.gates)
         next_step = "Use params.yaml on the robot."
     return Verdict("PASS", reason, next_step + _first(checks), checks)
 
@@ -82,7 +67,9 @@ def _first(checks: Checks) -> str:
 
 def decided_by(check: Check, checks: Checks) -> Verdict:
     """The verdict where one check decides."""
-    level: Level = "GATE FAILED" if check.id.startswith(_GATE) else LEVELS[check.outcome]
+    level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
+    if check.id.startswith(GATE):
+        level = "GATE FAILED"
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
     return Verdict(level, check.why, check.next_step + first, checks)
 
@@ -145,13 +132,13 @@ def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
     return ConfigError(f"{where}: unknown figure", hint)
 
 
-def figures_of(made: Calibration) -> dict[str, float | None]:
+def figures_of(case: Case) -> dict[str, float | None]:
     """Value of every figure of a calibration that a gate can limit, None if unknown.
 
     The factors of odometry are left out for a robot with wheels.
     """
-    alone = made.extraction.rig.sources.assumed_odometry is not None
-    values = {check.id: check.value for check in made.checks}
+    alone = case.extraction.rig.sources.assumed_odometry is not None
+    values = {check.id: check.value for check in case.checks}
     names = (name for name in gate_metrics() if alone or not name.startswith("std.odometry."))
     return {name: values.get(name) for name in names}
 
@@ -161,19 +148,19 @@ def evaluated_figures(evaluation: Evaluation) -> dict[str, float | None]:
     return {metric.name: of(evaluation) for metric, of in EVALUATED.items()}
 
 
-def _gate_cure(made: Calibration, name: str, limit: float) -> str:
+def _gate_cure(case: Case, name: str, limit: float) -> str:
     """What improves a figure beyond its gate: for a standard deviation by its error budget."""
-    uncertainty, names = made.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
+    uncertainty, names = case.solution.uncertainty, [parameter.gate for parameter in PARAMETERS]
     if uncertainty is None:
         return "Calibrate with --method ml (the default), which estimates standard deviations."
     if name not in names:
         return ""
     k = names.index(name)
-    shares = shares_of(made.solution, PARAMETERS[k].name)
+    shares = shares_of(case.solution, PARAMETERS[k].name)
     label, unit = f"sigma of the {PARAMETERS[k].label}", PARAMETERS[k].unit
-    value = float(reference_std(made.solution)[k] or 0.0)
+    value = float(reference_std(case.solution)[k] or 0.0)
     error = Error(Figure("", name, label, label, unit, 1.0), value, limit, shares)
-    return next_step_of(error, made.solution, made.extraction)
+    return next_step_of(error, case.solution, case.extraction)
 
 
 def gate_checks(
@@ -191,7 +178,7 @@ def gate_checks(
         if name in _USE_GATES and value is not None:
             continue
         metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
-        yield replace(metric, name=f"{_GATE}{name}", section="checks").check(
+        yield replace(metric, name=f"{GATE}{name}", section="checks").check(
             value, limit, f"gate {name}", cure(name, limit) or "Record again, or change the limit.",
             measured=f"{measured} {metric.unit}".rstrip(),
             why=f"{name} = {measured} (limit {limit:g}).",

@@ -24,9 +24,9 @@ from mobilecal_cli.model import (
     Snapshot,
     Solution,
 )
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.values import ReportData, build_report
-from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import constraints_of, solve
 from mobilecal_cli.vision import thumbnail_jpeg
@@ -93,8 +93,7 @@ def case_of(
 ) -> Case:
     """A solution with its verdict; further arguments replace what the provenance says."""
     origin = replace(make_provenance(extraction), **provenance)
-    given = (solution, extraction, gates or {}, trial, change)
-    return Case(*given, provenance=origin)
+    return Case(solution, extraction, origin, gates or {}, trial, change)
 
 
 def made(*args, **more) -> ReportData:
@@ -217,6 +216,14 @@ def drawn():
     return solve(extraction), extraction
 
 
+def with_uncertainty(solution, **changes):
+    return replace(solution, uncertainty=replace(solution.uncertainty, **changes))
+
+
+def with_noise(solution, **levels):
+    return with_uncertainty(solution, noise=replace(solution.uncertainty.noise, **levels))
+
+
 def with_share(solution, source, share):
     """The solution with a budget in which one source has a share of everything."""
     budget = solution.uncertainty.budget
@@ -227,7 +234,7 @@ def with_share(solution, source, share):
     budget = replace(
         budget, nine=np.repeat(column[:, None], 9, axis=1), at_work=dict.fromkeys(budget.at_work, column)
     )
-    return replace(solution, uncertainty=replace(solution.uncertainty, budget=budget))
+    return with_uncertainty(solution, budget=budget)
 
 
 VOID = {"meta", "br", "link", "img"}

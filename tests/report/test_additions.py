@@ -39,7 +39,7 @@ def test_a_table_is_one_function(case, monkeypatch):
     @tables.table
     def turns(case):
         rows = [("right", f"{len(case.extraction.observations)}.5", "")]
-        return Table.of(("name:wheel", "number:turns", "unit"), rows, "record", "Wheels")
+        yield Table.of(("name:wheel", "number:turns", "unit"), rows, "record", "Wheels")
 
     report, page = made(*case), page_of(*case)
     (table,) = (each for each in report.tables if each.title == "Wheels")
@@ -59,8 +59,8 @@ def test_a_criterion_is_one_function(case, monkeypatch):
     monkeypatch.setattr(verdict, "CRITERIA", criteria.CRITERIA)
 
     @criteria.criterion(criteria.Metric("color", "shades", section="limits"))
-    def color(made, metric):
-        shades = len(made.extraction.observations) / 4
+    def color(case, metric):
+        shades = len(case.extraction.observations) / 4
         why = "The robot is too gray."
         yield metric.check(shades, 2.0, "color of the robot", "Paint it.", why=why)
 

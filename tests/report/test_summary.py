@@ -10,7 +10,6 @@ import pytest
 
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.model import LogSource
-from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.text import job_summary
 from tests.command import run, succeeded
 from tests.conftest import REPOSITORY
@@ -95,12 +94,6 @@ def test_a_summary_that_cannot_be_written(result):
     )
     assert done.code == 7
     assert not os.path.lexists(result / "third")
-
-
-def test_junit_has_times():
-    extraction = make_extraction()
-    text = junit_xml("log", made(make_solution(extraction), extraction).verdict, 12.5).decode()
-    assert text.count('time="12.500"') == 2
 
 
 def test_suggest_as_json(result):

@@ -67,11 +67,6 @@ def texts(extraction):
     }  # fmt: skip
 
 
-def test_lines_of_the_terminal_are_lines(texts):
-    """The test on the held-out stations had its line breaks as escapes."""
-    assert "\\n" not in texts["details"]
-
-
 def prose(page):
     """The text of a page, one line an element, without tables, plots and images."""
     bare = re.sub(r"<(style|script|svg|table)\b.*?</\1>", "", page, flags=re.DOTALL)

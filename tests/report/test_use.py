@@ -7,7 +7,6 @@ import pytest
 
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
-from mobilecal_cli.report.criteria import Calibration
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -20,9 +19,17 @@ from mobilecal_cli.report.use import (
     uses,
     worst_error,
 )
-from mobilecal_cli.report.verdict import figures_of, gates_of
+from mobilecal_cli.report.verdict import figures_of
 from tests.judging import judge
-from tests.report.example import drawn, make_extraction, make_solution, solved, with_share
+from tests.report.example import (
+    case_of,
+    drawn,
+    make_extraction,
+    make_solution,
+    solved,
+    with_share,
+    with_uncertainty,
+)
 
 
 def test_a_robot_drawn_from_the_priors_passes():
@@ -31,7 +38,7 @@ def test_a_robot_drawn_from_the_priors_passes():
     assert verdict.level == "PASS", verdict.reason
     assert "All are within the default limits." in verdict.reason
     assert verdict.next_step == "Use params.yaml on the robot."
-    mine = judge(solution, extraction, gates_of(["predicted.camera_mm=15"], {}))
+    mine = judge(solution, extraction, {"predicted.camera_mm": 15.0})
     assert "All are within your limits." in mine.reason
 
 
@@ -45,7 +52,7 @@ def test_the_limits_are_those_of_the_page():
 def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_it():
     solution, extraction = drawn()
     at_work = replace(solution.uncertainty.at_work, camera_m=0.025)
-    verdict = judge(replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work)), extraction)
+    verdict = judge(with_uncertainty(solution, at_work=at_work), extraction)
     assert verdict.level == "NOT ENOUGH"
     assert "camera position in the base is 25 mm (limit 20 mm)" in verdict.reason
     assert "% of its variance" in verdict.reason
@@ -54,25 +61,22 @@ def test_an_expected_error_beyond_its_limit_is_not_enough_and_names_what_limits_
 @pytest.mark.parametrize(("limit", "level"), [(0.01, "NOT ENOUGH"), (1e3, "PASS")])
 def test_a_gate_replaces_a_default_limit(limit, level):
     solution, extraction = drawn()
-    gates = gates_of([f"predicted.camera_mm={limit}"], {})
-    verdict = judge(solution, extraction, gates)
+    verdict = judge(solution, extraction, {"predicted.camera_mm": limit})
     assert verdict.level == level
     check = verdict.checks["predicted.camera_mm"]
     assert (check.limit, check.unit) == (limit, "mm")
-    assert figures_of(Calibration(solution, extraction))[check.id] == check.value
+    assert figures_of(case_of(solution, extraction))[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
 
 
 def test_a_gate_on_an_unknown_expected_error_fails():
     extraction = make_extraction()
-    gates = gates_of(["predicted.camera_mm=10"], {})
-    verdict = judge(make_solution(extraction), extraction, gates)
+    verdict = judge(make_solution(extraction), extraction, {"predicted.camera_mm": 10.0})
     assert (verdict.level, verdict.reason) == ("GATE FAILED", "predicted.camera_mm = unknown (limit 10).")
 
 
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
-    narrow = gates_of(["predicted.camera_deg=0.2"], {})
-    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), narrow)
+    verdict = judge(*solved(motion="base_fixed", fixed=("wheels",)), {"predicted.camera_deg": 0.2})
     assert verdict.level == "NOT ENOUGH"
     assert "The stated geometry of the head limits the camera rotation in the base" in verdict.reason
     assert verdict.next_step.startswith(
@@ -104,15 +108,6 @@ def test_the_missing_motion_of_the_base_is_named(motion, unknown, keys, said):
     assert [extent.too_small.format(extent.text(motion[key])) for key, extent in found.items()][:1] == [
         said
     ] * bool(said)
-
-
-def test_methods_without_standard_deviations_say_so():
-    extraction = make_extraction()
-    for method, solution in ((method, make_solution(extraction, method)) for method in ("lm", "linear")):
-        verdict = judge(solution, extraction)
-        assert f"The method {method} gives no standard deviations" in verdict.reason
-        assert "--method ml" in verdict.next_step
-        assert "Use params.yaml" not in verdict.next_step
 
 
 def test_the_words_know_every_source():
@@ -170,7 +165,6 @@ def test_the_sentence_names_the_largest_group_of_sources():
 def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     solution, extraction = drawn()
     at_work = replace(solution.uncertainty.at_work, camera_m=0.0, camera_rad=0.0)
-    fixed = replace(solution, uncertainty=replace(solution.uncertainty, at_work=at_work))
-    verdict = judge(fixed, extraction)
+    verdict = judge(with_uncertainty(solution, at_work=at_work), extraction)
     assert "camera fixed by the user; dead reckoning" in verdict.reason
     assert verdict.checks["predicted.camera_mm"].measured_text == "fixed by the user"

@@ -10,7 +10,6 @@ from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.model import NINE, FixedLink, JointLink, Parameters, WheelTrack
 from mobilecal_cli.report.tables import noise
-from mobilecal_cli.report.verdict import Case
 from mobilecal_cli.simulate.robot import tick_robot
 from mobilecal_cli.solvers import Constraints, constraints_of, solve
 from mobilecal_cli.solvers.initial import initial_state
@@ -22,7 +21,7 @@ from tests.extractions import STATION_NOISE, Noise, simulated, slipped
 from tests.fits import maximum_likelihood
 from tests.judging import judge
 from tests.pairs import measured_anew, with_views
-from tests.report.example import made, make_provenance, rows_of
+from tests.report.example import case_of, made, rows_of
 from tests.robots import true_nominal
 from tests.solvers.test_several_logs import NOISE, ROBOT, misread, nees, recorded
 
@@ -139,8 +138,8 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     lift = JointLink("lift", np.array([0.0, 0.0, 1.0]), "prismatic")
     chain = replace(extraction.rig.chain, links=(lift,), pan="", tilt="")
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
-    rows = noise(Case(found, lifted, provenance=make_provenance(lifted))).rows
-    assert [unit for meaning, _, unit, _ in rows if meaning == "joint reading"] == ["mm"]
+    (table,) = noise(case_of(found, lifted))
+    assert [unit for meaning, _, unit, _ in table.rows if meaning == "joint reading"] == ["mm"]
     check = judge(found, lifted).checks["noise.sliding_joint"]
     assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "pass")
 
