@@ -27,7 +27,16 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
-from mobilecal_cli.model import FloatArray, Side, StereoLayout, WheelGeometry, WheelSource
+from mobilecal_cli.model import (
+    Board,
+    FloatArray,
+    Markers,
+    Nominal,
+    Side,
+    StereoLayout,
+    WheelGeometry,
+    WheelSource,
+)
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -102,6 +111,18 @@ class BoardConfig(_Section):
             if getattr(self, key) is None:
                 raise ValueError(f"a board of kind {self.kind} requires {key}")
         return self
+
+    @property
+    def stated(self) -> Board | None:
+        """The board, None if its size must be estimated from the images."""
+        if not (self.columns and self.rows):
+            return None
+        markers = None
+        if self.kind != "checkerboard":
+            family = self.dictionary or "DICT_APRILTAG_36h11"
+            share = self.marker_share if self.kind == "charuco" else self.gap_share
+            markers = Markers(self.kind, family, share or 0.0, self.first_id, self.border_bits)
+        return Board(self.columns, self.rows, self.square_m, markers)
 
 
 class Pose(_Section):
@@ -266,7 +287,7 @@ class WheelConfig(_Section):
     @property
     def side_joints(self) -> tuple[str, ...]:
         """Joints of all wheels of the side, those that are read first; none where counters are read."""
-        read = (self.joint,) if self.joint else self.joints
+        read = tuple(wheel.joint for wheel in self.sources if wheel.joint)
         return (*read, *(self.unread or ())) if read else ()
 
     @property
@@ -371,6 +392,14 @@ class NominalConfig(_Section):
 
     head_eye: Pose | None = None
     wheels: WheelsNominal | None = None
+
+    @property
+    def stated(self) -> Nominal:
+        """The nominal values; None where there are none."""
+        return Nominal(
+            None if self.head_eye is None else self.head_eye.transform,
+            None if self.wheels is None else self.wheels.geometry,
+        )
 
 
 def _prior_entry(value: object) -> object:

@@ -22,7 +22,6 @@ from mobilecal_cli.model import (
     FloatArray,
     HeadChain,
     JointLink,
-    Nominal,
     Rig,
     Side,
     Track,
@@ -178,14 +177,6 @@ def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadCha
     return entries
 
 
-def nominal_of(config: RigConfig) -> Nominal:
-    """Nominal values that the configuration gives; None where it gives none."""
-    head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
-    return Nominal(
-        None if head_eye is None else head_eye.transform, None if wheels is None else wheels.geometry
-    )
-
-
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.
 CHANGEABLE = (
     "priors",
@@ -251,7 +242,7 @@ def _seen_from(rig: Rig, reference: str) -> Rig:
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
     """The rig with the nominal values that the configuration gives."""
-    given = nominal_of(config)
+    given = config.nominal.stated
     if given.wheels is not None and any(source.baked_in for source in rig.sources.wheels.values()):
         raise ConfigError(
             "nominal.wheels cannot be changed in an extraction whose wheel rotations come from odometry",
