@@ -6,6 +6,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import islice, pairwise
 from pathlib import Path
 
@@ -270,19 +271,18 @@ def first_pairs(
 _AHEAD = 2
 
 
-class _Here:
-    """State of a worker process, kept from one segment to the next."""
+@cache
+def _opened(files: tuple[Path, ...]) -> Recording:
+    """The recording of a worker process, open until its end."""
+    return resources.enter_context(open_recording(files))
 
-    recording: Recording
 
-
-def _begin(files: Sequence[Path]) -> None:
+def _detect(
+    files: tuple[Path, ...], rig: Rig, board: Board, segment: Segment
+) -> tuple[list[StationDetections], tuple[str, ...]]:
     cv2.setNumThreads(1)
-    _Here.recording = resources.enter_context(open_recording(files))
-
-
-def _detect(rig: Rig, board: Board, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
-    return detect_segment(_Here.recording, rig, board, segment), _Here.recording.damage
+    recording = _opened(files)
+    return detect_segment(recording, rig, board, segment), recording.damage
 
 
 def detect_all(
@@ -325,11 +325,12 @@ def detect_all(
         workers.callback(cv2.setNumThreads, cv2.getNumThreads())
         cv2.setNumThreads(1)
         if processes > 1:
-            workers.start(processes, _begin, [part.opened for part in recording.parts])
+            workers.start(processes)
+        files = tuple(part.opened for part in recording.parts)
         while workers.started and len(segments) > done:
             try:
                 for segment in islice(ahead, _AHEAD * processes - len(waiting)):
-                    waiting.append(workers.submit(_detect, rig, board, segment))
+                    waiting.append(workers.submit(_detect, files, rig, board, segment))
                 detected, damage = waiting.popleft()()
             except FAILED:
                 break

@@ -60,20 +60,15 @@ def _leave_with_the_caller(files: Path | None) -> None:
         os._exit(1)
 
 
-def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
+def stand_by(files: Path | None = None) -> None:
     """Initialize a worker process: it ends when its parent ends for any reason, and cleans up on a signal.
 
-    `files` of the parent are removed if it was killed; `get_ready` is called last.
+    `files` of the parent are removed if it was killed.
     """
     unwind_on_signals()
     atexit.register(resources.close)
     Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
-    work(_get_ready, get_ready, *given)
-
-
-def _get_ready(get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    get_ready(*given)
+    work(signal.pthread_sigmask, signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager
@@ -108,8 +103,8 @@ def _unpacked(packed: bytes) -> Any:  # noqa: ANN401
 
 
 @contextmanager
-def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
-    """A pool of `count` worker processes that call `stand_by` first; a signal in this process ends them at once.
+def workers(count: int, files: Path | None = None) -> Iterator[ProcessPoolExecutor]:
+    """A pool of `count` worker processes that `stand_by`; a signal in this process ends them at once.
 
     Raises:
         OSError, BrokenProcessPool: a process cannot be started.
@@ -118,7 +113,7 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
     with _blocked(signal.SIGHUP):
         resource_tracker.ensure_running()
     # Spawned, not forked: a fork would copy locked mutexes of other threads.
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, (files,))
     try:
         # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
         with _blocked(signal.SIGINT):
@@ -157,12 +152,12 @@ class Processes(ExitStack):
         """Whether worker processes are running."""
         return self._pool is not None
 
-    def start(self, count: int, get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
-        """Start worker processes, each of which calls `get_ready` first; none if that fails."""
+    def start(self, count: int) -> None:
+        """Start worker processes; none if that fails."""
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
             if self._files is None:
                 self._files = enter_scratch(self)
-            self._pool = self.enter_context(workers(count, self._files, get_ready, *given))
+            self._pool = self.enter_context(workers(count, self._files))
 
     def submit(self, task: Callable[..., Result], *given: Any) -> Callable[[], Result]:  # noqa: ANN401
         """Submit a task to the next free process.

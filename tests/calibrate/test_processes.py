@@ -19,7 +19,7 @@ from mobilecal_cli.calibrate.workers import Processes
 
 if __name__ == "__main__":
     with Processes() as some:
-        some.start(1, int)
+        some.start(1)
         print(some.submit(os.getpid)(), some._files, flush=True)
         some.submit(bytes, {large})
         time.sleep(60)
@@ -37,7 +37,7 @@ else:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background command ignores it
     unwind_on_signals()
     with Processes() as some:
-        some.start(2, int)
+        some.start(2)
         time.sleep(float(sys.argv[1]))
         os.killpg(0, signal.SIGINT)
         time.sleep(60)
@@ -47,7 +47,7 @@ else:
 def test_tasks_are_done_in_other_processes_and_leave_no_files():
     with Processes() as some:
         assert not some.started
-        some.start(2, int)
+        some.start(2)
         assert some.started
         folder = some._files
         results = [some.submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
@@ -59,7 +59,7 @@ def test_tasks_are_done_in_other_processes_and_leave_no_files():
 
 def test_an_error_comes_back():
     with Processes() as some:
-        some.start(1, int)
+        some.start(1)
         with pytest.raises(ValueError, match="invalid literal"):
             some.submit(int, "one")()
     with Processes() as some, pytest.raises(OSError, match="no worker processes"):
@@ -68,7 +68,7 @@ def test_an_error_comes_back():
 
 def test_a_death_among_large_tasks_is_told():
     with Processes() as some:
-        some.start(1, int)
+        some.start(1)
         number = some.submit(os.getpid)()
         results = [some.submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
         os.kill(number, signal.SIGKILL)
