@@ -115,9 +115,9 @@ def plan_recording(
         RecordingError: see `read_signals` and `plan_stations`.
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
-    plans = plan_stations(logs, rig.chain, everything)
-    notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
-    return plans, logs[0].infos, tuple(dict.fromkeys(notes))
+    plans, notes = plan_stations(logs, rig.chain, everything)
+    every_note = itertools.chain(*(signals.notes for signals in logs), notes)
+    return plans, logs[0].infos, tuple(dict.fromkeys(every_note))
 
 
 def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
