@@ -467,7 +467,7 @@ class RigConfig(_Section):
 
     def source_of(self, key: str) -> Literal["flag", "file"] | None:
         """What gave a dotted key or a key below it."""
-        if any(flag == key or flag.startswith(f"{key}.") for flag in self._flags):
+        if any(is_in(flag, key) for flag in self._flags):
             return "flag"
         value: object = self
         for part in key.split("."):
@@ -475,6 +475,11 @@ class RigConfig(_Section):
                 return None
             value = getattr(value, part)
         return "file"
+
+
+def is_in(key: str, section: str) -> bool:
+    """Whether a dotted key is a key or is below it."""
+    return f"{key}.".startswith(f"{section}.")
 
 
 #: Everything is left to the recording and the defaults.
@@ -639,9 +644,10 @@ def _validated(
         return RigConfig.model_validate(data, context=folder)
     except ValidationError as error:
         items, cause = error.errors(), error
-    problems, hints = [], []
+    problems, hints, of_options = [], [], []
     for item in items:
         key, location = ".".join(map(str, item["loc"])), item["loc"]
+        of_options.append(any(is_in(key, option) for option in given))
         if item["type"] == "extra_forbidden":
             known = _known_keys(location[:-1])
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
@@ -652,12 +658,9 @@ def _validated(
             names = [] if item["type"] == "dict_type" else _known_keys(location)
             all_priors = key == "priors" and item["input"] is not None
             first, value = ("all", item["input"]) if all_priors else ([*names, "NAME"][0], "VALUE")
-            of_option = any(f"{key}.".startswith(f"{option}.") for option in given)
-            example = f"{key}.{first}={value}" if of_option else f"{location[-1]}: {{{first}: {value}}}"
+            example = f"{key}.{first}={value}" if of_options[-1] else f"{location[-1]}: {{{first}: {value}}}"
             hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))
     hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
-    keys = (f"{'.'.join(map(str, item['loc']))}." for item in items)
-    options_only = all(any(key.startswith(f"{option}.") for option in given) for key in keys)
-    raise ConfigError(("" if options_only else where) + "; ".join(problems), hint) from cause
+    raise ConfigError(("" if all(of_options) else where) + "; ".join(problems), hint) from cause
