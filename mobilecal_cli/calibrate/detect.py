@@ -11,7 +11,6 @@ from itertools import islice, pairwise
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
@@ -28,7 +27,7 @@ from mobilecal_cli.model import (
     Station,
 )
 from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
-from mobilecal_cli.stations import Plan, images_of, plan_stations
+from mobilecal_cli.stations import Plan, images_of, plan_stations, spread
 from mobilecal_cli.vision import (
     BoardFollower,
     Detection,
@@ -153,7 +152,7 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
     count = sum(len(plan.stations) for plan in plans)
 
     def pictures(most: int) -> Iterator[GrayImage]:
-        chosen = set(np.linspace(0, count - 1, most).round().astype(int).tolist())
+        chosen = set(spread(range(count), most))
         numbers = itertools.count()
         for plan in plans:
             firsts = [replace(s, shots=s.shots[:1]) for s in plan.stations if next(numbers) in chosen]
