@@ -184,9 +184,9 @@ class CamerasConfig(_Section):
     rectified: bool | None = None
 
     @property
-    def named(self) -> dict[str, CameraTopics]:
-        """The cameras with other names than left and right."""
-        return dict(self.__pydantic_extra__ or {})
+    def each(self) -> dict[str, CameraTopics]:
+        """What is configured of each camera: left and right, unless there are cameras with other names."""
+        return self.__pydantic_extra__ or {"left": self.left, "right": self.right}
 
     @property
     def layout(self) -> StereoLayout:
@@ -194,15 +194,14 @@ class CamerasConfig(_Section):
         return "separate" if self.both is None else self.both.layout
 
     def of(self, name: str) -> CameraTopics:
-        """What is configured of a camera."""
-        topics = self.named.get(name) or getattr(self, name, None)
-        return topics if isinstance(topics, CameraTopics) else CameraTopics()
+        """What is configured of a camera, also of one that is found by names."""
+        return self.each.get(name, CameraTopics())
 
     @model_validator(mode="after")
     def _both_or_each(self) -> CamerasConfig:
         if self.both is not None and (self.left.image or self.right.image):
             raise ValueError("give both.image, or left.image and right.image")
-        named = self.named
+        named = self.__pydantic_extra__
         if named and (self.both or self.left.image or self.right.image):
             raise ValueError(
                 f"give left and right (or both) for a stereo pair, or cameras with other names ({', '.join(named)})"
