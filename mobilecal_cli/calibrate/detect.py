@@ -142,6 +142,14 @@ def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
         )
 
 
+def first_images(
+    recording: Recording, rig: Rig, plan: Plan, stations: Sequence[Station]
+) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
+    """Camera, time and image of the first shot of some stations of a plan."""
+    firsts = [replace(station, shots=station.shots[:1]) for station in stations]
+    return read_images(recording, rig.sources, images_of(firsts, plan.images))
+
+
 def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[int, int] | None:
     """Inner corners (columns, rows) of the board in some images, None if none shows it.
 
@@ -155,9 +163,8 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
         chosen = set(spread(range(count), most))
         numbers = itertools.count()
         for plan in plans:
-            firsts = [replace(s, shots=s.shots[:1]) for s in plan.stations if next(numbers) in chosen]
-            wanted = images_of(firsts, plan.images)
-            for name, _, picture in read_images(recording, rig.sources, wanted):
+            wanted = [station for station in plan.stations if next(numbers) in chosen]
+            for name, _, picture in first_images(recording, rig, plan, wanted):
                 if isinstance(picture, Rejection):
                     rejections.append(picture)
                 else:
