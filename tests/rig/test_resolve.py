@@ -365,6 +365,12 @@ def test_explicit_chain_needs_no_urdf():
         ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
         ({}, {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
+        (
+            {"cameras": {"front": {"image": "/nope"}}},
+            {},
+            RecordingError,
+            "cameras.front.image: the topic /nope",
+        ),
         ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
         ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
