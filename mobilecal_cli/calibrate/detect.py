@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import islice, pairwise
@@ -13,7 +14,7 @@ from pathlib import Path
 import cv2
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
+from mobilecal_cli.calibrate.workers import FAILED, processes, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
     Board,
@@ -325,18 +326,17 @@ def detect_all(
 
     detections: list[StationDetections] = []
     waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-    done, ahead, processes = 0, iter(segments), min(jobs, len(segments) // 2)
-    with Processes() as workers:
+    done, ahead, workers = 0, iter(segments), min(jobs, len(segments) // 2)
+    files = tuple(part.opened for part in recording.parts)
+    with ExitStack() as stack:
         # An image is too small for several threads of OpenCV; long recordings use processes.
-        workers.callback(cv2.setNumThreads, cv2.getNumThreads())
+        stack.callback(cv2.setNumThreads, cv2.getNumThreads())
         cv2.setNumThreads(1)
-        if processes > 1:
-            workers.start(processes)
-        files = tuple(part.opened for part in recording.parts)
-        while workers.started and len(segments) > done:
+        submit = stack.enter_context(processes(workers)) if workers > 1 else None
+        while submit is not None and len(segments) > done:
             try:
-                for segment in islice(ahead, _AHEAD * processes - len(waiting)):
-                    waiting.append(workers.submit(_detect, files, rig, board, segment))
+                for segment in islice(ahead, _AHEAD * workers - len(waiting)):
+                    waiting.append(submit(_detect, files, rig, board, segment))
                 detected, damage = waiting.popleft()()
             except FAILED:
                 break

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
@@ -134,51 +135,44 @@ def _do(question: Path, answer: Path) -> None:
     answer.write_bytes(pickle.dumps(_unpacked(packed), pickle.HIGHEST_PROTOCOL))
 
 
-class Processes(ExitStack):
-    """A pool of worker processes, from `start` to the end of a `with` block.
+#: Submits a task with its arguments; returns a function that waits for the result, to be called once.
+Submit = Callable[..., Callable[[], Any]]
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Submit | None]:
+    """What submits tasks to `count` worker processes inside the block; None if these cannot be started.
+
+    Submitting raises one of `FAILED` if a process died; waiting for a result does so, too, or raises the task's error.
 
     Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
     other end would wait forever.
     """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._pool: ProcessPoolExecutor | None = None
-        self._files: Path | None = None
-        self._numbers = itertools.count()
-
-    @property
-    def started(self) -> bool:
-        """Whether worker processes are running."""
-        return self._pool is not None
-
-    def start(self, count: int) -> None:
-        """Start worker processes; none if that fails."""
+    submit = None
+    with ExitStack() as stack:
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
-            if self._files is None:
-                self._files = enter_scratch(self)
-            self._pool = self.enter_context(workers(count, self._files))
+            files = enter_scratch(stack)
+            pool = stack.enter_context(workers(count, files))
+            submit = partial(_submitted_in_files, files, pool, itertools.count())
+        yield submit
 
-    def submit(self, task: Callable[..., Result], *given: Any) -> Callable[[], Result]:  # noqa: ANN401
-        """Submit a task to the next free process.
 
-        Returns:
-            Waits for the result; call it once. Raises the task's error, or one of `FAILED`.
+def _submitted_in_files(
+    files: Path,
+    pool: ProcessPoolExecutor,
+    numbers: Iterator[int],
+    task: Callable[..., Result],
+    *given: Any,  # noqa: ANN401
+) -> Callable[[], Result]:
+    number = next(numbers)
+    question, answer = (files / f"{number}.{what}" for what in ("task", "result"))
+    question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
+    done = pool.submit(work, _do, question, answer)
 
-        Raises:
-            OSError, BrokenProcessPool: see `FAILED`.
-        """
-        if self._pool is None or self._files is None:
-            raise OSError("no worker processes are running")
-        number = next(self._numbers)
-        question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
-        question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
-        done = self._pool.submit(work, _do, question, answer)
+    def result() -> Result:
+        done.result()
+        returned: Result = pickle.loads(answer.read_bytes())
+        answer.unlink()
+        return returned
 
-        def result() -> Result:
-            done.result()
-            returned: Result = pickle.loads(answer.read_bytes())
-            answer.unlink()
-            return returned
-
-        return result
+    return result
