@@ -403,9 +403,9 @@ class NominalConfig(_Section):
 
 def _prior_entry(value: object) -> object:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
+    if value in ("fixed", "free") or (number and (value == 0 or float(value) in ranges.SIGMA)):  # type: ignore[arg-type]
         return value
-    raise ValueError(f"must be a standard deviation (0, or from {ranges.PRIOR_SIGMA}), fixed or free")
+    raise ValueError(f"must be a standard deviation (0, or from {ranges.SIGMA}), fixed or free")
 
 
 PriorEntry = float | Literal["fixed", "free"]
