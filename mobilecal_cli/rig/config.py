@@ -529,15 +529,21 @@ def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
     """The keys of a section that rig.yaml has too, without empty texts and measured values."""
     known = {}
     measured = {"square_m"} if data.get("square_from", "stated") != "stated" else set()
-    for name, field in section.model_fields.items():
-        value, inner = data.get(name, ""), _section_of(field.annotation)
-        if value == "" or name in measured:
-            continue
-        known[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
-    if section is CamerasConfig:
-        others = {name: value for name, value in data.items() if isinstance(value, Mapping)}
-        known |= {name: _known(value, CameraTopics) for name, value in others.items() if name not in known}
+    for name, value in data.items():
+        inner = _section_below(section, name)
+        if inner is not None and isinstance(value, Mapping):
+            known[name] = _known(value, inner)
+        elif name in section.model_fields.keys() - measured and value != "":
+            known[name] = value
     return known
+
+
+def _section_below(section: type[BaseModel], name: str, inside: bool = False) -> type[BaseModel] | None:
+    """The section of a key of a section; None for a key with a value. `inside` as for `_section_of`."""
+    field = section.model_fields.get(name)
+    if field is None:
+        return CameraTopics if section is CamerasConfig else None
+    return _section_of(field.annotation, inside)
 
 
 def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None:  # noqa: ANN401
@@ -618,11 +624,7 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     """Keys of the schema in the section at a location."""
     section: type[BaseModel] = RigConfig
     for part in location:  # or a number, or a key of a mapping, such as a joint's name
-        field = section.model_fields.get(str(part))
-        if field is not None:
-            section = _section_of(field.annotation, inside=True) or section
-        elif section is CamerasConfig:
-            section = CameraTopics
+        section = _section_below(section, str(part), inside=True) or section
     return list(section.model_fields)
 
 
