@@ -241,7 +241,7 @@ def _rests(pairs: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
     return runs
 
 
-def _spread(features: FloatArray, count: int) -> IntArray:
+def _far_apart(features: FloatArray, count: int) -> IntArray:
     """Indices of rows far apart: each new row is the farthest from those already chosen."""
     chosen = [0]
     distance = np.linalg.norm(features - features[0], axis=1)
@@ -266,7 +266,7 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
     slow = np.concatenate([part <= np.median(part) for part in parts])
     spans = np.ptp(values, axis=0)
     features = values[slow] / np.where(spans > 0, spans, 1.0)
-    picked = np.flatnonzero(slow)[_spread(features, KEYFRAMES)]
+    picked = np.flatnonzero(slow)[_far_apart(features, KEYFRAMES)]
     return [pairs[i] for i in picked]
 
 
