@@ -28,16 +28,14 @@ class Range:
     Attributes:
         low, high: smallest and largest possible value.
         unit: of both, "" for numbers without one.
-        zero: whether 0 is possible too.
     """
 
     low: float
     high: float
     unit: str = ""
-    zero: bool = False
 
     def __contains__(self, value: float) -> bool:
-        return self.low <= value <= self.high or (self.zero and value == 0)
+        return self.low <= value <= self.high
 
     def __str__(self) -> str:
         return f"{self.low:g} to {self.high:g} {self.unit}".strip()
@@ -68,7 +66,7 @@ class Range:
             ValueError: it is out of range, or NaN.
         """
         if value not in self:
-            raise ValueError(f"must be {'0 or ' if self.zero else ''}from {self}{self._unit_of(value)}")
+            raise ValueError(f"must be from {self}{self._unit_of(value)}")
         return value
 
     def _unit_of(self, value: float) -> str:
@@ -109,7 +107,6 @@ TURN = Range(-math.pi, math.pi, "rad")
 SIGMA = Range(1e-9, 1e3)
 #: Noise levels that were estimated.
 LEVEL = Range(0.0, 1e3)
-PRIOR_SIGMA = Range(1e-9, 1e3, zero=True)
 #: The difference of a constant of the robot description from its stated value: rad, m, s or a share.
 DIFFERENCE = Range(-100.0, 100.0)
 #: Share of the stations that are held out.

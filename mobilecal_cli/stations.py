@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -69,7 +69,6 @@ class Plan:
         joints: the head's joints, in the order of `HeadChain.joints`.
         images: camera → the images of the stations.
         rejections: images that cannot be used, with the reason.
-        notes: complete sentences for the report.
     """
 
     stations: tuple[Station, ...]
@@ -77,7 +76,6 @@ class Plan:
     joints: tuple[Track, ...]
     images: Mapping[str, PictureIndex]
     rejections: tuple[Rejection, ...]
-    notes: tuple[str, ...]
 
 
 def wheel_track(wheels: Mapping[Side, Track]) -> WheelTrack:
@@ -243,7 +241,7 @@ def _rests(pairs: list[Shot], channels: list[_Channel]) -> list[list[Shot]]:
     return runs
 
 
-def _spread(features: FloatArray, count: int) -> IntArray:
+def _far_apart(features: FloatArray, count: int) -> IntArray:
     """Indices of rows far apart: each new row is the farthest from those already chosen."""
     chosen = [0]
     distance = np.linalg.norm(features - features[0], axis=1)
@@ -268,7 +266,7 @@ def _keyframes(pairs: list[Shot], channels: list[_Channel]) -> list[Shot]:
     slow = np.concatenate([part <= np.median(part) for part in parts])
     spans = np.ptp(values, axis=0)
     features = values[slow] / np.where(spans > 0, spans, 1.0)
-    picked = np.flatnonzero(slow)[_spread(features, KEYFRAMES)]
+    picked = np.flatnonzero(slow)[_far_apart(features, KEYFRAMES)]
     return [pairs[i] for i in picked]
 
 
@@ -462,7 +460,9 @@ def _not_used(log: _Pairs) -> Iterator[str]:
         )
 
 
-def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = False) -> tuple[Plan, ...]:
+def plan_stations(
+    logs: Sequence[Signals], chain: HeadChain, everything: bool = False
+) -> tuple[tuple[Plan, ...], tuple[str, ...]]:
     """Select the moments of a recording at which to search for the board.
 
     Rests are used if the recording has at least six. Otherwise at most 80 single sharp images, spread over head
@@ -474,7 +474,8 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
         everything: use all image pairs instead: all of each rest, and all taken in motion, at most `MOST_IN_MOTION`.
 
     Returns:
-        A plan for each log; logs without usable stereo pairs are left out, which is noted in the first plan.
+        A plan for each log, and notes: complete sentences for the report. Logs without usable stereo pairs are left
+        out, which is noted.
 
     Raises:
         RecordingError: no stereo pairs, or no pair with readings of all joints and wheels.
@@ -496,7 +497,7 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
         moments.sort(key=lambda moment: moment[0][0].time_ns)
         stations = tuple(_station(i, *moment, tracks) for i, moment in enumerate(moments))
         images = images_of(stations, log.signals.images)
-        plans.append(Plan(stations, log.wheels, tracks, images, tuple(log.rejections), ()))
+        plans.append(Plan(stations, log.wheels, tracks, images, tuple(log.rejections)))
     notes = [
         f"a piece of the recording between clock steps is not used: {e.message}" for e in problems.values()
     ]
@@ -520,7 +521,7 @@ def plan_stations(logs: Sequence[Signals], chain: HeadChain, everything: bool = 
                 f"{1e3 * PAIR_MOVING_S:.0f} ms apart: they count one by one, which needs board.square_m. Trigger the "
                 "cameras together."
             )
-    return (replace(plans[0], notes=tuple(notes)), *plans[1:])
+    return tuple(plans), tuple(notes)
 
 
 def images_of(stations: Sequence[Station], images: Mapping[str, PictureIndex]) -> dict[str, PictureIndex]:

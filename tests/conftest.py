@@ -120,6 +120,12 @@ def fresh_search(monkeypatch):
         monkeypatch.setattr(name, solve)
 
 
+@pytest.fixture
+def few(monkeypatch):
+    """Few images are looked at: enough where the board does not matter."""
+    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)
+
+
 @pytest.fixture(scope="session")
 def sample_logs() -> Path:
     """The recordings that the repository ships."""

@@ -5,15 +5,16 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import islice, pairwise
 from pathlib import Path
 
 import cv2
-import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.workers import FAILED, Processes, resources
+from mobilecal_cli.calibrate.workers import FAILED, processes, resources
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import (
     Board,
@@ -27,7 +28,7 @@ from mobilecal_cli.model import (
     Station,
 )
 from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
-from mobilecal_cli.stations import Plan, images_of, plan_stations
+from mobilecal_cli.stations import Plan, images_of, plan_stations, spread
 from mobilecal_cli.vision import (
     BoardFollower,
     Detection,
@@ -114,9 +115,9 @@ def plan_recording(
         RecordingError: see `read_signals` and `plan_stations`.
     """
     logs = read_signals(recording, rig.sources, rig.chain.joints)
-    plans = plan_stations(logs, rig.chain, everything)
-    notes = itertools.chain(*(signals.notes for signals in logs), *(plan.notes for plan in plans))
-    return plans, logs[0].infos, tuple(dict.fromkeys(notes))
+    plans, notes = plan_stations(logs, rig.chain, everything)
+    every_note = itertools.chain(*(signals.notes for signals in logs), notes)
+    return plans, logs[0].infos, tuple(dict.fromkeys(every_note))
 
 
 def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
@@ -142,6 +143,14 @@ def check_picture(picture: GrayImage, name: str, cameras: CameraRig) -> None:
         )
 
 
+def first_images(
+    recording: Recording, rig: Rig, plan: Plan, stations: Sequence[Station]
+) -> Iterator[tuple[str, int, GrayImage | Rejection]]:
+    """Camera, time and image of the first shot of some stations of a plan."""
+    firsts = [replace(station, shots=station.shots[:1]) for station in stations]
+    return read_images(recording, rig.sources, images_of(firsts, plan.images))
+
+
 def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[int, int] | None:
     """Inner corners (columns, rows) of the board in some images, None if none shows it.
 
@@ -152,12 +161,11 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
     count = sum(len(plan.stations) for plan in plans)
 
     def pictures(most: int) -> Iterator[GrayImage]:
-        chosen = set(np.linspace(0, count - 1, most).round().astype(int).tolist())
+        chosen = set(spread(range(count), most))
         numbers = itertools.count()
         for plan in plans:
-            firsts = [replace(s, shots=s.shots[:1]) for s in plan.stations if next(numbers) in chosen]
-            wanted = images_of(firsts, plan.images)
-            for name, _, picture in read_images(recording, rig.sources, wanted):
+            wanted = [station for station in plan.stations if next(numbers) in chosen]
+            for name, _, picture in first_images(recording, rig, plan, wanted):
                 if isinstance(picture, Rejection):
                     rejections.append(picture)
                 else:
@@ -270,19 +278,18 @@ def first_pairs(
 _AHEAD = 2
 
 
-class _Here:
-    """State of a worker process, kept from one segment to the next."""
+@cache
+def _opened(files: tuple[Path, ...]) -> Recording:
+    """The recording of a worker process, open until its end."""
+    return resources.enter_context(open_recording(files))
 
-    recording: Recording
 
-
-def _begin(files: Sequence[Path]) -> None:
+def _detect(
+    files: tuple[Path, ...], rig: Rig, board: Board, segment: Segment
+) -> tuple[list[StationDetections], tuple[str, ...]]:
     cv2.setNumThreads(1)
-    _Here.recording = resources.enter_context(open_recording(files))
-
-
-def _detect(rig: Rig, board: Board, segment: Segment) -> tuple[list[StationDetections], tuple[str, ...]]:
-    return detect_segment(_Here.recording, rig, board, segment), _Here.recording.damage
+    recording = _opened(files)
+    return detect_segment(recording, rig, board, segment), recording.damage
 
 
 def detect_all(
@@ -319,17 +326,17 @@ def detect_all(
 
     detections: list[StationDetections] = []
     waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
-    done, ahead, processes = 0, iter(segments), min(jobs, len(segments) // 2)
-    with Processes() as workers:
+    done, ahead, workers = 0, iter(segments), min(jobs, len(segments) // 2)
+    files = tuple(part.opened for part in recording.parts)
+    with ExitStack() as stack:
         # An image is too small for several threads of OpenCV; long recordings use processes.
-        workers.callback(cv2.setNumThreads, cv2.getNumThreads())
+        stack.callback(cv2.setNumThreads, cv2.getNumThreads())
         cv2.setNumThreads(1)
-        if processes > 1:
-            workers.start(processes, _begin, [part.opened for part in recording.parts])
-        while workers.started and len(segments) > done:
+        submit = stack.enter_context(processes(workers)) if workers > 1 else None
+        while submit is not None and len(segments) > done:
             try:
-                for segment in islice(ahead, _AHEAD * processes - len(waiting)):
-                    waiting.append(workers.submit(_detect, rig, board, segment))
+                for segment in islice(ahead, _AHEAD * workers - len(waiting)):
+                    waiting.append(submit(_detect, files, rig, board, segment))
                 detected, damage = waiting.popleft()()
             except FAILED:
                 break

@@ -36,7 +36,6 @@ from mobilecal_cli.model import (
     Corners,
     Extraction,
     LogSource,
-    Markers,
     Observation,
     Rejection,
     Rig,
@@ -145,7 +144,7 @@ def _extracted(
     """The data of one recording: one log, or one for each piece between steps of its clocks."""
     progress("reading", 0, None)
     name = str(recording.paths[0])
-    board = earlier[-1].board if earlier else board_of(config)
+    board = earlier[-1].board if earlier else config.board.stated
     survey = describe(recording, config, earlier=earlier[0].description if earlier else None)
     rig = complete_rig(survey)
     everything = config.stations == "all"
@@ -200,19 +199,6 @@ def other_size(board: Board, size: tuple[int, int]) -> ObservationError:
         f"{size[0]} x {size[1]}",
         f"set the board size with --board {size[0]}x{size[1]}, or board.columns and board.rows in rig.yaml",
     )
-
-
-def board_of(config: RigConfig) -> Board | None:
-    """Board from the configuration, None if its size must be estimated from the images."""
-    given = config.board
-    if not (given.columns and given.rows):
-        return None
-    markers = None
-    if given.kind != "checkerboard":
-        family = given.dictionary or "DICT_APRILTAG_36h11"
-        share = given.marker_share if given.kind == "charuco" else given.gap_share
-        markers = Markers(given.kind, family, share or 0.0, given.first_id, given.border_bits)
-    return Board(given.columns, given.rows, given.square_m, markers)
 
 
 def extract(

@@ -314,7 +314,7 @@ def _rests(
     index = {side: PictureIndex(ns, ns, ns) for side, ns in unique.items()}
     signals = replace(logs[0], images=index, recorded_ns=unique)
     try:
-        (plan,) = plan_stations([signals], rig.chain)
+        (plan,), _ = plan_stations([signals], rig.chain)
     except RecordingError as unpaired:
         findings.append(Finding.of("motion", unpaired))
         return None

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mobilecal_cli.calibrate.detect import check_picture
-from mobilecal_cli.calibrate.extract import OF_MARKERS, board_of, other_size
+from mobilecal_cli.calibrate.extract import OF_MARKERS, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
 from mobilecal_cli.readers import Recording, pictures_near
@@ -40,7 +40,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
             configuration does not state it.
     """
     images, cameras, config = survey.images or {}, survey.cameras, survey.config
-    board, stated_m = board_of(config), config.board.square_m
+    board, stated_m = config.board.stated, config.board.square_m
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:
         return None, []

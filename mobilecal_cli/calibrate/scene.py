@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter
 
-from mobilecal_cli.calibrate.detect import plan_recording
+from mobilecal_cli.calibrate.detect import first_images, plan_recording
 from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.improved import improved_cameras, improved_chain
@@ -18,11 +18,10 @@ from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Outlier, Rejection, Residuals
-from mobilecal_cli.readers import join_splits, open_recording, read_images, sha256_of
+from mobilecal_cli.readers import join_splits, open_recording, sha256_of
 from mobilecal_cli.report.numbers import station_names
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import base_motion
-from mobilecal_cli.stations import images_of
 from mobilecal_cli.vision import snapshot_jpeg
 
 _STEP_NS = 10**8  # between two poses of the base
@@ -160,9 +159,7 @@ def _images(extraction: Extraction, logs: Sequence[Path]) -> dict[int, dict[str,
                     taken = zip(rig.cameras.names, station.shots[0].times_ns, strict=True)
                     number = wanted[log, station.time_ns]
                     numbers |= {(name, at): number for name, at in taken if at is not None}
-                firsts = [replace(station, shots=station.shots[:1]) for station in mine]
-                index = images_of(firsts, plan.images)
-                for name, time_ns, picture in read_images(recording, rig.sources, index):
+                for name, time_ns, picture in first_images(recording, rig, plan, mine):
                     if not isinstance(picture, Rejection):
                         jpegs.setdefault(numbers[name, time_ns], {})[name] = snapshot_jpeg(picture)
                 log += 1

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, contextmanager, suppress
+from functools import partial
 from multiprocessing import resource_tracker
 from pathlib import Path
 from threading import Thread
@@ -60,20 +61,15 @@ def _leave_with_the_caller(files: Path | None) -> None:
         os._exit(1)
 
 
-def stand_by(files: Path | None = None, get_ready: Callable[..., object] = int, *given: Any) -> None:  # noqa: ANN401
+def stand_by(files: Path | None = None) -> None:
     """Initialize a worker process: it ends when its parent ends for any reason, and cleans up on a signal.
 
-    `files` of the parent are removed if it was killed; `get_ready` is called last.
+    `files` of the parent are removed if it was killed.
     """
     unwind_on_signals()
     atexit.register(resources.close)
     Thread(target=_leave_with_the_caller, args=(files,), daemon=True).start()
-    work(_get_ready, get_ready, *given)
-
-
-def _get_ready(get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
-    get_ready(*given)
+    work(signal.pthread_sigmask, signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 @contextmanager
@@ -108,8 +104,8 @@ def _unpacked(packed: bytes) -> Any:  # noqa: ANN401
 
 
 @contextmanager
-def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # noqa: ANN401
-    """A pool of `count` worker processes that call `stand_by` first; a signal in this process ends them at once.
+def workers(count: int, files: Path | None = None) -> Iterator[ProcessPoolExecutor]:
+    """A pool of `count` worker processes that `stand_by`; a signal in this process ends them at once.
 
     Raises:
         OSError, BrokenProcessPool: a process cannot be started.
@@ -118,7 +114,7 @@ def workers(count: int, *initializer: Any) -> Iterator[ProcessPoolExecutor]:  # 
     with _blocked(signal.SIGHUP):
         resource_tracker.ensure_running()
     # Spawned, not forked: a fork would copy locked mutexes of other threads.
-    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, initializer)
+    pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), stand_by, (files,))
     try:
         # Ctrl-C reaches processes that still import modules, where Python would print a traceback.
         with _blocked(signal.SIGINT):
@@ -139,51 +135,44 @@ def _do(question: Path, answer: Path) -> None:
     answer.write_bytes(pickle.dumps(_unpacked(packed), pickle.HIGHEST_PROTOCOL))
 
 
-class Processes(ExitStack):
-    """A pool of worker processes, from `start` to the end of a `with` block.
+#: Submits a task with its arguments; returns a function that waits for the result, to be called once.
+Submit = Callable[..., Callable[[], Any]]
+
+
+@contextmanager
+def processes(count: int) -> Iterator[Submit | None]:
+    """What submits tasks to `count` worker processes inside the block; None if these cannot be started.
+
+    Submitting raises one of `FAILED` if a process died; waiting for a result does so, too, or raises the task's error.
 
     Tasks and results are passed in files: if a process died while it sent a long message through a pipe, the
     other end would wait forever.
     """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._pool: ProcessPoolExecutor | None = None
-        self._files: Path | None = None
-        self._numbers = itertools.count()
-
-    @property
-    def started(self) -> bool:
-        """Whether worker processes are running."""
-        return self._pool is not None
-
-    def start(self, count: int, get_ready: Callable[..., object], *given: Any) -> None:  # noqa: ANN401
-        """Start worker processes, each of which calls `get_ready` first; none if that fails."""
+    submit = None
+    with ExitStack() as stack:
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
-            if self._files is None:
-                self._files = enter_scratch(self)
-            self._pool = self.enter_context(workers(count, self._files, get_ready, *given))
+            files = enter_scratch(stack)
+            pool = stack.enter_context(workers(count, files))
+            submit = partial(_submitted_in_files, files, pool, itertools.count())
+        yield submit
 
-    def submit(self, task: Callable[..., Result], *given: Any) -> Callable[[], Result]:  # noqa: ANN401
-        """Submit a task to the next free process.
 
-        Returns:
-            Waits for the result; call it once. Raises the task's error, or one of `FAILED`.
+def _submitted_in_files(
+    files: Path,
+    pool: ProcessPoolExecutor,
+    numbers: Iterator[int],
+    task: Callable[..., Result],
+    *given: Any,  # noqa: ANN401
+) -> Callable[[], Result]:
+    number = next(numbers)
+    question, answer = (files / f"{number}.{what}" for what in ("task", "result"))
+    question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
+    done = pool.submit(work, _do, question, answer)
 
-        Raises:
-            OSError, BrokenProcessPool: see `FAILED`.
-        """
-        if self._pool is None or self._files is None:
-            raise OSError("no worker processes are running")
-        number = next(self._numbers)
-        question, answer = (self._files / f"{number}.{what}" for what in ("task", "result"))
-        question.write_bytes(pickle.dumps((task, given), pickle.HIGHEST_PROTOCOL))
-        done = self._pool.submit(work, _do, question, answer)
+    def result() -> Result:
+        done.result()
+        returned: Result = pickle.loads(answer.read_bytes())
+        answer.unlink()
+        return returned
 
-        def result() -> Result:
-            done.result()
-            returned: Result = pickle.loads(answer.read_bytes())
-            answer.unlink()
-            return returned
-
-        return result
+    return result

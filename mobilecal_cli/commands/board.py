@@ -45,7 +45,6 @@ def board(
         paper: Page; auto: the smallest of A4 to A0; exact: as large as the board needs.
         output: PDF to write.
     """
-    from mobilecal_cli.calibrate.extract import board_of
     from mobilecal_cli.export.board_print import board_pdf
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.rig.config import load_rig
@@ -67,7 +66,7 @@ def board(
         flags["board.marker_share"] = 0.75 if marker_share is None else marker_share
     elif dictionary is not None or marker_share is not None:
         raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
-    stated = board_of(load_rig(None, flags))
+    stated = load_rig(None, flags).board.stated
     assert stated is not None
     made = board_pdf(stated, paper)
     write_file(output, made.content, force)

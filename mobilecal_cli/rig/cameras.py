@@ -72,11 +72,8 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     present = _image_topics(description)
     recorded = listed(f"{topic.name} ({topic.type})" for topic in description.topics)
     cameras = config.cameras
-    configured: dict[str, str | None] = {name: topics.image for name, topics in cameras.named.items()}
-    if cameras.both is not None:
-        configured = {"both": cameras.both.image}
-    elif not configured:
-        configured = {side: cameras.of(side).image for side in SIDES}
+    stated = cameras.each if cameras.both is None else {"both": cameras.both}
+    configured = {name: topics.image for name, topics in stated.items()}
     for name, topic in configured.items():
         if topic is not None:
             require_topic(f"cameras.{name}.image", topic, present, "images")

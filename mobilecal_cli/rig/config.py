@@ -27,7 +27,16 @@ from pydantic import (
 from mobilecal_cli import ranges, se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, mapping_of, problem_of, read_text
-from mobilecal_cli.model import FloatArray, Side, StereoLayout, WheelGeometry, WheelSource
+from mobilecal_cli.model import (
+    Board,
+    FloatArray,
+    Markers,
+    Nominal,
+    Side,
+    StereoLayout,
+    WheelGeometry,
+    WheelSource,
+)
 
 #: Ten times the size of a URDF with thousands of links.
 LARGEST_URDF_BYTES = 2**24
@@ -103,6 +112,18 @@ class BoardConfig(_Section):
                 raise ValueError(f"a board of kind {self.kind} requires {key}")
         return self
 
+    @property
+    def stated(self) -> Board | None:
+        """The board, None if its size must be estimated from the images."""
+        if not (self.columns and self.rows):
+            return None
+        markers = None
+        if self.kind != "checkerboard":
+            family = self.dictionary or "DICT_APRILTAG_36h11"
+            share = self.marker_share if self.kind == "charuco" else self.gap_share
+            markers = Markers(self.kind, family, share or 0.0, self.first_id, self.border_bits)
+        return Board(self.columns, self.rows, self.square_m, markers)
+
 
 class Pose(_Section):
     """A pose."""
@@ -163,9 +184,9 @@ class CamerasConfig(_Section):
     rectified: bool | None = None
 
     @property
-    def named(self) -> dict[str, CameraTopics]:
-        """The cameras with other names than left and right."""
-        return dict(self.__pydantic_extra__ or {})
+    def each(self) -> dict[str, CameraTopics]:
+        """What is configured of each camera: left and right, unless there are cameras with other names."""
+        return self.__pydantic_extra__ or {"left": self.left, "right": self.right}
 
     @property
     def layout(self) -> StereoLayout:
@@ -173,15 +194,14 @@ class CamerasConfig(_Section):
         return "separate" if self.both is None else self.both.layout
 
     def of(self, name: str) -> CameraTopics:
-        """What is configured of a camera."""
-        topics = self.named.get(name) or getattr(self, name, None)
-        return topics if isinstance(topics, CameraTopics) else CameraTopics()
+        """What is configured of a camera, also of one that is found by names."""
+        return self.each.get(name, CameraTopics())
 
     @model_validator(mode="after")
     def _both_or_each(self) -> CamerasConfig:
         if self.both is not None and (self.left.image or self.right.image):
             raise ValueError("give both.image, or left.image and right.image")
-        named = self.named
+        named = self.__pydantic_extra__
         if named and (self.both or self.left.image or self.right.image):
             raise ValueError(
                 f"give left and right (or both) for a stereo pair, or cameras with other names ({', '.join(named)})"
@@ -266,7 +286,7 @@ class WheelConfig(_Section):
     @property
     def side_joints(self) -> tuple[str, ...]:
         """Joints of all wheels of the side, those that are read first; none where counters are read."""
-        read = (self.joint,) if self.joint else self.joints
+        read = tuple(wheel.joint for wheel in self.sources if wheel.joint)
         return (*read, *(self.unread or ())) if read else ()
 
     @property
@@ -372,12 +392,20 @@ class NominalConfig(_Section):
     head_eye: Pose | None = None
     wheels: WheelsNominal | None = None
 
+    @property
+    def stated(self) -> Nominal:
+        """The nominal values; None where there are none."""
+        return Nominal(
+            None if self.head_eye is None else self.head_eye.transform,
+            None if self.wheels is None else self.wheels.geometry,
+        )
+
 
 def _prior_entry(value: object) -> object:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if value in ("fixed", "free") or (number and float(value) in ranges.PRIOR_SIGMA):  # type: ignore[arg-type]
+    if value in ("fixed", "free") or (number and (value == 0 or float(value) in ranges.SIGMA)):  # type: ignore[arg-type]
         return value
-    raise ValueError(f"must be a standard deviation (0, or from {ranges.PRIOR_SIGMA}), fixed or free")
+    raise ValueError(f"must be a standard deviation (0, or from {ranges.SIGMA}), fixed or free")
 
 
 PriorEntry = float | Literal["fixed", "free"]
@@ -438,7 +466,7 @@ class RigConfig(_Section):
 
     def source_of(self, key: str) -> Literal["flag", "file"] | None:
         """What gave a dotted key or a key below it."""
-        if any(flag == key or flag.startswith(f"{key}.") for flag in self._flags):
+        if any(is_in(flag, key) for flag in self._flags):
             return "flag"
         value: object = self
         for part in key.split("."):
@@ -446,6 +474,11 @@ class RigConfig(_Section):
                 return None
             value = getattr(value, part)
         return "file"
+
+
+def is_in(key: str, section: str) -> bool:
+    """Whether a dotted key is a key or is below it."""
+    return f"{key}.".startswith(f"{section}.")
 
 
 #: Everything is left to the recording and the defaults.
@@ -496,15 +529,21 @@ def _known(data: Mapping[str, Any], section: type[BaseModel]) -> dict[str, Any]:
     """The keys of a section that rig.yaml has too, without empty texts and measured values."""
     known = {}
     measured = {"square_m"} if data.get("square_from", "stated") != "stated" else set()
-    for name, field in section.model_fields.items():
-        value, inner = data.get(name, ""), _section_of(field.annotation)
-        if value == "" or name in measured:
-            continue
-        known[name] = _known(value, inner) if inner is not None and isinstance(value, Mapping) else value
-    if section is CamerasConfig:
-        others = {name: value for name, value in data.items() if isinstance(value, Mapping)}
-        known |= {name: _known(value, CameraTopics) for name, value in others.items() if name not in known}
+    for name, value in data.items():
+        inner = _section_below(section, name)
+        if inner is not None and isinstance(value, Mapping):
+            known[name] = _known(value, inner)
+        elif name in section.model_fields.keys() - measured and value != "":
+            known[name] = value
     return known
+
+
+def _section_below(section: type[BaseModel], name: str, inside: bool = False) -> type[BaseModel] | None:
+    """The section of a key of a section; None for a key with a value. `inside` as for `_section_of`."""
+    field = section.model_fields.get(name)
+    if field is None:
+        return CameraTopics if section is CamerasConfig else None
+    return _section_of(field.annotation, inside)
 
 
 def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None:  # noqa: ANN401
@@ -585,11 +624,7 @@ def _known_keys(location: tuple[int | str, ...]) -> list[str]:
     """Keys of the schema in the section at a location."""
     section: type[BaseModel] = RigConfig
     for part in location:  # or a number, or a key of a mapping, such as a joint's name
-        field = section.model_fields.get(str(part))
-        if field is not None:
-            section = _section_of(field.annotation, inside=True) or section
-        elif section is CamerasConfig:
-            section = CameraTopics
+        section = _section_below(section, str(part), inside=True) or section
     return list(section.model_fields)
 
 
@@ -610,9 +645,10 @@ def _validated(
         return RigConfig.model_validate(data, context=folder)
     except ValidationError as error:
         items, cause = error.errors(), error
-    problems, hints = [], []
+    problems, hints, of_options = [], [], []
     for item in items:
         key, location = ".".join(map(str, item["loc"])), item["loc"]
+        of_options.append(any(is_in(key, option) for option in given))
         if item["type"] == "extra_forbidden":
             known = _known_keys(location[:-1])
             near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
@@ -623,12 +659,9 @@ def _validated(
             names = [] if item["type"] == "dict_type" else _known_keys(location)
             all_priors = key == "priors" and item["input"] is not None
             first, value = ("all", item["input"]) if all_priors else ([*names, "NAME"][0], "VALUE")
-            of_option = any(f"{key}.".startswith(f"{option}.") for option in given)
-            example = f"{key}.{first}={value}" if of_option else f"{location[-1]}: {{{first}: {value}}}"
+            example = f"{key}.{first}={value}" if of_options[-1] else f"{location[-1]}: {{{first}: {value}}}"
             hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))
     hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
-    keys = (f"{'.'.join(map(str, item['loc']))}." for item in items)
-    options_only = all(any(key.startswith(f"{option}.") for option in given) for key in keys)
-    raise ConfigError(("" if options_only else where) + "; ".join(problems), hint) from cause
+    raise ConfigError(("" if all(of_options) else where) + "; ".join(problems), hint) from cause

@@ -25,7 +25,7 @@ from mobilecal_cli.rig.cameras import camera_rig, image_topics, info_topic, is_r
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
-from mobilecal_cli.rig.settings import nominal_of, prior_sigmas
+from mobilecal_cli.rig.settings import prior_sigmas
 from mobilecal_cli.rig.wheels import as_drawn, wheel_sources
 
 T = TypeVar("T")
@@ -92,7 +92,7 @@ def complete_rig(survey: Survey) -> Rig:
     infos, chain, drawn = survey.infos, head.chain, head.drawn
     sources = Sources(images, infos, joints, wheels, survey.elsewhere, config.cameras.layout)
     assumed = sources.assumed_wheels
-    nominal = Nominal(wheels=assumed).over(nominal_of(config)).over(drawn)
+    nominal = Nominal(wheels=assumed).over(config.nominal.stated).over(drawn)
 
     # What each setting is, its key in rig.yaml, and its source if neither a flag nor the file gives it.
     rows = [

@@ -22,14 +22,13 @@ from mobilecal_cli.model import (
     FloatArray,
     HeadChain,
     JointLink,
-    Nominal,
     Rig,
     Side,
     Track,
     WheelSource,
     WheelTrack,
 )
-from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal
+from mobilecal_cli.rig.config import PriorEntry, RigConfig, WheelConfig, WheelsNominal, is_in
 
 
 def _floats(array: FloatArray) -> list[float]:
@@ -178,14 +177,6 @@ def shown_priors(sigmas: Mapping[str, float], cameras: CameraRig, chain: HeadCha
     return entries
 
 
-def nominal_of(config: RigConfig) -> Nominal:
-    """Nominal values that the configuration gives; None where it gives none."""
-    head_eye, wheels = config.nominal.head_eye, config.nominal.wheels
-    return Nominal(
-        None if head_eye is None else head_eye.transform, None if wheels is None else wheels.geometry
-    )
-
-
 #: Keys of rig.yaml, or the sections above them, that apply to an extraction.
 CHANGEABLE = (
     "priors",
@@ -203,7 +194,7 @@ def refuse_others(keys: Collection[str], extraction: str) -> None:
     Raises:
         ConfigError: naming them, and the settings that can be changed.
     """
-    used = [key for key in keys if not any(key == name or key.startswith(f"{name}.") for name in CHANGEABLE)]
+    used = [key for key in keys if not any(is_in(key, name) for name in CHANGEABLE)]
     if used:
         raise ConfigError(
             f"{extraction}: {', '.join(sorted(used))} cannot be changed in an extraction: the images and readings "
@@ -224,11 +215,11 @@ def with_settings(extraction: Extraction, config: RigConfig) -> Extraction:
     rig = replace(rig, prior_sigmas={**rig.prior_sigmas, **sigmas}, noise={**rig.noise, **levels})
     if config.cameras.reference is not None and "cameras.reference" in given:
         rig = _seen_from(rig, config.cameras.reference)
-    if any(key.startswith("nominal") for key in given):
+    if any(is_in(key, "nominal") for key in given):
         rig = _with_nominal(rig, config)
     tracks = extraction.wheels
     for side in SIDES:
-        keys = {key for key in given if key.startswith(f"wheels.{side}.")}
+        keys = {key for key in given if is_in(key, f"wheels.{side}")}
         if keys:
             rig, tracks = _rescaled(rig, tracks, side, config.wheels.of_sides[side], keys)
     return replace(extraction, rig=rig, wheels=tracks)
@@ -251,7 +242,7 @@ def _seen_from(rig: Rig, reference: str) -> Rig:
 
 def _with_nominal(rig: Rig, config: RigConfig) -> Rig:
     """The rig with the nominal values that the configuration gives."""
-    given = nominal_of(config)
+    given = config.nominal.stated
     if given.wheels is not None and any(source.baked_in for source in rig.sources.wheels.values()):
         raise ConfigError(
             "nominal.wheels cannot be changed in an extraction whose wheel rotations come from odometry",

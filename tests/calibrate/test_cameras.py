@@ -167,22 +167,6 @@ def test_three_cameras_from_a_recording(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"cameras.front.image": "/nowhere"}, "cameras.front.image: the topic /nowhere contains no images"),
-        ({"cameras.joints.image": "/camera/color/image_raw/compressed"}, "cannot name a camera"),
-        ({"cameras.front.info": "/camera/color/camera_info"}, "front has no image topic"),
-        ({"cameras.front.image": "/a", "cameras.left.image": "/b"}, "give left and right (or both) for a"),
-    ],
-)
-def test_wrong_cameras_are_refused(rgbd, settings, words):
-    flags = [part for key, value in settings.items() for part in ("--set", f"{key}={value}")]
-    done = run("calibrate", rgbd, "--square-m", "0.08", *flags)
-    assert done.code in (2, 3)
-    assert words in " ".join(done.err.split())
-
-
-@pytest.mark.parametrize(
     ("name", "robot"), [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())]
 )
 def test_samples_of_other_robots(name, robot, tmp_path):

@@ -34,7 +34,7 @@ def plan(stations: list[Station]) -> Plan:
     """A plan with these stations, in images that nobody reads."""
     times = np.array([pair.times_ns[0] for station in stations for pair in station.shots])
     index, track = PictureIndex(times, times, times), Track(np.arange(2), np.zeros(2))
-    return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, (), ())
+    return Plan(tuple(stations), WheelTrack(track, track), (), {"left": index, "right": index}, ())
 
 
 def test_segments_hold_all_stations_in_order():

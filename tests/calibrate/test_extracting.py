@@ -164,9 +164,3 @@ def test_topics_that_agree(sample_logs, tmp_path, few, wheels_rad):
     )
     found = inspect([log])
     assert found.missing == found.weak == found.notes == ()
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """Few images are looked at: the board does not matter here."""
-    monkeypatch.setattr("mobilecal_cli.calibrate.sample.PICTURE_MOMENTS", 2)

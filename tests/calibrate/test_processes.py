@@ -9,19 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from mobilecal_cli.calibrate.workers import FAILED, Processes
+from mobilecal_cli.calibrate.workers import FAILED, processes
 
 _LARGE = 10_000_000  # bytes; a pipe holds 65,536
 
 _CALLER = """
 import os, sys, time
-from mobilecal_cli.calibrate.workers import Processes
+from mobilecal_cli.calibrate.workers import processes
 
 if __name__ == "__main__":
-    with Processes() as some:
-        some.start(1, int)
-        print(some.submit(os.getpid)(), some._files, flush=True)
-        some.submit(bytes, {large})
+    with processes(1) as submit:
+        print(submit(os.getpid)(), submit.args[0], flush=True)
+        submit(bytes, {large})
         time.sleep(60)
 """
 
@@ -29,15 +28,14 @@ if __name__ == "__main__":
 _STARTING = """
 import os, signal, sys, time
 from mobilecal_cli.files.interruption import unwind_on_signals
-from mobilecal_cli.calibrate.workers import Processes
+from mobilecal_cli.calibrate.workers import processes
 
 if __name__ != "__main__":
     time.sleep(20)  # as if a worker process imported large modules
 else:
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background command ignores it
     unwind_on_signals()
-    with Processes() as some:
-        some.start(2, int)
+    with processes(2):
         time.sleep(float(sys.argv[1]))
         os.killpg(0, signal.SIGINT)
         time.sleep(60)
@@ -45,32 +43,24 @@ else:
 
 
 def test_tasks_are_done_in_other_processes_and_leave_no_files():
-    with Processes() as some:
-        assert not some.started
-        some.start(2, int)
-        assert some.started
-        folder = some._files
-        results = [some.submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
+    with processes(2) as submit:
+        folder = submit.args[0]
+        results = [submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
         assert [result() for result in results] == [b"A" * _LARGE, b"B" * _LARGE]
-        assert some.submit(os.getpid)() != os.getpid()
+        assert submit(os.getpid)() != os.getpid()
         assert list(folder.iterdir()) == []
     assert not folder.exists()
 
 
 def test_an_error_comes_back():
-    with Processes() as some:
-        some.start(1, int)
-        with pytest.raises(ValueError, match="invalid literal"):
-            some.submit(int, "one")()
-    with Processes() as some, pytest.raises(OSError, match="no worker processes"):
-        some.submit(int)
+    with processes(1) as submit, pytest.raises(ValueError, match="invalid literal"):
+        submit(int, "one")()
 
 
 def test_a_death_among_large_tasks_is_told():
-    with Processes() as some:
-        some.start(1, int)
-        number = some.submit(os.getpid)()
-        results = [some.submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
+    with processes(1) as submit:
+        number = submit(os.getpid)()
+        results = [submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
         os.kill(number, signal.SIGKILL)
         with pytest.raises(FAILED):
             results[-1]()

@@ -7,7 +7,6 @@ import numpy as np
 import pypdfium2
 import pytest
 
-from mobilecal_cli.calibrate.extract import board_of
 from mobilecal_cli.commands.board import board
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.board_print import board_pdf
@@ -118,7 +117,7 @@ def test_the_bar_and_the_texts_state_the_board(name, tmp_path):
     assert f"({page_mm[0]:g} x {page_mm[1]:g} mm)" in made.page.replace("a page of ", "(") + ")"
     made = board_pdf(board, paper)
     flags = {f"board.{key}": value for key, value in load_yaml(made.config)["board"].items()}
-    assert board_of(load_rig(None, flags)) == board
+    assert load_rig(None, flags).board.stated == board
     assert made.config in text.replace("\r\n", " ")
 
 

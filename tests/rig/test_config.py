@@ -95,6 +95,9 @@ def test_flags_lie_over_the_file(write):
         ("board: {columns: 9, rows: 6, square_m: .nan}", "board.square_m"),
         ("schema_version: 2", "schema_version"),
         ("cameras: {reference: middle}", "cameras.reference"),
+        ("cameras: {joints: {image: /a}}", "cannot name a camera"),
+        ("cameras: {front: {info: /a}}", "front has no image topic"),
+        ("cameras: {front: {image: /a}, left: {image: /b}}", "give left and right (or both) for a"),
         ("wheels: {left: {joint: a, field: b, topic: c}}", "only one of joint, joints, field and fields"),
         ("wheels: {left: {field: data}}", "field requires topic"),
         ("wheels: {left: {topic: t, field: data, bits: 16}}", "bits requires ticks_per_revolution"),
@@ -130,10 +133,6 @@ def test_flags_lie_over_the_file(write):
         ("board: {square_m: .inf}", "board.square_m: must be from 0.0001 to 10 m (got inf)"),
         ("board: {square_m: true}", "board.square_m: must be a valid number (got True)"),
         ("board: {square_m: '0.1'}", "board.square_m: must be a valid number (got '0.1')"),
-        (
-            "nominal: {wheels: {radius_left_m: 1e300, radius_right_m: 0.1, separation_m: 0.5}}",
-            "nominal.wheels.radius_left_m: must be from 0.001 to 10 m (got 1e+300)",
-        ),
         (
             "nominal: {wheels: {radius_left_m: 0.1, radius_right_m: 0.1, separation_m: 1e-9}}",
             "nominal.wheels.separation_m: must be from 0.01 to 100 m (got 1e-09)",
@@ -226,16 +225,10 @@ def test_a_setting_without_a_value_is_no_default(bad):
         parse_settings([bad])
 
 
-def test_a_setting_that_is_given_twice_is_refused():
-    """The last one silently counted."""
-    with pytest.raises(ConfigError, match=r"--set board\.columns: given twice, as 9 and 8"):
-        parse_settings(["board.columns=9", "board.rows=6", "board.columns=8"])
-
-
 def test_priors_are_numbers_or_words(write):
     rig = load_rig(write("priors: {all: fixed, focal_length: 0.2, pan_zero: free}"), {"priors.clock": 5})
     assert rig.priors == {"all": "fixed", "focal_length": 0.2, "pan_zero": "free", "clock": 5}
-    assert load_rig(None, parse_settings(["priors.focal_length=0.1"])).priors == {"focal_length": 0.1}
+    assert load_rig(None, parse_settings(["priors.focal_length=0"])).priors == {"focal_length": 0}
 
 
 @pytest.mark.parametrize("value", ["-0.1", ".nan", ".inf", "exact", "true", "[1]", "null"])

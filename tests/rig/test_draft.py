@@ -90,7 +90,7 @@ def test_every_camera_of_several_is_in_the_draft(topics, names):
     block = draft.text[draft.text.index("\n# cameras:\n") + 1 :].split("\n\n")[0]
     uncommented = "\n".join(line.removeprefix("# ") for line in block.splitlines())
     cameras = RigConfig.model_validate(YAML(typ="safe").load(uncommented)).cameras
-    assert {name: each.image for name, each in cameras.named.items()} == dict(zip(names, topics, strict=True))
+    assert {name: each.image for name, each in cameras.each.items()} == dict(zip(names, topics, strict=True))
 
 
 def test_the_joint_positions_are_those_of_the_urdf():

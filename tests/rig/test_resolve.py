@@ -230,11 +230,6 @@ def test_wheels_that_do_not_turn_with_their_side_carry_nothing(urdf, stated):
     assert not rig.sources.several_wheels
 
 
-def test_stated_wheels_that_are_not_read_are_in_the_urdf():
-    with pytest.raises(ConfigError, match=r"wheels.left.unread: the URDF has no joint 'rear'"):
-        resolve_rig(config(wheels={"left": {"unread": ["rear"]}}), description())
-
-
 def test_exchanged_readings_leave_the_wheels_where_they_are():
     """An encoder's cable in the other socket: the axle of the URDF does not turn around with the names."""
     crossed = {"left": {"joint": JOINTS[1]}, "right": {"joint": JOINTS[0]}}
@@ -245,6 +240,7 @@ def test_exchanged_readings_leave_the_wheels_where_they_are():
 CAMERA = """<joint name="mount" type="{kind}"><parent link="{parent}"/><child link="cam"/><origin xyz="0.03 0.06 0.05"/></joint>
 <joint name="optical" type="fixed"><parent link="cam"/><child link="stereo_left_optical"/><origin rpy="0 0 1"/></joint>
 </robot>"""
+OPTICAL = "stereo_left_optical"
 WITH_CAMERA = AT_BASE.replace("</robot>", CAMERA.format(kind="fixed", parent="tilt"))
 
 
@@ -365,6 +361,12 @@ def test_explicit_chain_needs_no_urdf():
         ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
         ({}, {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
+        (
+            {"cameras": {"front": {"image": "/nope"}}},
+            {},
+            RecordingError,
+            "cameras.front.image: the topic /nope",
+        ),
         ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
         ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
         ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
@@ -391,6 +393,8 @@ def test_explicit_chain_needs_no_urdf():
             "several pairs of joints could be the wheels",
         ),
         ({"head": {"head_frame": "nope"}}, {}, ConfigError, "no link 'nope'"),
+        ({"head": {"head_frame": OPTICAL}}, {"urdf": WITH_CAMERA}, ConfigError, f"{OPTICAL} is the frame of"),
+        ({"wheels": {"left": {"unread": ["rear"]}}}, {}, ConfigError, "left.unread: the URDF has no joint"),
     ],
 )
 def test_what_is_missing_is_named(sections, changes, error, words_):
@@ -463,11 +467,6 @@ def test_a_driver_that_names_the_head_itself(of_head):
         ConfigError, match="left_optical_frame is the frame of the left camera, not of the head"
     ):
         resolve_rig(RigConfig(), recorded)
-
-
-def test_the_optical_frame_is_no_head():
-    with pytest.raises(ConfigError, match="stereo_left_optical is the frame of the camera, not of the head"):
-        resolve_rig(config(head={"head_frame": "stereo_left_optical"}), description(urdf=WITH_CAMERA))
 
 
 def test_a_head_frame_before_a_joint_that_is_read_is_noted():
