@@ -136,13 +136,13 @@ def _across(columns: int, rows: int, axis: int) -> FloatArray:
     return np.asarray(uv + np.array([[_NEAR, -_NEAR], [_FAR, -_FAR]])[..., None, None] * np.eye(2)[axis])
 
 
-def check_sharpness(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> Miss | None:
+def check_sharpness(image: GrayImage, grid_map: GridMap) -> Miss | None:
     """A Miss if the borders between squares are too wide for accurate corners, None otherwise.
 
     For a step blurred by a Gaussian of sigma s, the difference across a border at distance d is proportional
     to erf(d / (s sqrt(2))); the ratio at two distances gives s. The blurrier axis counts.
     """
-    widths = []
+    (rows, columns), widths = grid_map.shape, []
     for axis in (0, 1):
         brightness = sample(image, grid_map(_across(columns, rows, axis)))[0]
         near, far = np.abs(brightness[:, 0] - brightness[:, 1])
@@ -175,17 +175,17 @@ def _samples(columns: int, rows: int, outer: float, beyond: int) -> FloatArray:
     return np.asarray(middle[:, :, None] + np.stack(np.meshgrid(offset, offset), axis=-1).reshape(9, 2))
 
 
-def check_colors(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool | Miss:
+def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
     """Check that dark and light squares alternate, including the outer ones, and that the pattern ends there.
 
     Args:
         image: (height, width) gray.
         grid_map: grid coordinates to pixels.
-        columns, rows: inner corners.
 
     Returns:
         Whether the outer square diagonally next to corner 0 is dark, or the reason for rejection.
     """
+    rows, columns = grid_map.shape
     brightness, in_image = sample(image, grid_map(_samples(columns, rows, _NEAR_OUTER, 1)))
     inside = np.asarray(in_image.all(axis=-1))
     board = inside[1:-1, 1:-1]
@@ -244,8 +244,9 @@ def check_colors(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -
     return flip < 0
 
 
-def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool:
+def outer_squares_whole(image: GrayImage, grid_map: GridMap) -> bool:
     """Whether the outer squares are as wide as the others: a board with narrow ones has its margin here."""
+    rows, columns = grid_map.shape
     brightness, inside = sample(image, grid_map(_samples(columns, rows, _WHOLE_OUTER, 0)))
     signed = colors(rows + 1, columns + 1) * brightness.mean(axis=-1)
     contrast = float(np.median(signed[1:-1, 1:-2] + signed[1:-1, 2:-1]))

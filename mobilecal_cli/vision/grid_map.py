@@ -114,6 +114,12 @@ class GridMap:
         return _through(self.H, w, self.lens) + _monomials(w, self.frame.degree) @ self.bend
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the corners it was fitted to."""
+        rows, columns, _ = self.residual.shape
+        return rows, columns
+
+    @property
     def off_px(self) -> FloatArray:
         """(rows, columns) distance of each corner from the map through all others, px.
 
