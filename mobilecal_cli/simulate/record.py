@@ -18,12 +18,11 @@ from mobilecal_cli.export.outputs import (
 )
 from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, partial_of, place
-from mobilecal_cli.simulate.messages import World, published, write
+from mobilecal_cli.simulate.messages import ROSBAG2, published, write
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.scenario import Scenario, World
 
-_DIRECTORIES = ("rosbag2", "rosbag2-mcap")
 _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
@@ -62,7 +61,7 @@ def simulate(
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
-    recognized = recognized_folder if scenario.container in _DIRECTORIES else recognized_file
+    recognized = recognized_folder if scenario.container in ROSBAG2 else recognized_file
     _check(out, truth, recognized, force)
     world = world_of(scenario, *scenario.plan())
     messages = published(world, lambda done, total: progress("rendering images", done, total))
