@@ -21,6 +21,7 @@ from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.export.formats import Exported, Source
+from mobilecal_cli.export.formats.camera_info import ros_distortion
 from mobilecal_cli.export.scene import Motion, Scene, dark_squares
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, Corners, FloatArray
@@ -31,7 +32,7 @@ _GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85,
 _DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
 #: A protobuf message inside another one: its fields by name, which the types of protobuf do not know.
 _Part: TypeAlias = Any
-_MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
+_MODELS = {"equidistant": "kannala_brandt"}  # Foxglove's name, where it differs from that of ROS
 
 
 def export(of: Source, logs: tuple[Path, ...] = ()) -> Exported:
@@ -180,15 +181,15 @@ def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
 
 def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
     """One camera in its own frame, for the images as recorded."""
-    D = camera.D.tolist() if camera.distortion != "none" else [0.0] * 5
+    model, D = ros_distortion(camera)
     P = np.hstack([camera.K, np.zeros((3, 1))])
     return CameraCalibration(
         timestamp=_time(time_ns),
         frame_id=frame,
         width=camera.width,
         height=camera.height,
-        distortion_model=_MODELS.get(camera.distortion, camera.distortion),
-        D=D,
+        distortion_model=_MODELS.get(model, model),
+        D=D.tolist(),
         K=camera.K.ravel().tolist(),
         R=np.eye(3).ravel().tolist(),
         P=P.ravel().tolist(),
