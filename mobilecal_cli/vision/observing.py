@@ -101,6 +101,11 @@ class StationCorners:
         off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
         return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
 
+    @property
+    def mostly(self) -> BoolArray:
+        """(M,) corners that more than half of the images show."""
+        return np.asarray(2 * self.seen.sum(axis=0) > len(self.seen), dtype=np.bool_)
+
     def average(self, board: Board, camera: Camera) -> Corners:
         """Mean of the corners that more than half of the images show, with the noise of the mean.
 
@@ -108,7 +113,7 @@ class StationCorners:
         limit is the roughness of the mean grid, because refinement errors common to all images do not average
         out. Noise in excess of the fits' covariances is added equally to all corners.
         """
-        n, mostly = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        n, mostly = len(self.pixels), self.mostly
         weight = (self.seen & mostly)[..., None]
         mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
         if board.markers is None:
@@ -274,20 +279,20 @@ def measure(
             "board or robot moved during the stop",
             f"corners drift by {drift_px.max():.2f} px over {len(detected)} {what}, limit {limit_px:.2f} px",
         )
-    views = tuple(
-        of_camera.select(still).average(board, rig.each[k])
-        for k, of_camera in zip(shown, images, strict=True)
-    )
-    corners = [int(view.seen.sum()) for view in views]
+    images = [of_camera.select(still) for of_camera in images]
+    corners = [int(of_camera.mostly.sum()) for of_camera in images]
     if max(corners) < LEAST_CORNERS:
         return rejected(
             OCCLUDED,
             f"{max(corners)} of {board.corners} corners visible in an image, minimum {LEAST_CORNERS}",
         )
+    enough = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS]
+    views = tuple(images[k].average(board, rig.each[shown[k]]) for k in enough)
+    shown = tuple(shown[k] for k in enough)
     if len(shown) == 1 or not rig.calibrated or common(views).sum() < LEAST_CORNERS:
-        kept = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS and not rig.calibrated]
-        kept = kept or [int(np.argmax(corners))]
-        shown, views = tuple(shown[k] for k in kept), tuple(views[k] for k in kept)
+        if rig.calibrated:
+            most = max(range(len(views)), key=lambda k: int(views[k].seen.sum()))
+            shown, views = (shown[most],), (views[most],)
         square_m = board.square_m or 1.0
         pose, views = _by_one(rig.some(shown), views, board, square_m)
         if isinstance(pose, Miss):
