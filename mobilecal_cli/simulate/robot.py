@@ -86,14 +86,6 @@ def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
     )
 
 
-def undistort(D: FloatArray, distorted: FloatArray) -> FloatArray:
-    """Inverse of `distort` by fixed-point iteration, which converges for moderate distortion."""
-    flat = distorted
-    for _ in range(_INVERSE_ROUNDS):
-        flat = flat + (distorted - distort(D, flat))
-    return flat
-
-
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:
     """Project points in the camera frame, (..., 3), to (..., 2) px; independent of the solver's code."""
     flat = points[..., :2] / points[..., 2:]
@@ -103,9 +95,15 @@ def pixels(camera: Camera, points: FloatArray) -> FloatArray:
 
 
 def rays(camera: Camera, at: FloatArray) -> FloatArray:
-    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
-    flat = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
-    return undistort(camera.D, flat) if np.any(camera.D) else flat
+    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2).
+
+    Fixed-point iteration, which converges for moderate distortion.
+    """
+    flat = distorted = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
+    if np.any(camera.D):
+        for _ in range(_INVERSE_ROUNDS):
+            flat = flat + (distorted - distort(camera.D, flat))
+    return flat
 
 
 Vector = tuple[float, float, float]

@@ -240,12 +240,11 @@ def _fisheye_fit(grid: FloatArray, image_shape: tuple[int, int]) -> GridMap | No
     """The smoothest map through a fisheye lens, by Gauss-Newton steps on the lens from the best of a few."""
     (height, width), side_px = image_shape, max(image_shape)
     center_px = np.array([(width - 1) / 2, (height - 1) / 2])
-    lenses = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
-    fits = [_fit(grid, lens) for lens in lenses if lens.reaches(grid.reshape(-1, 2))]
-    best = min(fits, key=lambda fit: fit.sigma_px, default=None)
-    if best is None or best.lens is None:
+    tried = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
+    lenses = [lens for lens in tried if lens.reaches(grid.reshape(-1, 2))]
+    if not lenses:
         return None
-    start, change = best.lens, np.zeros(3)
+    start, change = min(lenses, key=lambda lens: _fit(grid, lens).sigma_px), np.zeros(3)
 
     def cost(change: FloatArray) -> tuple[FloatArray, GridMap]:
         fit = _fit(grid, start.moved(change, side_px))

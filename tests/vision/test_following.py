@@ -93,8 +93,8 @@ def test_a_grid_some_squares_beside_is_let_go(first, shift):
     image, truth, appearance = first
     grid = truth.reshape(6, 9, 2)
     right, down = grid[2, 5] - grid[2, 4], grid[3, 4] - grid[2, 4]
-    assert isinstance(follow(image, truth + 0.5, appearance, 9, 6), Detection)
-    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, appearance, 9, 6), Miss)
+    assert isinstance(follow(image, truth + 0.5, appearance, BOARD), Detection)
+    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, appearance, BOARD), Miss)
 
 
 @pytest.mark.parametrize("blur_px", [1.2, 1.8])
@@ -158,7 +158,7 @@ def test_saddle_points_of_a_board_are_stronger_than_those_of_noise(film):
 
 def test_a_board_that_leaves_the_picture_is_said_to(first):
     image, truth, appearance = first
-    gone = missed(follow(image, truth - [truth[:, 0].min(), 0.0], appearance, 9, 6))
+    gone = missed(follow(image, truth - [truth[:, 0].min(), 0.0], appearance, BOARD))
     assert gone.reason == "board partly occluded or outside the image"
 
 
@@ -169,7 +169,7 @@ def test_a_corner_predicted_wrongly_is_found_by_the_others(first, corner):
     for off in ([7.0, 0.0], [-6.0, 4.0], [0.0, -8.0], [10.0, 10.0]):
         expected = truth.copy()
         expected[corner] += off
-        found = detected(follow(image, expected, appearance, 9, 6))
+        found = detected(follow(image, expected, appearance, BOARD))
         assert np.abs(found.pixels - truth).max() < 0.1, off
 
 
@@ -180,7 +180,7 @@ def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(first):
         u, v = np.rint(truth[corner]).astype(int)
         hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
         assert isinstance(detect(hidden, 9, 6), Miss), corner
-        assert isinstance(follow(hidden, truth, appearance, 9, 6), Miss), corner
+        assert isinstance(follow(hidden, truth, appearance, BOARD), Miss), corner
 
 
 def test_a_board_that_is_found_again_is_tracked_back_through_the_images_that_were_not_searched(film):
