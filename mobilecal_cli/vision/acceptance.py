@@ -45,15 +45,15 @@ def check_size(grid: FloatArray) -> Miss | None:
     return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
-def _limit_px(grid_map: GridMap, edge_px: float) -> float:
+def _limit_px(grid_map: GridMap) -> float:
     """Largest distance of a corner from the smooth map through the others, px; see `GridMap.off_px`."""
     usual_px = upper_median(grid_map.off_px.ravel())
-    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * usual_px))
+    return max(_LEAST_OFF_PX, min(_MOST_OFF * smallest_edge_px(grid_map.corners), _MOST_OFF_TIMES * usual_px))
 
 
-def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
+def off_grid(grid_map: GridMap) -> BoolArray:
     """(rows, columns) whether a corner is off the grid of the others."""
-    return np.asarray(grid_map.off_px > _limit_px(grid_map, edge_px))
+    return np.asarray(grid_map.off_px > _limit_px(grid_map))
 
 
 def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tuple[FittedCorners, GridMap]:
@@ -66,14 +66,13 @@ def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tup
         The corners, and the smooth map through them.
     """
     fit = fit_corners(image, grid, appearance)
-    corners = fit.pixels.reshape(grid.shape)
     # Where most corners are not corners, no lens would make them a board.
     is_board = np.mean(fit.fitted) >= 1 - _MOST_BAD
-    grid_map = fit_grid(corners, image.shape if is_board else None)
-    bad = off_grid(grid_map, smallest_edge_px(corners)) | ~fit.fitted.reshape(grid.shape[:2])
+    grid_map = fit_grid(fit.pixels.reshape(grid.shape), image.shape if is_board else None)
+    bad = off_grid(grid_map) | ~fit.fitted.reshape(grid_map.shape)
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
-    again = fit_corners(image, grid_map.predicted(corners, bad), appearance)
+    again = fit_corners(image, grid_map.predicted(bad), appearance)
     return again, fit_grid(again.pixels.reshape(grid.shape), image.shape)
 
 
@@ -87,8 +86,7 @@ def accepted(
         expected: with the sign of the contrast, and with the outer squares, of this image.
         order: of the corners.
     """
-    edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
-    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map, edge_px)
+    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map)
     if worst_px > most_px:
         return Miss(
             "corners not on a regular grid", f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px"

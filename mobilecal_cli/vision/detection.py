@@ -58,10 +58,10 @@ def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
             return small
         grid = refine(image, grid, smallest_edge_px(grid))
         grid_map = fit_grid(grid, image.shape)
-        bad = off_grid(grid_map, smallest_edge_px(grid))
+        bad = off_grid(grid_map)
         if not bad.any():
             break
-        grid = grid_map.predicted(grid, bad)  # restart corners that diverged where the others predict them
+        grid = grid_map.predicted(bad)  # restart corners that diverged where the others predict them
     if (small := check_size(grid)) is not None:
         return small
     appearance = Appearance(outer_whole=outer_squares_whole(image, grid_map))

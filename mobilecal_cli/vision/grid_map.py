@@ -94,6 +94,7 @@ class GridMap:
 
     Attributes:
         frame: what depends only on the board's size.
+        corners: (rows, columns, 2) the corners that it was fitted to, px.
         H: (3, 3) homography from centered grid coordinates to pixels, or to the rays of the lens.
         lens: of a fisheye camera; None for a perspective one.
         bend: (terms, 2) coefficients of the polynomial, px.
@@ -102,6 +103,7 @@ class GridMap:
     """
 
     frame: _Frame
+    corners: FloatArray
     H: FloatArray
     lens: Fisheye | None
     bend: FloatArray
@@ -115,8 +117,8 @@ class GridMap:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the corners it was fitted to."""
-        rows, columns, _ = self.residual.shape
+        """Numbers of rows and columns of the corners."""
+        rows, columns, _ = self.corners.shape
         return rows, columns
 
     @property
@@ -127,11 +129,11 @@ class GridMap:
         """
         return np.asarray(np.hypot(self.residual[..., 0], self.residual[..., 1]) / self.frame.freedom)
 
-    def predicted(self, grid: FloatArray, bad: BoolArray) -> FloatArray:
-        """The corners (rows, columns, 2) this map was fitted to, px, the bad ones as the others predict them."""
+    def predicted(self, bad: BoolArray) -> FloatArray:
+        """The corners (rows, columns, 2), px, the bad ones as the others predict them."""
         chosen = self.frame.finer[bad.ravel()]
         free = np.eye(len(chosen)) - chosen @ chosen.T
-        better = grid.copy()
+        better = self.corners.copy()
         better[bad] -= np.linalg.lstsq(free, self.residual[bad], rcond=1e-3)[0]
         return better
 
@@ -272,7 +274,8 @@ def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:
         H *= np.sign(np.sum(rays * (frame.w @ H[:, :2].T + H[:, 2])))  # toward the camera's front
     bent = pixels - _through(H, frame.w, lens)
     residual, sigma_px = _scatter(frame, bent)
-    return GridMap(frame, H, lens, np.asarray(frame.solver @ bent), residual.reshape(grid.shape), sigma_px)
+    bend = np.asarray(frame.solver @ bent)
+    return GridMap(frame, grid, H, lens, bend, residual.reshape(grid.shape), sigma_px)
 
 
 def roughness_px(camera: Camera, grid: FloatArray) -> float:
