@@ -17,7 +17,7 @@ from mobilecal_cli.export.outputs import (
     write_synced,
 )
 from mobilecal_cli.files.interruption import uninterrupted
-from mobilecal_cli.files.placing import Recognize, partial_of, place
+from mobilecal_cli.files.placing import partial_of, place
 from mobilecal_cli.simulate.messages import ROSBAG2, published, write
 from mobilecal_cli.simulate.robot import SimulatedRobot
 from mobilecal_cli.simulate.route import Route
@@ -62,7 +62,12 @@ def simulate(
     """
     truth = truth_path(out)
     recognized = recognized_folder if scenario.container in ROSBAG2 else recognized_file
-    _check(out, truth, recognized, force)
+    check_replaceable(out, recognized, force)
+    if os.path.lexists(out) and not truth.is_file():
+        raise OutputError(
+            f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
+        )
+    check_file(truth, force)
     world = world_of(scenario, *scenario.plan())
     messages = published(world, lambda done, total: progress("rendering images", done, total))
     try:
@@ -76,16 +81,6 @@ def simulate(
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error
     return truth
-
-
-def _check(out: Path, truth: Path, recognized: Recognize, force: bool) -> None:
-    """Check before the simulation whether a recording and its ground truth can be written or replaced."""
-    check_replaceable(out, recognized, force)
-    if os.path.lexists(out) and not truth.is_file():
-        raise OutputError(
-            f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
-        )
-    check_file(truth, force)
 
 
 def recognized_folder(folder: Path) -> tuple[str, ...]:

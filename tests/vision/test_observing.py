@@ -27,9 +27,9 @@ def station(pairs: int = 1) -> Station:
 
 
 def pairs(
-    count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K, seed: int = 0
+    count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K
 ) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     _, left, right = seen(RIG, T_c_k, board, SQUARE_M)
     return tuple(
         [Detection(p + sigma_px * rng.standard_normal(p.shape), sigma_px) for _ in range(count)]
