@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
@@ -19,8 +18,6 @@ from mobilecal_cli.export.outputs import (
 from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import partial_of, place
 from mobilecal_cli.simulate.messages import ROSBAG2, published, write
-from mobilecal_cli.simulate.robot import SimulatedRobot
-from mobilecal_cli.simulate.route import Route
 from mobilecal_cli.simulate.scenario import Scenario, World
 
 _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
@@ -42,7 +39,7 @@ def simulate(
     out: Path,
     force: bool = False,
     progress: Progress = silent,
-    world_of: Callable[[Scenario, SimulatedRobot, Route], World] = World,
+    world_of: type[World] = World,
 ) -> Path:
     """Simulate a scenario and write its recording.
 

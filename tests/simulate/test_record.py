@@ -25,9 +25,9 @@ SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
 
 
-def recorded(folder: Path, scenario: Scenario, name: str = "log", world_of=World) -> Path:
+def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
     out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
-    simulate(scenario, out, world_of=world_of)
+    simulate(scenario, out)
     return out
 
 
