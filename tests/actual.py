@@ -16,11 +16,10 @@ from scipy.spatial.transform import Rotation
 from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, Camera, CameraRig, FloatArray, IntArray
 from mobilecal_cli.simulate import robot as described
-from mobilecal_cli.simulate.messages import World
-from mobilecal_cli.simulate.render import INVERSE_ROUNDS, BoardRenderer, pixel_grid
+from mobilecal_cli.simulate.render import BoardRenderer, pixel_grid
 from mobilecal_cli.simulate.robot import JOINT_RATE_HZ, RobotJoint, SimulatedRobot, Vector, pose
 from mobilecal_cli.simulate.route import Route, base_in_world
-from mobilecal_cli.simulate.scenario import BLUR_PX, WHEEL_NOISE_RAD_PER_SQRT_RAD
+from mobilecal_cli.simulate.scenario import BLUR_PX, WHEEL_NOISE_RAD_PER_SQRT_RAD, World
 
 DISTORTIONS = ("radial_1", "radial_2", "tangential_x", "tangential_y")
 _MOVED_RAD = 1e-9
@@ -87,7 +86,7 @@ def rays(camera: Camera, at: FloatArray) -> FloatArray:
         target = at
         for _ in range(_DISPLACEMENT_ROUNDS):
             at = target - camera.displacement(at)
-    return described.rays(camera, at, INVERSE_ROUNDS)
+    return described.rays(camera, at)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -414,20 +414,20 @@ def extraction_of(
         shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
         if not shown:
             continue
-        own, own_pixels, sigmas = rig.some(shown), [pixels[k] for k in shown], [sigma] * len(shown)
+        corners = [Corners(at, sigma, 1) if k in shown else hidden(at) for k, at in enumerate(pixels)]
+        own, own_views = rig.some(shown), [corners[k] for k in shown]
         by = len(shown) if rig.calibrated else 1  # cameras that the board pose is from
-        found = board_pose(own.some(range(by)), corners_k, own_pixels[:by], sigmas[:by], T_c_k)
+        found = board_pose(own.some(range(by)), corners_k, own_views[:by], T_c_k)
         exact_points = corners_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
         estimated = corners_k @ found.T_c_k[:3, :3].T + found.T_c_k[:3, 3]
         points = StereoPoints(estimated, np.zeros((len(corners_k), 3, 3)), 0.0)
         if by > 1:
-            points = triangulate(own, own_pixels, sigmas)
+            points = triangulate(own, own_views)
         if isinstance(points, Miss):
             raise ConfigError(f"station {i}: {points.reason}: {points.detail}", "reduce the pixel noise")
         square_m = route.board.square_m or 0.0
         if not actual.as_stated:
             square_m = square_from_points(points.points_c, route.board.grid())
-        corners = [Corners(at, sigma, 1) if k in shown else hidden(at) for k, at in enumerate(pixels)]
         observations.append(
             Observation(
                 log=0,

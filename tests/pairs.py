@@ -26,23 +26,28 @@ def with_pair(cameras: CameraRig, left=None, right=None, T_c_r=None, **others) -
     return replace(cameras, each=each, T_c_each=poses, **others)
 
 
+def corners_of(pixels, noise) -> Corners:
+    """Corners with the sigma of one coordinate, px, or with covariances (M, 2, 2), px^2."""
+    return Corners(pixels, noise, 1) if np.isscalar(noise) else Corners(pixels, 1.0, 1, relative_cov=noise)
+
+
 def triangulate(cameras, left, right, noise_left, noise_right):
     """See `vision.triangulate`."""
-    return vision.triangulate(cameras, [left, right], [noise_left, noise_right])
+    return vision.triangulate(cameras, [corners_of(left, noise_left), corners_of(right, noise_right)])
 
 
 def board_pose(cameras, points_k, left, right, noise_left, noise_right, start, free_scale=False):
     """See `vision.board_pose`."""
-    return vision.board_pose(cameras, points_k, [left, right], [noise_left, noise_right], start, free_scale)
+    views = [corners_of(left, noise_left), corners_of(right, noise_right)]
+    return vision.board_pose(cameras, points_k, views, start, free_scale)
 
 
 def measured_anew(cameras, o: Observation, points_k, left: Corners, right: Corners) -> Observation | None:
     """An observation with other corners, and what follows from them; None if they cannot be triangulated."""
-    seen = left.pixels, right.pixels, left.cov_px2, right.cov_px2
-    points = triangulate(cameras, *seen)
+    points = vision.triangulate(cameras, [left, right])
     if isinstance(points, vision.Miss):
         return None
-    pose = board_pose(cameras, points_k, *seen, o.T_c_k)
+    pose = vision.board_pose(cameras, points_k, [left, right], o.T_c_k)
     return replace(
         o,
         views=(left, right),

@@ -184,7 +184,7 @@ def hidden(pixels: FloatArray) -> Corners:
 
 def _seen_by(o: Observation, rig: CameraRig, board: FloatArray, k: int) -> Observation:
     """An observation with the board's pose from the corners of camera k alone, the only one of a rig."""
-    found = pose_from_one(rig, board, [o.views[k].pixels], [o.views[k].sigma_px])
+    found = pose_from_one(rig, board, o.views[k])
     assert not isinstance(found, Miss)
     points_c, rms_px = se3.act(found.T_c_k[None], board)[0], found.rms_px
     return replace(o, points_c=points_c, T_c_k=found.T_c_k, T_c_k_cov=found.T_c_k_cov, reprojection_px=rms_px)

@@ -4,10 +4,9 @@ import sys
 from pathlib import Path
 
 from mobilecal_cli.model import Board
-from mobilecal_cli.simulate.messages import World
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.scenario import Scenario, World
 from tests.actual import ImperfectWorld
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans
 

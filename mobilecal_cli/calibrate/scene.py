@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,12 @@ from pydantic import TypeAdapter
 from mobilecal_cli.calibrate.detect import first_images, plan_recording
 from mobilecal_cli.calibrate.load import parameters_of
 from mobilecal_cli.errors import ConfigError, RecordingError
-from mobilecal_cli.export.improved import improved_cameras, improved_chain
-from mobilecal_cli.export.scene import Motion, Scene, Unused, frames_of
+from mobilecal_cli.export.improved import improved_chain
+from mobilecal_cli.export.scene import Motion, Scene, Unused
 from mobilecal_cli.kinematics import cut_at, head_pose, integrate
 from mobilecal_cli.likelihood.nuisance import clock_s
 from mobilecal_cli.model import CalibratedRobot, Extraction, FloatArray, Outlier, Rejection, Residuals
 from mobilecal_cli.readers import join_splits, open_recording, sha256_of
-from mobilecal_cli.report.numbers import station_names
 from mobilecal_cli.solvers.residuals import at_constants, residuals_of
 from mobilecal_cli.solvers.transfer import base_motion
 from mobilecal_cli.vision import snapshot_jpeg
@@ -41,24 +39,20 @@ def scene_of(
         ConfigError: a recording is not of this calibration, or report.json cannot be read.
         RecordingError: a recording cannot be read.
     """
-    constants, rig = dict(robot.constants or {}), extraction.rig
+    constants = dict(robot.constants or {})
     parameters = parameters_of(robot, extraction, params)
     report = params.with_name("report.json")
     outliers, used_legs = _judged(report) if report.is_file() else ([], None)
     shown = at_constants(extraction, parameters, constants)
     residuals, pairs = residuals_of(shown, parameters), shown.pairs
     images = _images(extraction, logs) if logs else {}
-    cameras = improved_cameras(rig, constants)[0]
     return Scene(
         robot=robot,
         extraction=extraction,
-        cameras=cameras,
-        board=replace(extraction.board, square_m=extraction.square_m),
         motions={
             log: _motion(extraction, log, robot, constants, residuals, pairs.T_v_h)
             for log in sorted({o.log for o in extraction.observations})
         },
-        station_names=station_names(extraction),
         residuals=residuals,
         T_w_c=residuals.T_w_v @ pairs.T_v_h @ parameters.T_h_c,
         legs={
@@ -68,7 +62,6 @@ def scene_of(
         },
         images=images,
         unused=tuple(sorted(_unused(extraction, outliers), key=lambda item: item.start_ns)),
-        names=frames_of(rig.chain, cameras),
     )
 
 

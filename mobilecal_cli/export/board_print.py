@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.export.scene import dark_squares
 from mobilecal_cli.export.text import decimal
 from mobilecal_cli.model import Board, FloatArray, Markers
 from mobilecal_cli.targets import Paper
@@ -135,7 +134,7 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
     words = _words(board, page, bar_mm)
     left, spare = (width - board_mm[0]) / 2, height - _needed(board, width)[1]
     top = _MARGIN_MM + spare / 2
-    low = dark_squares(replace(board, square_m=1.0))[:, 0, :2] + 1
+    low = dark_squares(board, 1.0)[:, 0, :2] + 1
     dark = np.hstack([low, np.ones_like(low)])
     if board.markers is not None:
         dark = np.vstack([dark, _cells(board.columns + 1, board.rows + 1, board.markers)])
@@ -154,6 +153,16 @@ def board_pdf(board: Board, paper: Paper) -> BoardPrint:
     ]
     content = one_page((width, height), np.vstack([rectangles, bar]), lines, f"{words[0]} mobilecal")
     return BoardPrint(content, page, config, min(left, top))
+
+
+def dark_squares(board: Board, square_m: float) -> FloatArray:
+    """(n, 4, 3) corners of the dark squares (aprilgrid: of the tags) in the board's frame, m."""
+    if board.markers is not None and board.markers.kind == "aprilgrid":
+        return np.asarray(board.grid().reshape(-1, 4, 3) * square_m)
+    row, column = np.divmod(np.arange((board.columns + 1) * (board.rows + 1)), board.columns + 1)
+    dark = (row + column) % 2 == 0
+    low = np.stack([column[dark] - 1, row[dark] - 1, np.zeros(int(dark.sum()))], axis=1)
+    return np.asarray((low[:, None] + np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])) * square_m)
 
 
 def board_setting(board: Board) -> str:

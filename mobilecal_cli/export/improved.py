@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
-from mobilecal_cli import se3
 from mobilecal_cli.camera import project, undistorted
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.kinematics import joint_frames, joint_motion
@@ -176,21 +174,3 @@ def _check(names: Sequence[str], drawn: HeadChain, chain: HeadChain) -> None:
             "calibrated robot's chain",
             _HINT,
         )
-
-
-def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels).
-
-    Returns:
-        Camera → R, (3, 3) raw to rectified coordinates, and P, (3, 4) projection of rectified coordinates, px.
-    """
-    T_r_c = se3.inverse(cameras.T_c_each[1])
-    R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
-    left, right = cameras.each
-    pair = (left.K, left.D, right.K, right.D, (left.width, left.height), R, t)
-    if left.distortion == "equidistant":
-        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
-    else:
-        R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
-    of_each = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
-    return dict(zip(cameras.names, of_each, strict=True))

@@ -54,6 +54,11 @@ _JOINT_POSITIONS = ("joint_zero", "backlash")  # kinds with the unit of the join
 _HINT = "use a params.yaml written by mobilecal calibrate"
 
 
+def names_and_units(odometry: AssumedOdometry | None) -> tuple[tuple[str, ...], FloatArray]:
+    """Names of the nine parameters in files, and (9,) what one is of each: factors stand for the wheels of odometry."""
+    return (NINE, np.ones(9)) if odometry is None else (_FACTOR_ORDER, odometry.units)
+
+
 def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
     """The calibrated robot as commented YAML, the same bytes for the same values; without a verdict.
 
@@ -78,13 +83,10 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
     if odometry is not None:
         shown["factors"] = odometry.factors(wheels).items()
     if uncertainty is not None:
-        covariance = (uncertainty.reference_covariance + uncertainty.reference_covariance.T) / 2
-        order = NINE
+        C, (order, units) = uncertainty.reference_covariance, names_and_units(odometry)
+        covariance = (C + C.T) / 2 / np.outer(units, units)
         if odometry is not None:
-            order, units = _FACTOR_ORDER, odometry.units
-            of_wheels = uncertainty.reference_covariance[6:, 6:]
-            shown["factors_std"] = odometry.factors_std(wheels, of_wheels).items()
-            covariance = covariance / np.outer(units, units)
+            shown["factors_std"] = odometry.factors_std(wheels, C[6:, 6:]).items()
         shown |= {
             "order": order,
             "std": zip(order, np.sqrt(np.diag(covariance)), strict=True),
@@ -299,10 +301,11 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     if checked.constants is not None:
         constants = {name: entry.value for name, entry in checked.constants.items()}
     known = checked.uncertainty
+    odometry = None if checked.odometry is None else checked.odometry.assumed
     knowledge = None
     if known is not None:
         observable = np.array([known.observable[name] for name in known.order])
-        units = np.ones(9) if checked.odometry is None else checked.odometry.assumed.units
+        _, units = names_and_units(odometry)
         knowledge = Knowledge(
             np.array(known.covariance) * np.outer(units, units), observable, known.noise.model_extra or {}
         )
@@ -310,7 +313,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
     elsewhere = read_elsewhere.get("elsewhere", {}) if isinstance(read_elsewhere, dict) else {}
     settings = checked_settings(checked.provenance.config, f"{name}: provenance.config: ")
     joints = {side: wheel.side_joints for side, wheel in settings.wheels.of_sides.items()}
-    odometry, sizes = checked.odometry, checked.wheels or checked.odometry
+    sizes = checked.wheels or checked.odometry
     assert sizes is not None  # checked above
     return CalibratedRobot(
         parent_frame=head_eye.parent_frame,
@@ -322,7 +325,7 @@ def parameters_from_yaml(text: str, name: str = "params.yaml") -> CalibratedRobo
         logs=checked.provenance.logs,
         wheel_joints={side: names[0] for side, names in joints.items() if len(names) == 1},
         side_joints={side: names for side, names in joints.items() if len(names) > 1},
-        odometry=None if odometry is None else odometry.assumed,
+        odometry=odometry,
         nominal_wheels=settings.nominal.wheels.geometry if settings.nominal.wheels else None,
         head_joints=tuple(
             link.joint

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
-
-import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
+from mobilecal_cli.export.improved import improved_cameras
 from mobilecal_cli.model import (
-    Board,
     CalibratedRobot,
     CameraRig,
     Extraction,
     FloatArray,
-    HeadChain,
     IntArray,
     Residuals,
 )
@@ -62,37 +60,65 @@ class Frames(NamedTuple):
     board: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """Everything that a viewer shows.
 
     Attributes:
         robot: the calibration.
         extraction: its measurements.
-        cameras: as estimated, lens corrections as part of the distortion models.
-        board: with its square size.
         motions: recording → motion in it.
-        station_names: of the observations, for people.
         residuals: of the calibration.
         T_w_c: (N, 4, 4) first camera in the world at each observation.
         legs: observation → the leg that predicts its corners, of those that the estimate uses.
         images: observation → camera → JPEG.
         unused: in order of time.
-        names: of the frames.
     """
 
     robot: CalibratedRobot
     extraction: Extraction
-    cameras: CameraRig
-    board: Board
     motions: Mapping[int, Motion]
-    station_names: Sequence[str]
     residuals: Residuals
     T_w_c: FloatArray
     legs: Mapping[int, int]
     images: Mapping[int, Mapping[str, bytes]]
     unused: tuple[Unused, ...]
-    names: Frames
+
+    @cached_property
+    def cameras(self) -> CameraRig:
+        """As estimated, lens corrections as part of the distortion models."""
+        return improved_cameras(self.extraction.rig, self.robot.constants or {})[0]
+
+    @cached_property
+    def names(self) -> Frames:
+        """The robot's own names of the frames; "world" and "board", or longer ones if the robot has these.
+
+        Raises:
+            ConfigError: base and head have the same name.
+        """
+        chain, cameras = self.extraction.rig.chain, self.extraction.rig.cameras
+        if chain.base_frame == chain.head_frame and chain.links:
+            raise ConfigError(
+                f"base and head frame are both {chain.base_frame!r}",
+                "name them in rig.yaml and calibrate again",
+            )
+        taken = [chain.base_frame, chain.head_frame]
+
+        def free(name: str, other: str) -> str:
+            taken.append(other if name in taken else name)
+            return taken[-1]
+
+        each = {
+            name: free(camera.frame_id, f"{name}_camera")
+            for name, camera in zip(cameras.names, cameras.each, strict=True)
+        }
+        world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
+        return Frames(world, chain.base_frame, chain.head_frame, each, board)
+
+    def station_name(self, observation: int) -> str:
+        """Name of the station of an observation, for people."""
+        o = self.extraction.observations[observation]
+        return self.extraction.station_name(o.log, o.station)
 
     def fixed_frames(self) -> list[tuple[str, str, FloatArray]]:
         """Parent, child and child coordinates to parent coordinates (4, 4) of the frames on the head.
@@ -107,38 +133,3 @@ class Scene:
             if name != cameras.reference
         ]
         return [(names.head, reference, self.robot.T_parent_child), *others]
-
-
-def frames_of(chain: HeadChain, cameras: CameraRig) -> Frames:
-    """The robot's own names; "world" and "board", or longer ones if the robot has these.
-
-    Raises:
-        ConfigError: base and head have the same name.
-    """
-    if chain.base_frame == chain.head_frame and chain.links:
-        raise ConfigError(
-            f"base and head frame are both {chain.base_frame!r}", "name them in rig.yaml and calibrate again"
-        )
-    taken = [chain.base_frame, chain.head_frame]
-
-    def free(name: str, other: str) -> str:
-        taken.append(other if name in taken else name)
-        return taken[-1]
-
-    each = {
-        name: free(camera.frame_id, f"{name}_camera")
-        for name, camera in zip(cameras.names, cameras.each, strict=True)
-    }
-    world, board = free("world", "mobilecal_world"), free("board", "mobilecal_board")
-    return Frames(world, chain.base_frame, chain.head_frame, each, board)
-
-
-def dark_squares(board: Board) -> FloatArray:
-    """(n, 4, 3) corners of the dark squares (aprilgrid: of the tags) in the board's frame, m."""
-    square_m = board.square_m or 0.0
-    if board.markers is not None and board.markers.kind == "aprilgrid":
-        return np.asarray(board.grid().reshape(-1, 4, 3) * square_m)
-    row, column = np.divmod(np.arange((board.columns + 1) * (board.rows + 1)), board.columns + 1)
-    dark = (row + column) % 2 == 0
-    low = np.stack([column[dark] - 1, row[dark] - 1, np.zeros(int(dark.sum()))], axis=1)
-    return np.asarray((low[:, None] + np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])) * square_m)

@@ -19,24 +19,9 @@ from rosbags.rosbag2 import Writer as Rosbag2Writer
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from mobilecal_cli.model import CameraInfo, CameraRig, FloatArray, IntArray, WheelGeometry
-from mobilecal_cli.simulate.render import BoardRenderer
-from mobilecal_cli.simulate.robot import (
-    JOINT_NOISE_RAD,
-    JOINT_RATE_HZ,
-    TICK_BITS,
-    TICKS_PER_REVOLUTION,
-    SimulatedRobot,
-    urdf_text,
-)
-from mobilecal_cli.simulate.route import Route, base_in_world
-from mobilecal_cli.simulate.scenario import (
-    BLUR_PX,
-    PIXEL_NOISE_GREY,
-    WHEEL_NOISE_RAD_PER_SQRT_RAD,
-    Scenario,
-    truth_yaml,
-)
+from mobilecal_cli.model import CameraInfo, FloatArray, IntArray, WheelGeometry
+from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, TICK_BITS, TICKS_PER_REVOLUTION, urdf_text
+from mobilecal_cli.simulate.scenario import PIXEL_NOISE_GREY, Scenario, World
 from mobilecal_cli.targets import Container
 
 START_NS = 1_700_000_000_000_000_000  # begin of each recording, since 1970
@@ -136,68 +121,6 @@ def _picture(grey: FloatArray, frame_id: str, time_ns: int, scenario: Scenario) 
     return "sensor_msgs/msg/CompressedImage", {"header": header, "format": scenario.pictures, "data": data}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class World:
-    """What a recording shows: a robot and a board that are as described, on an even floor.
-
-    Attributes:
-        scenario, robot, route: what was planned.
-    """
-
-    scenario: Scenario
-    robot: SimulatedRobot
-    route: Route
-
-    @property
-    def cameras(self) -> CameraRig:
-        """The cameras of the images."""
-        return self.robot.rig_cameras
-
-    def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
-        """A renderer of the board for each camera."""
-        return [BoardRenderer(camera, self.route.board, BLUR_PX, random) for camera in self.cameras.each]
-
-    def camera_poses(self, times_s: FloatArray) -> FloatArray:
-        """T_w_c of the first camera at given times, (n, 4, 4)."""
-        heads = np.array([self.robot.head_pose(joints) for joints in self.route.joints(times_s)])
-        return np.asarray(base_in_world(self.route.drive.poses(times_s)) @ heads @ self.robot.T_h_c)
-
-    def stamps_s(self, times_s: FloatArray) -> FloatArray:
-        """Stamps of images taken at given times, (n,)."""
-        return times_s + self.scenario.camera_late_s
-
-    def state_times_s(self) -> FloatArray:
-        """Times of the joint states; exact recordings sample every change of speed: angles are linear in between."""
-        times_s = np.arange(0, self.route.duration_s, 1 / JOINT_RATE_HZ)
-        breaks_s = self.route.drive.breaks_s
-        return np.unique(np.concatenate([times_s, breaks_s])) if self.scenario.exact else times_s
-
-    def joints(self, times_s: FloatArray) -> FloatArray:
-        """(n, J) joint readings without noise, rad."""
-        return self.route.joints(times_s)
-
-    def wheels(self, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
-        """(n, 2) readings of the right and left encoder, rad."""
-        angles = self.route.drive.wheel_angles(times_s, self.robot.wheels, self.robot.slip)
-        if self.scenario.exact:
-            return angles
-        return self.read(angles, WHEEL_NOISE_RAD_PER_SQRT_RAD, random)
-
-    def read(self, angles: FloatArray, sigma: float, random: np.random.Generator) -> FloatArray:
-        """Wheel rotations (n, k) with a slip of some rad per sqrt(rad), as the encoders resolve them, rad."""
-        change = np.diff(angles, axis=0, prepend=angles[:1])
-        error = random.normal(size=change.shape) * sigma * np.sqrt(np.abs(change))
-        return self.stepped(angles + np.cumsum(error, axis=0))
-
-    def stepped(self, angles: FloatArray) -> FloatArray:
-        """Wheel rotations as the encoders resolve them, rad."""
-        return np.asarray(np.floor(angles / self.robot.encoder_step_rad) * self.robot.encoder_step_rad)
-
-    def truth(self) -> str:
-        """Text of truth.yaml."""
-        return truth_yaml(self.scenario, self.robot, self.route)
-
-
 def driver_odometry(wheels: FloatArray, nominal: WheelGeometry) -> FloatArray:
     """(n, 3) x, y and heading that a driver computes from wheel readings, (n, 2), with nominal wheels."""
     right, left = (np.diff(wheels, axis=0, prepend=wheels[:1]) * nominal.vector[:2]).T
@@ -246,7 +169,7 @@ def _picture_messages(world: World, drawn: Callable[[int, int], None]) -> Iterat
     scenario, robot, rig = world.scenario, world.robot, world.cameras
     random = np.random.default_rng([scenario.seed, 4])
     renderers = world.renderers(random)
-    times_s = scenario.picture_times_s(world.route)
+    times_s = world.picture_times_s()
     stamps = nanoseconds(world.stamps_s(times_s)).tolist()
     ending = "" if scenario.pictures == "mono8" else "/compressed"
     for i, T_w_c in enumerate(world.camera_poses(times_s)):
@@ -304,7 +227,7 @@ _MCAP = {
     "mcap-zstd": CompressionType.ZSTD,
     "mcap-ros1": CompressionType.NONE,
 }
-_ROSBAG2 = {"rosbag2": StoragePlugin.SQLITE3, "rosbag2-mcap": StoragePlugin.MCAP}
+ROSBAG2 = {"rosbag2": StoragePlugin.SQLITE3, "rosbag2-mcap": StoragePlugin.MCAP}
 _BAG = {"bag-lz4": BagWriter.CompressionFormat.LZ4, "bag-bz2": BagWriter.CompressionFormat.BZ2}
 
 
@@ -316,8 +239,8 @@ def write(container: Container, path: Path, messages: Iterable[Published]) -> No
         _mcap(_MCAP[container], path, messages, publisher)
         return
     writer: Any = BagWriter(path)
-    if container in _ROSBAG2:
-        writer = Rosbag2Writer(path, version=9, storage_plugin=_ROSBAG2[container])
+    if container in ROSBAG2:
+        writer = Rosbag2Writer(path, version=9, storage_plugin=ROSBAG2[container])
     elif container in _BAG:
         writer.set_compression(_BAG[container])
     connections: dict[str, Any] = {}

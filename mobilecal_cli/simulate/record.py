@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
@@ -17,13 +16,10 @@ from mobilecal_cli.export.outputs import (
     write_synced,
 )
 from mobilecal_cli.files.interruption import uninterrupted
-from mobilecal_cli.files.placing import Recognize, partial_of, place
-from mobilecal_cli.simulate.messages import World, published, write
-from mobilecal_cli.simulate.robot import SimulatedRobot
-from mobilecal_cli.simulate.route import Route
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.files.placing import partial_of, place
+from mobilecal_cli.simulate.messages import ROSBAG2, published, write
+from mobilecal_cli.simulate.scenario import Scenario, World
 
-_DIRECTORIES = ("rosbag2", "rosbag2-mcap")
 _IN_ROSBAG2 = (".db3", ".mcap", ".db3-wal", ".db3-shm")
 
 
@@ -43,7 +39,7 @@ def simulate(
     out: Path,
     force: bool = False,
     progress: Progress = silent,
-    world_of: Callable[[Scenario, SimulatedRobot, Route], World] = World,
+    world_of: type[World] = World,
 ) -> Path:
     """Simulate a scenario and write its recording.
 
@@ -62,8 +58,13 @@ def simulate(
         ConfigError: no route keeps the board in view.
     """
     truth = truth_path(out)
-    recognized = recognized_folder if scenario.container in _DIRECTORIES else recognized_file
-    _check(out, truth, recognized, force)
+    recognized = recognized_folder if scenario.container in ROSBAG2 else recognized_file
+    check_replaceable(out, recognized, force)
+    if os.path.lexists(out) and not truth.is_file():
+        raise OutputError(
+            f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
+        )
+    check_file(truth, force)
     world = world_of(scenario, *scenario.plan())
     messages = published(world, lambda done, total: progress("rendering images", done, total))
     try:
@@ -77,16 +78,6 @@ def simulate(
         reason = getattr(error, "strerror", None) or error
         raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error
     return truth
-
-
-def _check(out: Path, truth: Path, recognized: Recognize, force: bool) -> None:
-    """Check before the simulation whether a recording and its ground truth can be written or replaced."""
-    check_replaceable(out, recognized, force)
-    if os.path.lexists(out) and not truth.is_file():
-        raise OutputError(
-            f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
-        )
-    check_file(truth, force)
 
 
 def recognized_folder(folder: Path) -> tuple[str, ...]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import pickle
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -74,7 +73,6 @@ _DARK, _LIGHT, _PAPER = 32.0, 196.0, 208.0  # gray levels
 _MARGIN_SQUARES = 1.0  # of paper around the print
 _PAD_PX = 6  # around the board, which the lens blur reaches
 _SHADE = 0.10  # decrease of the brightness over the image width
-INVERSE_ROUNDS = 25  # to rounding, with the distortion of the simulated cameras
 
 
 def _width(position: FloatArray) -> FloatArray:
@@ -102,11 +100,10 @@ def pixel_grid(camera: Camera) -> FloatArray:
     return np.stack(np.meshgrid(x, y), -1)
 
 
-@functools.lru_cache(maxsize=4)
-def _pixel_rays(pickled: bytes) -> FloatArray:
-    """Ray of each pixel of a camera, which has no hash, (height, width, 2) at z = 1: slower than drawing an image."""
-    camera: Camera = pickle.loads(pickled)
-    return rays(camera, pixel_grid(camera), INVERSE_ROUNDS)
+@lru_cache(maxsize=4)
+def _pixel_rays(camera: Camera) -> FloatArray:
+    """Ray of each pixel of a camera, (height, width, 2) at z = 1: slower than drawing an image."""
+    return rays(camera, pixel_grid(camera))
 
 
 class BoardRenderer:
@@ -136,7 +133,7 @@ class BoardRenderer:
 
     def pixel_rays(self) -> FloatArray:
         """Ray of each pixel, (height, width, 2) at z = 1."""
-        return _pixel_rays(pickle.dumps(self.camera))
+        return _pixel_rays(self.camera)
 
     def pixels_of(self, T_x_k: FloatArray, at: FloatArray) -> FloatArray:
         """Pixels (N, 2) of places on the board, (N, 2) squares."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import ClassVar, Final, Literal
 
 import numpy as np
@@ -32,15 +32,13 @@ JOINT_RATE_HZ = 50  # of the joint states, and of ticks and odometry
 JOINT_NOISE_RAD = np.radians(0.01)  # sigma of one joint reading
 TICKS_PER_REVOLUTION = 4096  # of a wheel's tick counter
 TICK_BITS: Final = 16  # of its messages, so that it wraps
+_INVERSE_ROUNDS = 25  # to rounding, with the distortion of these cameras
 
 
-def stereo_infos(
-    prefix: str, focal_px: float = 550.0, shift_px: float = 0.0
-) -> tuple[CameraInfo, CameraInfo]:
+def stereo_infos(focal_px: float = 550.0, shift_px: float = 0.0) -> tuple[CameraInfo, CameraInfo]:
     """CameraInfo of the left and right camera: 640x480, 0.12 m baseline, moderate plumb_bob distortion.
 
     Args:
-        prefix: of the frame names, "<prefix>_left_optical" and "<prefix>_right_optical".
         focal_px: approximate focal length of both cameras, px.
         shift_px: offset of the principal points, so that two robots have different cameras, px.
 
@@ -65,10 +63,10 @@ def stereo_infos(
     P_left = np.array([[focal_px, 0, 320.0, 0], [0, focal_px, 240.0, 0], [0, 0, 1, 0]])
     P_right = P_left.copy()
     P_right[0, 3] = -focal_px * BASELINE_M
-    left = CameraInfo(f"{prefix}_left_optical", WIDTH, HEIGHT, K_left, D_left, "plumb_bob", R_rect_c, P_left)
+    left = CameraInfo("stereo_left_optical", WIDTH, HEIGHT, K_left, D_left, "plumb_bob", R_rect_c, P_left)
     R_rect_r = R_rect_c @ R_c_r.as_matrix()
     right = CameraInfo(
-        f"{prefix}_right_optical", WIDTH, HEIGHT, K_right, D_right, "plumb_bob", R_rect_r, P_right
+        "stereo_right_optical", WIDTH, HEIGHT, K_right, D_right, "plumb_bob", R_rect_r, P_right
     )
     return left, right
 
@@ -88,14 +86,6 @@ def distort(D: FloatArray, flat: FloatArray) -> FloatArray:
     )
 
 
-def undistort(D: FloatArray, distorted: FloatArray, rounds: int = 40) -> FloatArray:
-    """Inverse of `distort` by fixed-point iteration, which converges for moderate distortion."""
-    flat = distorted
-    for _ in range(rounds):
-        flat = flat + (distorted - distort(D, flat))
-    return flat
-
-
 def pixels(camera: Camera, points: FloatArray) -> FloatArray:
     """Project points in the camera frame, (..., 3), to (..., 2) px; independent of the solver's code."""
     flat = points[..., :2] / points[..., 2:]
@@ -104,10 +94,16 @@ def pixels(camera: Camera, points: FloatArray) -> FloatArray:
     return np.asarray(flat @ camera.K[:2, :2].T + camera.K[:2, 2])
 
 
-def rays(camera: Camera, at: FloatArray, rounds: int = 40) -> FloatArray:
-    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2)."""
-    flat = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
-    return undistort(camera.D, flat, rounds) if np.any(camera.D) else flat
+def rays(camera: Camera, at: FloatArray) -> FloatArray:
+    """Inverse of `pixels`: (..., 2) px → z = 1 coordinates (..., 2).
+
+    Fixed-point iteration, which converges for moderate distortion.
+    """
+    flat = distorted = (at - camera.K[:2, 2]) / np.diagonal(camera.K)[:2]
+    if np.any(camera.D):
+        for _ in range(_INVERSE_ROUNDS):
+            flat = flat + (distorted - distort(camera.D, flat))
+    return flat
 
 
 Vector = tuple[float, float, float]
@@ -147,7 +143,7 @@ def pose(xyz_m: FloatArray | Vector, rotation: Rotation) -> FloatArray:
 _NOMINAL = pose((0.012, -0.008, 0.015), Rotation.from_euler("xyz", (1.5, -2.0, 1.0), degrees=True))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SimulatedRobot:
     """A robot with known ground truth: `T_h_c` and `wheels` are the values that a calibration estimates.
 
@@ -196,7 +192,7 @@ class SimulatedRobot:
         """Names of the moving joints, from the base."""
         return tuple(joint.name for joint in self.joints if joint.name)
 
-    @property
+    @cached_property
     def rig_cameras(self) -> CameraRig:
         """The cameras, for raw images: by their poses, or a stereo pair.
 
@@ -263,7 +259,7 @@ def paper_robot() -> SimulatedRobot:
         ),
         pan="head_pan_joint",
         tilt="head_tilt_joint",
-        infos=stereo_infos("stereo"),
+        infos=stereo_infos(),
         T_h_c=pose(np.array((13.60, -64.34, -70.77)) / 1000, rotation),
         wheels=WheelGeometry(radius_right_m=0.22330, radius_left_m=0.22767, separation_m=0.50870),
         nominal_wheels=WheelGeometry(radius_right_m=0.225, radius_left_m=0.225, separation_m=0.500),
@@ -283,7 +279,7 @@ def tick_robot() -> SimulatedRobot:
         ),
         pan="pan_joint",
         tilt="tilt_joint",
-        infos=stereo_infos("stereo", focal_px=520.0, shift_px=6.0),
+        infos=stereo_infos(focal_px=520.0, shift_px=6.0),
         T_h_c=pose(
             (0.045, 0.0615, 0.032), Rotation.from_euler("xyz", (1.2, -2.1, 1.7), degrees=True) * OPTICAL
         ),
@@ -299,7 +295,7 @@ def fixed_camera_robot() -> SimulatedRobot:
     return SimulatedRobot(
         name="fixed_camera",
         joints=(),
-        infos=stereo_infos("stereo"),
+        infos=stereo_infos(),
         T_h_c=pose(
             (0.183, 0.0585, 0.524), Rotation.from_euler("xyz", (0.8, -1.6, 1.3), degrees=True) * OPTICAL
         ),
@@ -336,7 +332,7 @@ def odometry_only_robot() -> SimulatedRobot:
 @cache
 def rgbd_robot() -> SimulatedRobot:
     """Small robot with the color camera of an RGB-D camera on its base."""
-    color = replace(stereo_infos("camera_color", focal_px=605.0)[0], frame_id="camera_color_optical_frame")
+    color = replace(stereo_infos(focal_px=605.0)[0], frame_id="camera_color_optical_frame")
     return SimulatedRobot(
         name="rgbd",
         joints=(),

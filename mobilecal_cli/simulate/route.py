@@ -241,16 +241,16 @@ class Planner:
 
     def looking(self, base: Pose, motion: Motion, first: FloatArray) -> FloatArray | None:
         """Joint angles for a stop, None if the board is not in view; `first` is for a fixed head."""
-        if motion == "head_fixed":
-            return first
-        if motion != "pan_only":
+        if motion not in ("head_fixed", "pan_only"):
             return self.gaze(base)
-        point = self.centre_w + self.random.uniform(-0.2, 0.2, 3)
-        level = np.zeros(len(self.robot.joint_names))
-        for of_aim, joint in self._aim:
-            if of_aim == 0:
-                level[joint] = self.look_at(base, point, level)[joint]
-        return level
+        joints = first
+        if motion == "pan_only":
+            point = self.centre_w + self.random.uniform(-0.2, 0.2, 3)
+            joints = np.zeros(len(self.robot.joint_names))
+            for of_aim, joint in self._aim:
+                if of_aim == 0:
+                    joints[joint] = self.look_at(base, point, joints)[joint]
+        return joints if self.sees_board(base, joints) else None
 
     def leg(self, base: Pose, motion: Motion) -> list[Stretch]:
         """Random motion from a pose: turn, drive (on an arc), turn."""
@@ -317,7 +317,7 @@ def plan_stops(planner: Planner, motion: Motion, stations: int) -> Route:
         if not planner.allowed(there):
             continue
         joints = planner.looking(there, motion, fixed)
-        if joints is None or not planner.sees_board(there, joints):
+        if joints is None:
             continue
         if not way:
             way = [Stretch(1.5)]

@@ -1,4 +1,4 @@
-"""Description of a simulation, and the ground truth written with its recording."""
+"""Description of a simulation, and the world that its recording shows, with the ground truth."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Board, FloatArray, Markers
-from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, SimulatedRobot
-from mobilecal_cli.simulate.route import CHECKERBOARD, Route, plan_route
+from mobilecal_cli.model import Board, CameraRig, FloatArray, Markers
+from mobilecal_cli.simulate.render import BoardRenderer
+from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, JOINT_RATE_HZ, ROBOTS, SimulatedRobot
+from mobilecal_cli.simulate.route import CHECKERBOARD, Route, base_in_world, plan_route
 from mobilecal_cli.targets import BoardKind, Container, Motion, Pictures
 
 PRINTED: dict[BoardKind, Board] = {
@@ -71,33 +72,90 @@ class Scenario:
         shift[:3, 3] -= printed.grid().mean(axis=0) * (printed.square_m or 1.0)
         return robot, replace(route, board=printed, T_w_k=route.T_w_k @ shift)
 
-    def picture_times_s(self, route: Route) -> FloatArray:
+
+@dataclass(frozen=True, slots=True, eq=False)
+class World:
+    """What a recording shows: a robot and a board that are as described, on an even floor.
+
+    Attributes:
+        scenario, robot, route: what was planned.
+    """
+
+    scenario: Scenario
+    robot: SimulatedRobot
+    route: Route
+
+    @property
+    def cameras(self) -> CameraRig:
+        """The cameras of the images."""
+        return self.robot.rig_cameras
+
+    def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
+        """A renderer of the board for each camera."""
+        return [BoardRenderer(camera, self.route.board, BLUR_PX, random) for camera in self.cameras.each]
+
+    def camera_poses(self, times_s: FloatArray) -> FloatArray:
+        """T_w_c of the first camera at given times, (n, 4, 4)."""
+        heads = np.array([self.robot.head_pose(joints) for joints in self.route.joints(times_s)])
+        return np.asarray(base_in_world(self.route.drive.poses(times_s)) @ heads @ self.robot.T_h_c)
+
+    def picture_times_s(self) -> FloatArray:
         """Times of the stereo pairs, s: inside the rests; without rests, ten per second."""
-        if not len(route.rests_s):
-            return np.arange(0.5, route.duration_s - 0.5, 1 / _MOVING_HZ)
-        begin, end = route.rests_s.T
-        return np.linspace(
-            begin + _REST_MARGIN_S, end - _REST_MARGIN_S, self.pictures_per_rest, axis=1
-        ).ravel()
+        if not len(self.route.rests_s):
+            return np.arange(0.5, self.route.duration_s - 0.5, 1 / _MOVING_HZ)
+        begin, end = self.route.rests_s.T
+        each = self.scenario.pictures_per_rest
+        return np.linspace(begin + _REST_MARGIN_S, end - _REST_MARGIN_S, each, axis=1).ravel()
 
+    def stamps_s(self, times_s: FloatArray) -> FloatArray:
+        """Stamps of images taken at given times, (n,)."""
+        return times_s + self.scenario.camera_late_s
 
-def truth_yaml(scenario: Scenario, robot: SimulatedRobot, route: Route) -> str:
-    """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
-    noisy = 0.0 if scenario.exact else 1.0
-    times_s = route.rests_s.mean(axis=1)
-    return rendered(
-        "truth.yaml",
-        scenario=scenario,
-        robot=robot,
-        route=route,
-        translation_m=robot.T_h_c[:3, 3],
-        quaternion_xyzw=se3.quaternion_xyzw(robot.T_h_c[:3, :3]),
-        noise={
-            "pixel_noise_grey": noisy * PIXEL_NOISE_GREY,
-            "blur_px": BLUR_PX,
-            "wheel_noise_rad_per_sqrt_rad": noisy * WHEEL_NOISE_RAD_PER_SQRT_RAD,
-            "encoder_step_rad": noisy * robot.encoder_step_rad,
-            "joint_noise_rad": noisy * JOINT_NOISE_RAD,
-        },
-        stations=list(zip(times_s, route.drive.poses(times_s), route.joints(times_s), strict=True)),
-    )
+    def state_times_s(self) -> FloatArray:
+        """Times of the joint states; exact recordings sample every change of speed: angles are linear in between."""
+        times_s = np.arange(0, self.route.duration_s, 1 / JOINT_RATE_HZ)
+        breaks_s = self.route.drive.breaks_s
+        return np.unique(np.concatenate([times_s, breaks_s])) if self.scenario.exact else times_s
+
+    def joints(self, times_s: FloatArray) -> FloatArray:
+        """(n, J) joint readings without noise, rad."""
+        return self.route.joints(times_s)
+
+    def wheels(self, times_s: FloatArray, random: np.random.Generator) -> FloatArray:
+        """(n, 2) readings of the right and left encoder, rad."""
+        angles = self.route.drive.wheel_angles(times_s, self.robot.wheels, self.robot.slip)
+        if self.scenario.exact:
+            return angles
+        return self.read(angles, WHEEL_NOISE_RAD_PER_SQRT_RAD, random)
+
+    def read(self, angles: FloatArray, sigma: float, random: np.random.Generator) -> FloatArray:
+        """Wheel rotations (n, k) with a slip of some rad per sqrt(rad), as the encoders resolve them, rad."""
+        change = np.diff(angles, axis=0, prepend=angles[:1])
+        error = random.normal(size=change.shape) * sigma * np.sqrt(np.abs(change))
+        return self.stepped(angles + np.cumsum(error, axis=0))
+
+    def stepped(self, angles: FloatArray) -> FloatArray:
+        """Wheel rotations as the encoders resolve them, rad."""
+        return np.asarray(np.floor(angles / self.robot.encoder_step_rad) * self.robot.encoder_step_rad)
+
+    def truth(self) -> str:
+        """Text of truth.yaml: the nine parameters under the keys of params.yaml, and the stations."""
+        robot, route = self.robot, self.route
+        noisy = 0.0 if self.scenario.exact else 1.0
+        times_s = route.rests_s.mean(axis=1)
+        return rendered(
+            "truth.yaml",
+            scenario=self.scenario,
+            robot=robot,
+            route=route,
+            translation_m=robot.T_h_c[:3, 3],
+            quaternion_xyzw=se3.quaternion_xyzw(robot.T_h_c[:3, :3]),
+            noise={
+                "pixel_noise_grey": noisy * PIXEL_NOISE_GREY,
+                "blur_px": BLUR_PX,
+                "wheel_noise_rad_per_sqrt_rad": noisy * WHEEL_NOISE_RAD_PER_SQRT_RAD,
+                "encoder_step_rad": noisy * robot.encoder_step_rad,
+                "joint_noise_rad": noisy * JOINT_NOISE_RAD,
+            },
+            stations=list(zip(times_s, route.drive.poses(times_s), route.joints(times_s), strict=True)),
+        )

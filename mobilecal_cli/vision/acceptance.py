@@ -45,15 +45,15 @@ def check_size(grid: FloatArray) -> Miss | None:
     return Miss("squares too small", f"smallest square {edge_px:.1f} px, minimum {MIN_EDGE_PX:.0f} px")
 
 
-def _limit_px(grid_map: GridMap, edge_px: float) -> float:
+def _limit_px(grid_map: GridMap) -> float:
     """Largest distance of a corner from the smooth map through the others, px; see `GridMap.off_px`."""
     usual_px = upper_median(grid_map.off_px.ravel())
-    return max(_LEAST_OFF_PX, min(_MOST_OFF * edge_px, _MOST_OFF_TIMES * usual_px))
+    return max(_LEAST_OFF_PX, min(_MOST_OFF * smallest_edge_px(grid_map.corners), _MOST_OFF_TIMES * usual_px))
 
 
-def off_grid(grid_map: GridMap, edge_px: float) -> BoolArray:
+def off_grid(grid_map: GridMap) -> BoolArray:
     """(rows, columns) whether a corner is off the grid of the others."""
-    return np.asarray(grid_map.off_px > _limit_px(grid_map, edge_px))
+    return np.asarray(grid_map.off_px > _limit_px(grid_map))
 
 
 def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tuple[FittedCorners, GridMap]:
@@ -66,14 +66,13 @@ def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tup
         The corners, and the smooth map through them.
     """
     fit = fit_corners(image, grid, appearance)
-    corners = fit.pixels.reshape(grid.shape)
     # Where most corners are not corners, no lens would make them a board.
     is_board = np.mean(fit.fitted) >= 1 - _MOST_BAD
-    grid_map = fit_grid(corners, image.shape if is_board else None)
-    bad = off_grid(grid_map, smallest_edge_px(corners)) | ~fit.fitted.reshape(grid.shape[:2])
+    grid_map = fit_grid(fit.pixels.reshape(grid.shape), image.shape if is_board else None)
+    bad = off_grid(grid_map) | ~fit.fitted.reshape(grid_map.shape)
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
-    again = fit_corners(image, grid_map.predicted(corners, bad), appearance)
+    again = fit_corners(image, grid_map.predicted(bad), appearance)
     return again, fit_grid(again.pixels.reshape(grid.shape), image.shape)
 
 
@@ -87,8 +86,7 @@ def accepted(
         expected: with the sign of the contrast, and with the outer squares, of this image.
         order: of the corners.
     """
-    edge_px = smallest_edge_px(fit.pixels.reshape(grid_map.residual.shape))
-    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map, edge_px)
+    worst_px, most_px = float(grid_map.off_px.max()), _limit_px(grid_map)
     if worst_px > most_px:
         return Miss(
             "corners not on a regular grid", f"worst corner {worst_px:.2f} px, limit {most_px:.2f} px"
@@ -136,13 +134,13 @@ def _across(columns: int, rows: int, axis: int) -> FloatArray:
     return np.asarray(uv + np.array([[_NEAR, -_NEAR], [_FAR, -_FAR]])[..., None, None] * np.eye(2)[axis])
 
 
-def check_sharpness(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> Miss | None:
+def check_sharpness(image: GrayImage, grid_map: GridMap) -> Miss | None:
     """A Miss if the borders between squares are too wide for accurate corners, None otherwise.
 
     For a step blurred by a Gaussian of sigma s, the difference across a border at distance d is proportional
     to erf(d / (s sqrt(2))); the ratio at two distances gives s. The blurrier axis counts.
     """
-    widths = []
+    (rows, columns), widths = grid_map.shape, []
     for axis in (0, 1):
         brightness = sample(image, grid_map(_across(columns, rows, axis)))[0]
         near, far = np.abs(brightness[:, 0] - brightness[:, 1])
@@ -175,17 +173,17 @@ def _samples(columns: int, rows: int, outer: float, beyond: int) -> FloatArray:
     return np.asarray(middle[:, :, None] + np.stack(np.meshgrid(offset, offset), axis=-1).reshape(9, 2))
 
 
-def check_colors(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool | Miss:
+def check_colors(image: GrayImage, grid_map: GridMap) -> bool | Miss:
     """Check that dark and light squares alternate, including the outer ones, and that the pattern ends there.
 
     Args:
         image: (height, width) gray.
         grid_map: grid coordinates to pixels.
-        columns, rows: inner corners.
 
     Returns:
         Whether the outer square diagonally next to corner 0 is dark, or the reason for rejection.
     """
+    rows, columns = grid_map.shape
     brightness, in_image = sample(image, grid_map(_samples(columns, rows, _NEAR_OUTER, 1)))
     inside = np.asarray(in_image.all(axis=-1))
     board = inside[1:-1, 1:-1]
@@ -244,8 +242,9 @@ def check_colors(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -
     return flip < 0
 
 
-def outer_squares_whole(image: GrayImage, grid_map: GridMap, columns: int, rows: int) -> bool:
+def outer_squares_whole(image: GrayImage, grid_map: GridMap) -> bool:
     """Whether the outer squares are as wide as the others: a board with narrow ones has its margin here."""
+    rows, columns = grid_map.shape
     brightness, inside = sample(image, grid_map(_samples(columns, rows, _WHOLE_OUTER, 0)))
     signed = colors(rows + 1, columns + 1) * brightness.mean(axis=-1)
     contrast = float(np.median(signed[1:-1, 1:-2] + signed[1:-1, 2:-1]))

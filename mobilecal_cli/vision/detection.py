@@ -52,24 +52,23 @@ def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float
 
 def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     """Refine corners and apply the acceptance checks."""
-    rows, columns = grid.shape[:2]
     grid = right_handed(grid)
     for _ in range(2):
         if (small := check_size(grid)) is not None:
             return small
         grid = refine(image, grid, smallest_edge_px(grid))
         grid_map = fit_grid(grid, image.shape)
-        bad = off_grid(grid_map, smallest_edge_px(grid))
+        bad = off_grid(grid_map)
         if not bad.any():
             break
-        grid = grid_map.predicted(grid, bad)  # restart corners that diverged where the others predict them
+        grid = grid_map.predicted(bad)  # restart corners that diverged where the others predict them
     if (small := check_size(grid)) is not None:
         return small
-    appearance = Appearance(outer_whole=outer_squares_whole(image, grid_map, columns, rows))
+    appearance = Appearance(outer_whole=outer_squares_whole(image, grid_map))
     grid = refine_widely(image, grid, smallest_edge_px(grid), appearance.outer_whole)
     fit, grid_map = fit_board(image, grid, appearance)
-    dark_at_origin = check_colors(image, grid_map, columns, rows)
-    blurred = check_sharpness(image, grid_map, columns, rows)
+    dark_at_origin = check_colors(image, grid_map)
+    blurred = check_sharpness(image, grid_map)
     # Blur affects the outer squares first: if both checks fail, report the blur.
     if isinstance(dark_at_origin, Miss) and (blurred is None or dark_at_origin.reason != OCCLUDED):
         return dark_at_origin

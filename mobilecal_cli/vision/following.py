@@ -25,9 +25,7 @@ _WHOLE = 0.75  # least contrast of the outermost corners over those next to them
 _FEWEST = 0.8  # least share of valid corners, over the board and along each of its sides
 
 
-def follow(
-    image: GrayImage, expected: FloatArray, appearance: Appearance, columns: int, rows: int
-) -> Detection | Miss:
+def follow(image: GrayImage, expected: FloatArray, appearance: Appearance, board: Board) -> Detection | Miss:
     """Detect the board near its predicted position, with the same numbering.
 
     Corners are refined and fitted. They are accepted if nearly all of them have the expected square colors,
@@ -38,20 +36,20 @@ def follow(
         image: (height, width) gray.
         expected: (M, 2) predicted corners, px.
         appearance: of the last image that showed the board.
-        columns, rows: inner corners.
+        board: a checkerboard.
     """
     height, width = image.shape
     low, high = expected.min(axis=0), expected.max(axis=0)
     if low.min() < _MARGIN_PX or high[0] > width - 1 - _MARGIN_PX or high[1] > height - 1 - _MARGIN_PX:
         return Miss(OCCLUDED, "the predicted corners are at the image border")
-    grid = expected.reshape(rows, columns, 2)
+    grid = expected.reshape(board.rows, board.columns, 2)
     if (small := check_size(grid)) is not None:
         return small
     grid = refine(image, grid, smallest_edge_px(grid), appearance.outer_whole, tracked=True)
     if smallest_edge_px(grid) < MIN_EDGE_PX / 2:
         return Miss("corners not on a regular grid", "refined corners coincide")
     fit, grid_map = fit_board(image, grid, appearance)
-    if not _is_board(fit, appearance.contrast_grey, rows, columns):
+    if not _is_board(fit, appearance.contrast_grey, board):
         return Miss(
             "square colors do not alternate",
             "corners at the predicted position are occluded or have the wrong square colors",
@@ -59,9 +57,10 @@ def follow(
     return accepted(fit, grid_map, appearance)
 
 
-def _is_board(fit: FittedCorners, contrast_grey: float, rows: int, columns: int) -> bool:
-    strength = fit.contrast_grey.reshape(rows, columns) * (colors(rows, columns) / contrast_grey)
-    good = fit.fitted.reshape(rows, columns) & (strength > _WEAKEST)
+def _is_board(fit: FittedCorners, contrast_grey: float, board: Board) -> bool:
+    shape = board.rows, board.columns
+    strength = fit.contrast_grey.reshape(shape) * (colors(*shape) / contrast_grey)
+    good = fit.fitted.reshape(shape) & (strength > _WEAKEST)
     sides = good[0], good[-1], good[:, 0], good[:, -1], good
     if any(np.count_nonzero(side) < _FEWEST * side.size for side in sides):
         return False
@@ -143,11 +142,10 @@ class BoardFollower:
         appearance = self._last_two[-1][1].appearance if self._last_two else None
         if appearance is None:
             return None
-        columns, rows = self._board.columns, self._board.rows
-        detection = follow(image, self._expected(time_ns), appearance, columns, rows)
+        detection = follow(image, self._expected(time_ns), appearance, self._board)
         soon = 0 <= time_ns - self._last_two[-1][0] <= _LONGEST_GAP_NS
         if not isinstance(detection, Detection) and soon and self._last_image.shape == image.shape:
-            detection = follow(image, self._carried(image), appearance, columns, rows)
+            detection = follow(image, self._carried(image), appearance, self._board)
         return detection
 
     def _expected(self, time_ns: int) -> FloatArray:

@@ -94,6 +94,7 @@ class GridMap:
 
     Attributes:
         frame: what depends only on the board's size.
+        corners: (rows, columns, 2) the corners that it was fitted to, px.
         H: (3, 3) homography from centered grid coordinates to pixels, or to the rays of the lens.
         lens: of a fisheye camera; None for a perspective one.
         bend: (terms, 2) coefficients of the polynomial, px.
@@ -102,6 +103,7 @@ class GridMap:
     """
 
     frame: _Frame
+    corners: FloatArray
     H: FloatArray
     lens: Fisheye | None
     bend: FloatArray
@@ -114,6 +116,12 @@ class GridMap:
         return _through(self.H, w, self.lens) + _monomials(w, self.frame.degree) @ self.bend
 
     @property
+    def shape(self) -> tuple[int, int]:
+        """Numbers of rows and columns of the corners."""
+        rows, columns, _ = self.corners.shape
+        return rows, columns
+
+    @property
     def off_px(self) -> FloatArray:
         """(rows, columns) distance of each corner from the map through all others, px.
 
@@ -121,11 +129,11 @@ class GridMap:
         """
         return np.asarray(np.hypot(self.residual[..., 0], self.residual[..., 1]) / self.frame.freedom)
 
-    def predicted(self, grid: FloatArray, bad: BoolArray) -> FloatArray:
-        """The corners (rows, columns, 2) this map was fitted to, px, the bad ones as the others predict them."""
+    def predicted(self, bad: BoolArray) -> FloatArray:
+        """The corners (rows, columns, 2), px, the bad ones as the others predict them."""
         chosen = self.frame.finer[bad.ravel()]
         free = np.eye(len(chosen)) - chosen @ chosen.T
-        better = grid.copy()
+        better = self.corners.copy()
         better[bad] -= np.linalg.lstsq(free, self.residual[bad], rcond=1e-3)[0]
         return better
 
@@ -234,12 +242,11 @@ def _fisheye_fit(grid: FloatArray, image_shape: tuple[int, int]) -> GridMap | No
     """The smoothest map through a fisheye lens, by Gauss-Newton steps on the lens from the best of a few."""
     (height, width), side_px = image_shape, max(image_shape)
     center_px = np.array([(width - 1) / 2, (height - 1) / 2])
-    lenses = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
-    fits = [_fit(grid, lens) for lens in lenses if lens.reaches(grid.reshape(-1, 2))]
-    best = min(fits, key=lambda fit: fit.sigma_px, default=None)
-    if best is None or best.lens is None:
+    tried = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
+    lenses = [lens for lens in tried if lens.reaches(grid.reshape(-1, 2))]
+    if not lenses:
         return None
-    start, change = best.lens, np.zeros(3)
+    start, change = min(lenses, key=lambda lens: _fit(grid, lens).sigma_px), np.zeros(3)
 
     def cost(change: FloatArray) -> tuple[FloatArray, GridMap]:
         fit = _fit(grid, start.moved(change, side_px))
@@ -267,7 +274,8 @@ def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:
         H *= np.sign(np.sum(rays * (frame.w @ H[:, :2].T + H[:, 2])))  # toward the camera's front
     bent = pixels - _through(H, frame.w, lens)
     residual, sigma_px = _scatter(frame, bent)
-    return GridMap(frame, H, lens, np.asarray(frame.solver @ bent), residual.reshape(grid.shape), sigma_px)
+    bend = np.asarray(frame.solver @ bent)
+    return GridMap(frame, grid, H, lens, bend, residual.reshape(grid.shape), sigma_px)
 
 
 def roughness_px(camera: Camera, grid: FloatArray) -> float:

@@ -45,6 +45,17 @@ class _Fit:
         """Misfit of the chosen numberings, rad."""
         return float(np.sqrt(np.mean(self.misfit_rad[np.arange(len(self.choice)), self.choice] ** 2)))
 
+    @property
+    def relative(self) -> IntArray:
+        """(N,) index of each station's turn from that of the first."""
+        return np.asarray((self.choice - self.choice[0]) % self.misfit_rad.shape[1])
+
+    @property
+    def gap_rad(self) -> FloatArray:
+        """(N,) difference in misfit between the two best turns, rad."""
+        ordered = np.sort(self.misfit_rad, axis=1)
+        return np.asarray(ordered[:, 1] - ordered[:, 0])
+
 
 def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observation:
     """The same observation with the board numbered from another corner."""
@@ -99,8 +110,7 @@ def resolve_numbering(
     Returns:
         The observations in a common numbering (any of the equivalent ones), and a rejection for each station
         whose numbering the motion does not determine. A board with markers, or with counts of different
-        parity, is
-        unambiguous: its observations are returned unchanged.
+        parity, is unambiguous: its observations are returned unchanged.
     """
     possible = turns(board)
     if len(possible) == 1 or len(observations) < 2:
@@ -110,41 +120,33 @@ def resolve_numbering(
     R_c_k_found = np.stack([o.T_c_k[:3, :3] for o in observations])
     R_c_k = np.stack([R_c_k_found @ R for R in R_k_turned])
     vertical_h = np.asarray(R_v_h)[:, 2, :]
-    # Initial estimate: the numbering of each station that rotates the board least against the first station's
-    # view.
+    # Initial estimate: the numbering of each station that rotates the board least against the first station's view.
     relative = np.einsum("ji,tnjk->tnik", R_c_k_found[0], R_c_k)
     nearest = np.argmax(np.trace(relative, axis1=2, axis2=3), axis=0)
     starts = [np.array(s, dtype=np.float64) for s in product((-1, 0, 1), repeat=3) if any(s)]
     fits = [_fit(R_c_k, vertical_h, nearest, s / np.linalg.norm(s)) for s in starts]
     best = min(fits, key=lambda fit: fit.rms_rad)
-    count = len(possible)
-    chosen = (best.choice - best.choice[0]) % count
-    ordered = np.sort(best.misfit_rad, axis=1)
-    gap = ordered[:, 1] - ordered[:, 0]
     needed = max(_CLEAR_RAD, _CLEAR_FACTOR * best.rms_rad)
-    told = (gap > needed) & (ordered[:, 0] < needed)
+    told = (best.gap_rad > needed) & (best.misfit_rad.min(axis=1) < needed)
     for rival in fits:
         if rival.rms_rad <= max(2 * best.rms_rad, _RIVAL_RAD):
-            told &= (rival.choice - rival.choice[0]) % count == chosen
-            # A rival fit with equal misfit for all numberings (vertical board normal) makes every station
-            # ambiguous.
-            rival_order = np.sort(rival.misfit_rad, axis=1)
-            told &= rival_order[:, 1] - rival_order[:, 0] > _RIVAL_RAD
-    numbered = tuple(
-        _turn(o, board, possible[k]) for o, k, good in zip(observations, chosen, told, strict=True) if good
-    )
+            told &= rival.relative == best.relative
+            # Equal misfit for all numberings (vertical board normal) makes every station ambiguous.
+            told &= rival.gap_rad > _RIVAL_RAD
+    chosen = zip(observations, best.relative, told, strict=True)
+    numbered = tuple(_turn(o, board, possible[k]) for o, k, good in chosen if good)
     rejections = tuple(
         Rejection(
             "vision",
             "board orientation ambiguous",
-            f"a board of {board.columns} x {board.rows} looks the same when rotated by {360 // count} degrees; "
+            f"a board of {board.columns} x {board.rows} looks the same when rotated by {360 // len(possible)} degrees; "
             f"the misfits of the two best orientations differ by {np.degrees(g):.1f} degrees, "
             f"minimum {np.degrees(needed):.1f}",
             o.time_ns,
             o.station,
             o.log,
         )
-        for o, g, good in zip(observations, gap, told, strict=True)
+        for o, g, good in zip(observations, best.gap_rad, told, strict=True)
         if not good
     )
     return numbered, rejections

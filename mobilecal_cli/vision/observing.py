@@ -31,6 +31,7 @@ from mobilecal_cli.vision.grid_map import roughness_px, scatter_px
 from mobilecal_cli.vision.pose import (
     absolute_orientation,
     board_pose,
+    common,
     pose_from_one,
     square_from_points,
     triangulate,
@@ -100,6 +101,11 @@ class StationCorners:
         off = measured[:, anywhere] - np.nanmedian(measured[:, anywhere], axis=0)
         return np.asarray(np.sqrt(np.nanmean(off**2, axis=(1, 2))))
 
+    @property
+    def mostly(self) -> BoolArray:
+        """(M,) corners that more than half of the images show."""
+        return np.asarray(2 * self.seen.sum(axis=0) > len(self.seen), dtype=np.bool_)
+
     def average(self, board: Board, camera: Camera) -> Corners:
         """Mean of the corners that more than half of the images show, with the noise of the mean.
 
@@ -107,7 +113,7 @@ class StationCorners:
         limit is the roughness of the mean grid, because refinement errors common to all images do not average
         out. Noise in excess of the fits' covariances is added equally to all corners.
         """
-        n, mostly = len(self.pixels), 2 * self.seen.sum(axis=0) > len(self.pixels)
+        n, mostly = len(self.pixels), self.mostly
         weight = (self.seen & mostly)[..., None]
         mean = np.sum(self.pixels * weight, axis=0) / np.maximum(weight.sum(axis=0), 1)
         if board.markers is None:
@@ -158,7 +164,7 @@ def best_fit(
     fits: list[tuple[StereoPoints | Miss, tuple[Corners, ...]]] = []
     for others in product(turns(board), repeat=len(views) - 1):
         option = (views[0], *(turned_view(view, board, k) for view, k in zip(views[1:], others, strict=True)))
-        fits.append((triangulate(rig, *_common_pixels(option)), option))
+        fits.append((triangulate(rig, option), option))
     return min(fits, key=lambda fit: fit[0].rms_px if isinstance(fit[0], StereoPoints) else np.inf)
 
 
@@ -170,9 +176,8 @@ def _by_one(
     Cameras whose poses are only described are too far off for triangulation: 1 degree is more than the disparity shows.
     """
     most = max(range(len(views)), key=lambda k: int(views[k].seen.sum()))
-    points_k, in_view = square_m * board.grid(), views[most].seen
-    pixels, noises = [views[most].pixels[in_view]], [views[most].cov_px2[in_view]]
-    pose = pose_from_one(rig.some((most,)), points_k[in_view], pixels, noises)
+    points_k = square_m * board.grid()
+    pose = pose_from_one(rig.some((most,)), points_k, views[most])
     if isinstance(pose, Miss):
         return pose, tuple(views)
     numbered = []
@@ -182,17 +187,6 @@ def _by_one(
         off_px = [np.linalg.norm((o.pixels - expected)[o.seen], axis=-1).mean() for o in options]
         numbered.append(options[int(np.argmin(off_px))])
     return pose, tuple(numbered)
-
-
-def _common(views: Sequence[Corners]) -> BoolArray:
-    """(M,) corners that all of these cameras see."""
-    return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
-
-
-def _common_pixels(views: Sequence[Corners]) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Pixels (m, 2) of the corners that all of these cameras see, and their covariances (m, 2, 2), in each camera."""
-    common = _common(views)
-    return [view.pixels[common] for view in views], [view.cov_px2[common] for view in views]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,39 +279,39 @@ def measure(
             "board or robot moved during the stop",
             f"corners drift by {drift_px.max():.2f} px over {len(detected)} {what}, limit {limit_px:.2f} px",
         )
-    views = tuple(
-        of_camera.select(still).average(board, rig.each[k])
-        for k, of_camera in zip(shown, images, strict=True)
-    )
-    corners = [int(view.seen.sum()) for view in views]
+    images = [of_camera.select(still) for of_camera in images]
+    corners = [int(of_camera.mostly.sum()) for of_camera in images]
     if max(corners) < LEAST_CORNERS:
         return rejected(
             OCCLUDED,
             f"{max(corners)} of {board.corners} corners visible in an image, minimum {LEAST_CORNERS}",
         )
-    if len(shown) == 1 or not rig.calibrated or _common(views).sum() < LEAST_CORNERS:
-        kept = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS and not rig.calibrated]
-        kept = kept or [int(np.argmax(corners))]
-        shown, views = tuple(shown[k] for k in kept), tuple(views[k] for k in kept)
+    enough = [k for k, count in enumerate(corners) if count >= LEAST_CORNERS]
+    views = tuple(images[k].average(board, rig.each[shown[k]]) for k in enough)
+    shown = tuple(shown[k] for k in enough)
+    if len(shown) == 1 or not rig.calibrated or common(views).sum() < LEAST_CORNERS:
+        if rig.calibrated:
+            most = max(range(len(views)), key=lambda k: int(views[k].seen.sum()))
+            shown, views = (shown[most],), (views[most],)
         square_m = board.square_m or 1.0
         pose, views = _by_one(rig.some(shown), views, board, square_m)
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
         return Measured(log, station, rig, board, shown, views, None, pose, square_m)
-    own, grid = rig.some(shown), board.grid()[_common(views)]
+    own, grid = rig.some(shown), board.grid()
     points, views = best_fit(own, views, board)
     if isinstance(points, Miss):
         return rejected(points.reason, points.detail)
-    rough_m = square_from_points(points.points_c, grid)
-    start = absolute_orientation(points.points_c, rough_m * grid)
-    pose = board_pose(own, rough_m * grid, *_common_pixels(views), start, free_scale=True)
+    both = common(views)
+    rough_m = square_from_points(points.points_c, grid[both])
+    start = absolute_orientation(points.points_c, rough_m * grid[both])
+    pose = board_pose(own, rough_m * grid, views, start, free_scale=True)
     return Measured(log, station, rig, board, shown, views, points, pose, rough_m)
 
 
 def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k: FloatArray) -> Observation:
     """The observation of all corners: detected ones, and the others predicted from the board's pose."""
-    common = _common(views)
-    points_c = points_k @ pose.T_c_k[:3, :3].T + pose.T_c_k[:3, 3]
+    points_c = se3.act(pose.T_c_k, points_k)
     moves = se3.by_twist(points_c)
     points_cov = moves @ pose.T_c_k_cov @ np.swapaxes(moves, -1, -2)
     count, whole = len(points_c), []
@@ -335,7 +329,8 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
             view = replace(view, pixels=np.where(view.seen[:, None], view.pixels, expected))
         whole.append(view)
     if m.points is not None:
-        points_c[common], points_cov[common] = m.points.points_c, m.points.points_cov
+        both = common(views)
+        points_c[both], points_cov[both] = m.points.points_c, m.points.points_cov
     return Observation(
         log=m.log,
         station=m.station.index,
@@ -364,7 +359,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
         The observation, or a rejection. `Observation.square_m` is the station's own estimate, of one camera `square_m`.
     """
     m, pose, views = measured, measured.pose, measured.views
-    own, common = m.rig.some(m.shown), _common(views)
+    own = m.rig.some(m.shown)
     if m.points is None and square_m != m.rough_m:
         if square_m is None:
             return m.rejected(
@@ -385,8 +380,7 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
         R_c_k, t_c_k = pose.T_c_k[:3, :3], pose.T_c_k[:3, 3]
         # Start from the pose that keeps the board's size in the images.
         start = se3.transform(R_c_k, t_c_k * square_m / m.square_m)
-        grid = m.board.grid()[common]
-        pose = board_pose(own, square_m * grid, *_common_pixels(views), start)
+        pose = board_pose(own, square_m * m.board.grid(), views, start)
     if m.board.markers is not None:  # few corners with distortion underestimate their noise
         views = tuple(
             replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views

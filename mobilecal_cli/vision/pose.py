@@ -8,11 +8,8 @@ import cv2
 import numpy as np
 
 from mobilecal_cli import camera, se3
-from mobilecal_cli.model import CameraRig, FloatArray
+from mobilecal_cli.model import BoolArray, CameraRig, Corners, FloatArray
 from mobilecal_cli.vision.values import INCONSISTENT, BoardPose, Miss, StereoPoints, rms
-
-#: Sigma of one coordinate of all corners, px; or each corner's (M, 2, 2) covariance, px^2.
-Noise = float | FloatArray
 
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
@@ -27,19 +24,24 @@ def reproject(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatAr
     pixels, J = [], []
     for lens, T_c_camera in zip(rig.each, rig.T_c_each, strict=True):
         T = se3.inverse(T_c_camera)
-        at, by_own = camera.project_with_jacobian(lens, points_c @ T[:3, :3].T + T[:3, 3])
+        at, by_own = camera.project_with_jacobian(lens, se3.act(T, points_c))
         pixels.append(at)
         J.append(by_own @ T[:3, :3])
     return np.concatenate(pixels, axis=-1), np.concatenate(J, axis=-2)
 
 
-def whitening(noises: Sequence[Noise], count: int) -> FloatArray:
+def common(views: Sequence[Corners]) -> BoolArray:
+    """(M,) corners that all of these cameras see."""
+    return np.asarray(np.logical_and.reduce([view.seen for view in views]), dtype=np.bool_)
+
+
+def _whitening(covariances: Sequence[FloatArray]) -> FloatArray:
     """Whitening matrices W, (M, 2 C, 2 C): W^T W is the inverse covariance of `reproject`'s coordinates."""
-    W = np.zeros((count, 2 * len(noises), 2 * len(noises)))
-    for k, noise in enumerate(noises):
+    count = 2 * len(covariances)
+    W = np.zeros((len(covariances[0]), count, count))
+    for k, cov in enumerate(covariances):
         at = slice(2 * k, 2 * k + 2)
-        cov = noise if isinstance(noise, np.ndarray) else noise**2 * np.eye(2)
-        W[:, at, at] = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(cov, (count, 2, 2))))
+        W[:, at, at] = np.linalg.inv(np.linalg.cholesky(cov))
     return W
 
 
@@ -67,8 +69,8 @@ def _nearest_to_rays(rig: CameraRig, flat: Sequence[FloatArray]) -> FloatArray:
     return midpoint
 
 
-def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[Noise]) -> StereoPoints | Miss:
-    """Triangulate the pixels of two or more cameras by minimizing the reprojection error.
+def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss:
+    """Triangulate the corners that two or more cameras see by minimizing the reprojection error.
 
     Starts from the midpoint of two rays and does Gauss-Newton iterations on the residuals of each point,
     weighted by the noise of the corners (the cost of Hartley and Sturm 1997, here for any number of cameras and
@@ -76,12 +78,13 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
 
     Args:
         rig: the cameras, raw or rectified.
-        pixels: of each camera, (M, 2) the same points, px.
-        noises: of each camera, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
+        views: corners in the image of each camera.
 
     Returns:
-        The points, or a Miss if they are behind a camera or the pixels are inconsistent.
+        The points of the `common` corners, or a Miss if they are behind a camera or the pixels are inconsistent.
     """
+    seen = common(views)
+    pixels = [view.pixels[seen] for view in views]
     flat, good = zip(
         *(camera.undistorted(lens, at) for lens, at in zip(rig.each, pixels, strict=True)), strict=True
     )
@@ -93,7 +96,7 @@ def triangulate(rig: CameraRig, pixels: Sequence[FloatArray], noises: Sequence[N
         )
     points = _nearest_to_rays(rig, flat)
     measured = np.hstack(pixels)
-    root = whitening(noises, len(points))
+    root = _whitening([view.cov_px2[seen] for view in views])
     step: FloatArray = np.full_like(points, np.inf)
     for left in reversed(range(_TRIANGULATION_STEPS + 1)):
         if np.any(depths(rig, points) <= 0):
@@ -172,7 +175,7 @@ def pose_residuals(
         (M, 2 C) measured minus predicted, px, and (M, 2 C, 7) derivative of the prediction with respect to (rho,
         tau, log scale).
     """
-    points_c = points_k @ T_c_k[:3, :3].T + T_c_k[:3, 3]
+    points_c = se3.act(T_c_k, points_k)
     predicted, J_point = reproject(rig, points_c)
     moves = np.empty((len(points_c), 3, 7))
     moves[:, :, :6] = se3.by_twist(points_c)
@@ -183,8 +186,7 @@ def pose_residuals(
 def board_pose(
     rig: CameraRig,
     points_k: FloatArray,
-    pixels: Sequence[FloatArray],
-    noises: Sequence[Noise],
+    views: Sequence[Corners],
     start: FloatArray,
     free_scale: bool = False,
 ) -> BoardPose:
@@ -193,8 +195,7 @@ def board_pose(
     Args:
         rig: the cameras.
         points_k: (M, 3) corners on the board, m.
-        pixels: of each camera, (M, 2) corners, px.
-        noises: of each camera, sigma of one coordinate, px, or (M, 2, 2) covariances, px^2.
+        views: corners in the image of each camera, of which the `common` ones count.
         start: (4, 4) initial T_c_k, in front of the cameras.
         free_scale: also estimate a common factor on `points_k`.
 
@@ -202,9 +203,9 @@ def board_pose(
         The pose. Its covariance is (J^T W J)^-1 at the given noise, and includes the uncertainty of a free
         scale.
     """
-    measured = np.hstack(pixels)
-    root = whitening(noises, len(points_k))
-
+    seen = common(views)
+    points_k, measured = points_k[seen], np.hstack([view.pixels[seen] for view in views])
+    root = _whitening([view.cov_px2[seen] for view in views])
     unknowns = 7 if free_scale else 6
 
     def at(T_c_k: FloatArray, scale: float) -> tuple[float, float, FloatArray, FloatArray]:
@@ -239,9 +240,7 @@ def board_pose(
     return BoardPose(T_c_k, covariance[:6, :6], scale, scale_sigma, rms_px)
 
 
-def pose_from_one(
-    rig: CameraRig, points_k: FloatArray, pixels: Sequence[FloatArray], noises: Sequence[Noise]
-) -> BoardPose | Miss:
+def pose_from_one(rig: CameraRig, points_k: FloatArray, view: Corners) -> BoardPose | Miss:
     """Board pose by a single camera, from corners in one plane with known distances.
 
     A board tilted the other way looks nearly the same: both poses (Collins and Bartoli, "Infinitesimal plane-based pose
@@ -250,24 +249,25 @@ def pose_from_one(
     Args:
         rig: one camera.
         points_k: (M, 3) corners on the board, m.
-        pixels, noises: see `board_pose`.
+        view: corners in its image.
 
     Returns:
         The pose with the smaller reprojection error, or a Miss if there is none in front of the camera.
     """
     (lens,), (T_c_camera,) = rig.each, rig.T_c_each
-    flat, good = camera.undistorted(lens, pixels[0])
+    in_view = points_k[view.seen]
+    flat, good = camera.undistorted(lens, view.pixels[view.seen])
     if not good.all():
         detail = f"{int(np.sum(~good))} corners are outside the valid range of the camera's distortion model"
         return Miss("no pose of the board", detail)
-    _, turns, places, _ = cv2.solvePnPGeneric(points_k, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+    _, turns, places, _ = cv2.solvePnPGeneric(in_view, flat, np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     poses = []
     for turn, place in zip(np.reshape(turns, (-1, 3)), np.reshape(places, (-1, 3)), strict=True):
         start = T_c_camera @ se3.transform(
             se3.exp_so3(np.asarray(turn, np.float64)), np.asarray(place, np.float64)
         )
-        if np.all(depths(rig, se3.act(start, points_k)) > 0):
-            poses.append(board_pose(rig, points_k, pixels, noises, start))
+        if np.all(depths(rig, se3.act(start, in_view)) > 0):
+            poses.append(board_pose(rig, points_k, [view], start))
     if not poses:
         return Miss("no pose of the board", "the corners are behind the camera")
     return min(poses, key=lambda pose: pose.rms_px)

@@ -159,9 +159,8 @@ def _observed(route, T_c_k, random):
         if at.min() < 0 or np.any(at > [camera.width, camera.height]):
             return None
         seen.append(at + _PIXEL_PX * random.normal(size=at.shape))
-    sigmas = [_PIXEL_PX] * 2
-    points, found = triangulate(rig, seen, sigmas), board_pose(rig, corners_k, seen, sigmas, T_c_k)
     views = tuple(Corners(at, _PIXEL_PX, 1) for at in seen)
+    points, found = triangulate(rig, views), board_pose(rig, corners_k, views, T_c_k)
     square_m = square_from_points(points.points_c, route.board.grid())
     return views, points.points_c, points.points_cov, found.T_c_k, found.T_c_k_cov, square_m, found.rms_px
 

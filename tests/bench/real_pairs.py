@@ -40,14 +40,16 @@ from mobilecal_cli.vision import (
     Detection,
     Miss,
     absolute_orientation,
+    board_pose,
     detect,
     resolve_square,
     square_from_points,
+    triangulate,
 )
 from mobilecal_cli.vision.observing import StationCorners
 from tests.bench import study
 from tests.bench.study import Study
-from tests.pairs import board_pose, measure, pair_of, triangulate, with_pair
+from tests.pairs import measure, pair_of, with_pair
 from tests.robots import chain_of, rig_of
 from tests.vision.scenes import bouguet as bouguet_rig
 
@@ -189,12 +191,12 @@ def _corners(rig: CameraRig, pair: Pair) -> tuple[Corners, Corners]:
 
 def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
     """The board of one pair, whatever its residuals; a station that the product refuses is observed as well."""
-    left, right = _corners(rig, pair)
-    points = triangulate(rig, left.pixels, right.pixels, left.cov_px2, right.cov_px2)
+    views = _corners(rig, pair)
+    points = triangulate(rig, views)
     assert not isinstance(points, Miss), points.detail
     square_m = square_from_points(points.points_c, _BOARD.grid())
     start = absolute_orientation(points.points_c, square_m * _BOARD.grid())
-    pose = board_pose(rig, _POINTS_K, left.pixels, right.pixels, left.cov_px2, right.cov_px2, start)
+    pose = board_pose(rig, _POINTS_K, views, start)
     still = np.zeros(len(tick_robot().joint_names))
     return Observation(
         log=number,
@@ -203,7 +205,7 @@ def _observation(rig: CameraRig, number: int, pair: Pair) -> Observation:
         at_rest=True,
         joints=still,
         joints_std=still,
-        views=(left, right),
+        views=views,
         points_c=points.points_c,
         points_cov=points.points_cov,
         T_c_k=pose.T_c_k,
@@ -271,9 +273,8 @@ def _apart(rig: CameraRig, pair: Pair, start: FloatArray, first: FloatArray) -> 
     center[:3, 3] = _POINTS_K.mean(axis=0)
     poses, seen = [], _corners(rig, pair)
     for half in (first, ~first):
-        pixels = [corners.pixels[half] for corners in seen]
-        noise = [corners.cov_px2[half] for corners in seen]
-        poses.append(board_pose(rig, _POINTS_K[half], *pixels, *noise, start).T_c_k @ center)
+        views = [replace(corners, seen=half) for corners in seen]
+        poses.append(board_pose(rig, _POINTS_K, views, start).T_c_k @ center)
     turn = se3.log_so3(poses[0][:3, :3].T @ poses[1][:3, :3])
     return np.concatenate([turn, poses[1][:3, 3] - poses[0][:3, 3]])
 

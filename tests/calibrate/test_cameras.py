@@ -13,11 +13,11 @@ from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import FACTORS
 from mobilecal_cli.rig.config import load_rig
-from mobilecal_cli.simulate.messages import World, published, write
+from mobilecal_cli.simulate.messages import published, write
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.scenario import Scenario, World
 from tests.command import run, succeeded
 from tests.export.test_improved import fitted_cameras
 from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt

@@ -99,7 +99,7 @@ def test_the_first_square_at_the_top_left_is_dark(name):
 
 
 @pytest.mark.parametrize("name", PRINTS)
-def test_the_bar_and_the_texts_state_the_board(name, tmp_path):
+def test_the_bar_and_the_texts_state_the_board(name):
     board, paper = PRINTS[name]
     made, square_mm = board_pdf(board, paper), board.square_m * 1e3
     text = page_of(made.content).get_textpage().get_text_bounded()
@@ -115,7 +115,6 @@ def test_the_bar_and_the_texts_state_the_board(name, tmp_path):
     )
     assert f"squares of {square_mm:g} mm" in text
     assert f"({page_mm[0]:g} x {page_mm[1]:g} mm)" in made.page.replace("a page of ", "(") + ")"
-    made = board_pdf(board, paper)
     flags = {f"board.{key}": value for key, value in load_yaml(made.config)["board"].items()}
     assert load_rig(None, flags).board.stated == board
     assert made.config in text.replace("\r\n", " ")

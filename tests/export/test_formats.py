@@ -19,9 +19,8 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import foxglove
 from mobilecal_cli.export.formats.camchain import camchain_yaml
-from mobilecal_cli.export.formats.camera_info import camera_info_yaml
+from mobilecal_cli.export.formats.camera_info import camera_info_yaml, rectified_pair
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
-from mobilecal_cli.export.improved import rectified_pair
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.formats import HEAD_EYE, text_of

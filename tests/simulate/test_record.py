@@ -13,11 +13,11 @@ from mobilecal_cli.errors import OutputError
 from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.readers import open_recording, read_description, read_images, read_signals
 from mobilecal_cli.se3 import from_quaternion_xyzw
-from mobilecal_cli.simulate.messages import START_NS, World
+from mobilecal_cli.simulate.messages import START_NS
 from mobilecal_cli.simulate.record import simulate, truth_path
 from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS
 from mobilecal_cli.simulate.route import base_in_world
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.scenario import Scenario, World
 from mobilecal_cli.targets import Container
 from tests.robots import sources_of
 
@@ -25,9 +25,9 @@ SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
 
 
-def recorded(folder: Path, scenario: Scenario, name: str = "log", world_of=World) -> Path:
+def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
     out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
-    simulate(scenario, out, world_of=world_of)
+    simulate(scenario, out)
     return out
 
 

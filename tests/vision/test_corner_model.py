@@ -10,7 +10,7 @@ from mobilecal_cli.simulate.render import BoardRenderer
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.vision import corner_model
 from mobilecal_cli.vision.corner_model import fit_corners, refine_widely
-from mobilecal_cli.vision.values import Appearance
+from mobilecal_cli.vision.values import Appearance, rms
 from tests.vision.scenes import pose
 
 BOARD = Board(9, 6, 0.08)
@@ -39,10 +39,6 @@ def scenes():
 def eight_bit(picture, noise_grey, random):
     noisy = picture + noise_grey * random.normal(size=picture.shape)
     return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
-
-
-def rms(errors):
-    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 @pytest.mark.parametrize(("noise_grey", "limit_px"), [(0.0, 0.005), (2.0, 0.01)])

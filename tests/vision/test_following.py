@@ -9,7 +9,7 @@ from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
 from mobilecal_cli.vision.detection import find_board
 from mobilecal_cli.vision.following import follow
 from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import Appearance
+from mobilecal_cli.vision.values import Appearance, rms
 from tests.vision.scenes import detected, missed, opencv_pixels, pose, render, stereo_rig
 
 BOARD = Board(9, 6, 0.05)
@@ -41,10 +41,6 @@ def first(film) -> tuple[np.ndarray, np.ndarray, Appearance]:
     appearance = detected(detect(image, 9, 6)).appearance
     assert appearance is not None
     return image, truth, appearance
-
-
-def rms(off: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.square(off))))
 
 
 def counted_searches(monkeypatch) -> list[int]:
@@ -97,8 +93,8 @@ def test_a_grid_some_squares_beside_is_let_go(first, shift):
     image, truth, appearance = first
     grid = truth.reshape(6, 9, 2)
     right, down = grid[2, 5] - grid[2, 4], grid[3, 4] - grid[2, 4]
-    assert isinstance(follow(image, truth + 0.5, appearance, 9, 6), Detection)
-    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, appearance, 9, 6), Miss)
+    assert isinstance(follow(image, truth + 0.5, appearance, BOARD), Detection)
+    assert isinstance(follow(image, truth + shift[0] * right + shift[1] * down, appearance, BOARD), Miss)
 
 
 @pytest.mark.parametrize("blur_px", [1.2, 1.8])
@@ -108,11 +104,12 @@ def test_a_board_that_moves_by_a_square_along_a_diagonal_is_no_square_off(way, b
 
     A station with such corners in both cameras looked like a moved board, in five of 69 images of a fast robot.
     """
-    follower, squares = BoardFollower(Board(8, 5, 0.05), thorough=False), 0.95 * 0.05 * np.array([0.0, 1.0])
-    for time_ns, moved in zip((0, 1_000_000_000), squares, strict=True):
-        T = pose(moved * way[0], moved * way[1], 1.0, (0.0, 0.0, 0.0), Board(8, 5, 0.05), 0.05)
-        image = render(CAMERA, T, Board(8, 5, 0.05), 0.05, noise=1.5, blur_px=blur_px)
-        truth = opencv_pixels(CAMERA, se3.act(T, 0.05 * Board(8, 5, 0.05).grid()))
+    board = Board(8, 5, 0.05)
+    follower = BoardFollower(board, thorough=False)
+    for time_ns, moved in ((0, 0.0), (1_000_000_000, 0.95 * 0.05)):
+        T = pose(moved * way[0], moved * way[1], 1.0, (0.0, 0.0, 0.0), board, 0.05)
+        image = render(CAMERA, T, board, 0.05, noise=1.5, blur_px=blur_px)
+        truth = opencv_pixels(CAMERA, se3.act(T, 0.05 * board.grid()))
         assert rms(detected(follower.find(image, time_ns)).pixels - truth) < 0.2
 
 
@@ -161,7 +158,7 @@ def test_saddle_points_of_a_board_are_stronger_than_those_of_noise(film):
 
 def test_a_board_that_leaves_the_picture_is_said_to(first):
     image, truth, appearance = first
-    gone = missed(follow(image, truth - [truth[:, 0].min(), 0.0], appearance, 9, 6))
+    gone = missed(follow(image, truth - [truth[:, 0].min(), 0.0], appearance, BOARD))
     assert gone.reason == "board partly occluded or outside the image"
 
 
@@ -172,7 +169,7 @@ def test_a_corner_predicted_wrongly_is_found_by_the_others(first, corner):
     for off in ([7.0, 0.0], [-6.0, 4.0], [0.0, -8.0], [10.0, 10.0]):
         expected = truth.copy()
         expected[corner] += off
-        found = detected(follow(image, expected, appearance, 9, 6))
+        found = detected(follow(image, expected, appearance, BOARD))
         assert np.abs(found.pixels - truth).max() < 0.1, off
 
 
@@ -183,7 +180,7 @@ def test_a_corner_behind_a_finger_is_refused_when_found_and_when_tracked(first):
         u, v = np.rint(truth[corner]).astype(int)
         hidden[v - 9 : v + 10, u - 9 : u + 10] = 120
         assert isinstance(detect(hidden, 9, 6), Miss), corner
-        assert isinstance(follow(hidden, truth, appearance, 9, 6), Miss), corner
+        assert isinstance(follow(hidden, truth, appearance, BOARD), Miss), corner
 
 
 def test_a_board_that_is_found_again_is_tracked_back_through_the_images_that_were_not_searched(film):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.model import Board, Observation, Rejection, Shot, Station
+from mobilecal_cli.model import Board, Markers, Observation, Rejection, Shot, Station
 from mobilecal_cli.vision import Detection, Measured, Miss, agreeing, detect, resolve_square, snapshot_jpeg
 from mobilecal_cli.vision.grid import turned
 from tests.pairs import measure
@@ -27,9 +27,9 @@ def station(pairs: int = 1) -> Station:
 
 
 def pairs(
-    count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K, seed: int = 0
+    count: int, sigma_px: float, board: Board = BOARD, T_c_k: np.ndarray = T_C_K
 ) -> tuple[list[Detection | Miss], list[Detection | Miss]]:
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     _, left, right = seen(RIG, T_c_k, board, SQUARE_M)
     return tuple(
         [Detection(p + sigma_px * rng.standard_normal(p.shape), sigma_px) for _ in range(count)]
@@ -136,6 +136,24 @@ def test_corners_beside_the_other_camera_have_no_absurd_pixels(turn_deg: float) 
     assert not o.views[1].seen.any()
     assert np.abs(o.views[1].pixels).max() < 1e4
     np.testing.assert_array_less(np.abs(o.views[0].pixels), 1e4)
+
+
+@pytest.mark.parametrize("second", [range(27, 54), range(24, 54)])
+def test_images_that_show_different_parts_of_the_board(second: range) -> None:
+    """Too few corners are in most images: the camera does not count."""
+    board = replace(BOARD, markers=Markers("charuco", "DICT_5X5_50", 0.75))
+    _, *both = seen(RIG, T_C_K, board, SQUARE_M)
+
+    def part(pixels: np.ndarray, shown: range) -> Detection:
+        return Detection(pixels, 0.1, np.isin(np.arange(54), shown))
+
+    left, right = ([part(pixels, range(27)), part(pixels, second)] for pixels in both)
+    result = rejected(observe(0, station(2), left, right, RIG, board, SQUARE_M))
+    assert result.detail == f"{27 - second.start} of 54 corners visible in an image, minimum 8"
+    whole = [part(both[0], range(54))] * 2
+    found = observed(observe(0, station(2), whole, right, RIG, board, SQUARE_M))
+    assert [view.seen.all() for view in found.views] == [True, False]
+    assert not found.views[1].seen.any()
 
 
 def test_a_rest_that_is_none() -> None:

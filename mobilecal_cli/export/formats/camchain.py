@@ -8,12 +8,13 @@ from itertools import pairwise
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
+from mobilecal_cli.export.formats.camera_info import ros_distortion
 from mobilecal_cli.export.improved import improved_cameras
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, CameraRig
 
-#: Without distortion, radtan with zeros: Kalibr's reader accepts "none", but builds no camera from it.
-_KALIBR_MODELS = {"none": "radtan", "plumb_bob": "radtan", "equidistant": "equidistant"}
+#: Kalibr's reader accepts "none" too, but builds no camera from it.
+_KALIBR_MODELS = {"plumb_bob": "radtan", "equidistant": "equidistant"}
 
 
 def export(of: Source) -> Exported:
@@ -41,15 +42,16 @@ def camchain_yaml(cameras: CameraRig, topics: Mapping[str, str]) -> str:
 
 
 def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:
-    D = camera.D.tolist()
-    if camera.distortion == "plumb_bob" and any(D[4:]):
+    model, coefficients = ros_distortion(camera)
+    D = coefficients.tolist()
+    if model == "plumb_bob" and any(D[4:]):
         raise ConfigError(
             f"camera {camera.frame_id!r}: Kalibr's radtan model has no third radial coefficient; here it is {D[4]:g}",
             "use --to camera_info or json",
         )
-    if camera.distortion == "rational_polynomial":
+    if model == "rational_polynomial":
         raise ConfigError(
             f"camera {camera.frame_id!r}: Kalibr has no model for rational_polynomial distortion",
             "use --to camera_info or json",
         )
-    return _KALIBR_MODELS[camera.distortion], [*D, 0.0, 0.0, 0.0, 0.0][:4]
+    return _KALIBR_MODELS[model], D[:4]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+import cv2
 import numpy as np
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.formats import Exported, Source
-from mobilecal_cli.export.improved import camera_constants, improved_cameras, rectified_pair
+from mobilecal_cli.export.improved import camera_constants, improved_cameras
 from mobilecal_cli.export.text import rendered
-from mobilecal_cli.model import Camera
+from mobilecal_cli.model import Camera, CameraRig, FloatArray
 
 
 def export(of: Source, camera: str | None = None) -> Exported:
@@ -40,7 +40,30 @@ def export(of: Source, camera: str | None = None) -> Exported:
     return Exported(camera_info_yaml(own, R, P).encode(), notes)
 
 
-def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any, Any]) -> str:
+def rectified_pair(cameras: CameraRig) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Rectification of raw cameras by Bouguet's method (OpenCV, alpha 0: only valid pixels).
+
+    Returns:
+        Camera → R, (3, 3) raw to rectified coordinates, and P, (3, 4) projection of rectified coordinates, px.
+    """
+    T_r_c = se3.inverse(cameras.T_c_each[1])
+    R, t = np.ascontiguousarray(T_r_c[:3, :3]), np.ascontiguousarray(T_r_c[:3, 3:])
+    left, right = cameras.each
+    pair = (left.K, left.D, right.K, right.D, (left.width, left.height), R, t)
+    if left.distortion == "equidistant":
+        R1, R2, P1, P2, _ = cv2.fisheye.stereoRectify(*pair, cv2.CALIB_ZERO_DISPARITY)
+    else:
+        R1, R2, P1, P2, *_ = cv2.stereoRectify(*pair, alpha=0)
+    of_each = ((np.array(R, np.float64), np.array(P, np.float64)) for R, P in ((R1, P1), (R2, P2)))
+    return dict(zip(cameras.names, of_each, strict=True))
+
+
+def ros_distortion(camera: Camera) -> tuple[str, FloatArray]:
+    """Model and coefficients of sensor_msgs/CameraInfo, which has no model without distortion."""
+    return ("plumb_bob", np.zeros(5)) if camera.distortion == "none" else (camera.distortion, camera.D)
+
+
+def camera_info_yaml(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     """One camera in the format of camera_calibration_parsers.
 
     Args:
@@ -48,6 +71,5 @@ def camera_info_yaml(camera: Camera, R: np.ndarray[Any, Any], P: np.ndarray[Any,
         R: (3, 3) raw to rectified coordinates.
         P: (3, 4) projection of rectified coordinates, px.
     """
-    model = "plumb_bob" if camera.distortion == "none" else camera.distortion
-    D = np.array([camera.D if len(camera.D) else np.zeros(5)])
-    return rendered("camera_info.yaml", camera=camera, model=model, D=D, R=R, P=P)
+    model, D = ros_distortion(camera)
+    return rendered("camera_info.yaml", camera=camera, model=model, D=D[None], R=R, P=P)

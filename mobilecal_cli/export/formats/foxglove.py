@@ -20,8 +20,10 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import Writer
 
 from mobilecal_cli import __version__, se3
+from mobilecal_cli.export.board_print import dark_squares
 from mobilecal_cli.export.formats import Exported, Source
-from mobilecal_cli.export.scene import Motion, Scene, dark_squares
+from mobilecal_cli.export.formats.camera_info import ros_distortion
+from mobilecal_cli.export.scene import Motion, Scene
 from mobilecal_cli.export.text import rendered
 from mobilecal_cli.model import Camera, Corners, FloatArray
 
@@ -31,7 +33,7 @@ _GREEN, _RED, _YELLOW = (0.2, 0.9, 0.3, 1.0), (1.0, 0.25, 0.2, 1.0), (1.0, 0.85,
 _DARK, _BLUE = (0.1, 0.1, 0.1, 1.0), (0.2, 0.5, 1.0, 0.9)
 #: A protobuf message inside another one: its fields by name, which the types of protobuf do not know.
 _Part: TypeAlias = Any
-_MODELS = {"none": "plumb_bob", "plumb_bob": "plumb_bob", "equidistant": "kannala_brandt"}
+_MODELS = {"equidistant": "kannala_brandt"}  # Foxglove's name, where it differs from that of ROS
 
 
 def export(of: Source, logs: tuple[Path, ...] = ()) -> Exported:
@@ -142,7 +144,7 @@ def _add_surroundings(messages: _Messages, scene: Scene, motion: Motion, station
     for name, camera in zip(scene.cameras.names, scene.cameras.each, strict=True):
         info = _calibration(camera, names.cameras[name], start_ns)
         messages.add(f"/camera/{name}/calibration", start_ns, info)
-    squares = dark_squares(scene.board)
+    squares = dark_squares(scene.extraction.board, scene.extraction.square_m)
     both_sides = np.array([0, 1, 2, 0, 2, 3, 3, 2, 0, 2, 1, 0])
     dark: _Part = {
         "pose": _pose(np.eye(4)),
@@ -166,7 +168,7 @@ def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
     x, y = _FRUSTUM_M * np.array([camera.width / camera.K[0, 0], camera.height / camera.K[1, 1]]) / 2
     rim = np.array([[x, y, _FRUSTUM_M], [-x, y, _FRUSTUM_M], [-x, -y, _FRUSTUM_M], [x, -y, _FRUSTUM_M]])
     segments = [part for k in range(4) for part in (tip, rim[k], rim[k], rim[k - 1])]
-    pose, name = _pose(scene.T_w_c[station]), scene.station_names[station]
+    pose, name = _pose(scene.T_w_c[station]), scene.station_name(station)
     shown = {"pose": pose, "scale_invariant": True, "color": _color(_BLUE)}
     points = [_vector(point) for point in segments]
     return {
@@ -180,15 +182,15 @@ def _camera_entity(scene: Scene, station: int, time_ns: int) -> _Part:
 
 def _calibration(camera: Camera, frame: str, time_ns: int) -> CameraCalibration:
     """One camera in its own frame, for the images as recorded."""
-    D = camera.D.tolist() if camera.distortion != "none" else [0.0] * 5
+    model, D = ros_distortion(camera)
     P = np.hstack([camera.K, np.zeros((3, 1))])
     return CameraCalibration(
         timestamp=_time(time_ns),
         frame_id=frame,
         width=camera.width,
         height=camera.height,
-        distortion_model=_MODELS.get(camera.distortion, camera.distortion),
-        D=D,
+        distortion_model=_MODELS.get(model, model),
+        D=D.tolist(),
         K=camera.K.ravel().tolist(),
         R=np.eye(3).ravel().tolist(),
         P=P.ravel().tolist(),
@@ -216,12 +218,12 @@ def _add_station(messages: _Messages, scene: Scene, station: int) -> None:
         messages.add_json(
             "/residuals",
             time_ns,
-            station=scene.station_names[station],
-            to_station=scene.station_names[int(residuals.legs[leg, 1])],
+            station=scene.station_name(station),
+            to_station=scene.station_name(int(residuals.legs[leg, 1])),
             reprojection_px=float(residuals.leg_reprojection_px[leg]),
             point_mm=1e3 * float(residuals.leg_point_rms_m[leg]),
         )
-    messages.add_json("/station", time_ns, state=f"station {scene.station_names[station]}: used")
+    messages.add_json("/station", time_ns, state=f"station {scene.station_name(station)}: used")
 
 
 def _annotations(corners: Corners, predicted_px: FloatArray | None, time_ns: int) -> ImageAnnotations:

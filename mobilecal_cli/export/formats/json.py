@@ -9,13 +9,14 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.export.formats import CONVENTION, Exported, Source, rectified_note
-from mobilecal_cli.model import FACTORS, NINE, CalibratedRobot
+from mobilecal_cli.export.params import names_and_units
+from mobilecal_cli.model import CalibratedRobot
 
 
 def export(of: Source) -> Exported:
     """The nine parameters with their covariance"""
     robot, T, known = of.robot, of.robot.T_parent_child, of.robot.knowledge
-    units = np.ones(9) if robot.odometry is None else robot.odometry.units
+    order, units = names_and_units(robot.odometry)
     data: dict[str, Any] = {
         "convention": CONVENTION,
         "parent_frame": robot.parent_frame,
@@ -25,6 +26,7 @@ def export(of: Source) -> Exported:
         "translation_m": T[:3, 3].tolist(),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
         **_wheels(robot),
+        "order": order,
         "covariance": None if known is None else (known.covariance / np.outer(units, units)).tolist(),
         "observable": None if known is None else known.observable.tolist(),
         "verdict": robot.verdict or None,
@@ -36,14 +38,13 @@ def export(of: Source) -> Exported:
 
 
 def _wheels(robot: CalibratedRobot) -> dict[str, Any]:
-    """Wheels and the order of the covariance; of a robot with odometry alone its factors."""
+    """The wheels; of a robot with odometry alone its factors."""
     if robot.odometry is None:
         wheels = robot.wheels
         return {
             "radius_left_m": wheels.radius_left_m,
             "radius_right_m": wheels.radius_right_m,
             "separation_m": wheels.separation_m,
-            "order": list(NINE),
         }
     return {
         "odometry": {
@@ -52,5 +53,4 @@ def _wheels(robot: CalibratedRobot) -> dict[str, Any]:
             "std": robot.factors_std,
             "assumed_separation_m": robot.odometry.wheels.separation_m,
         },
-        "order": [*NINE[:6], *FACTORS[:3]],
     }
