@@ -52,7 +52,7 @@ def read_description(recording: Recording) -> RobotDescription:
     Raises:
         RecordingError: the recording is empty.
     """
-    if not any(info.count != 0 for info in recording.topics):
+    if not any(info.count for info in recording.topics):
         raise RecordingError(f"{recording.name}: the recording contains no messages", "record a new one")
     names: dict[str, list[str]] = {}
     for info in recording.topics:

@@ -119,7 +119,7 @@ def test_bag_without_index_reads_like_the_whole_one(originals, tmp_path):
     data[place : place + 8] = bytes(8)
     path = written(tmp_path, data, "unindexed.bag")
     with open_recording([path]) as recording:
-        assert sum(t.count or 0 for t in recording.topics) == len(ITEMS)
+        assert sum(t.count for t in recording.topics) == len(ITEMS)
         assert len(r.every(recording)) == len(ITEMS)
         assert recording.damage == (
             "unindexed.bag: the bag has no usable index (was the recorder stopped properly?); "

@@ -52,7 +52,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
             raise RecordingError("; ".join(recording.damage), KNOWN)
         undo_steps(recording.parts)
         recording.complete()
-        if recording.damage and not any(info.count != 0 for info in recording.topics):
+        if recording.damage and not any(info.count for info in recording.topics):
             raise RecordingError(
                 f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
                 "copy the recording again, or record a new one",

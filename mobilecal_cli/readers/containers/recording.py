@@ -57,18 +57,12 @@ class Recording(ExitStack):
         """Bring the parts in order of time, and list the topics, after all parts are added."""
         self.parts.sort(key=lambda part: part.start_ns if part.start_ns is not None else -1)
         types: dict[str, str] = {}
-        counts: dict[str, list[int | None]] = {}
+        counts: Counter[str] = Counter()
         for part in self.parts:
             for number, channel in part.channels.items():
                 types.setdefault(channel.topic, channel.ros_type)
-                count = None if part.counts is None else part.counts.get(number, 0)
-                counts.setdefault(channel.topic, []).append(count)
-        self.topics = tuple(
-            TopicInfo(
-                topic, types[topic], None if None in counts[topic] else sum(filter(None, counts[topic]))
-            )
-            for topic in sorted(types)
-        )
+                counts[channel.topic] += part.counts.get(number, 0)
+        self.topics = tuple(TopicInfo(topic, types[topic], counts[topic]) for topic in sorted(types))
         self._by_name = {info.name: info for info in self.topics}
 
     @property
@@ -128,7 +122,7 @@ class Recording(ExitStack):
             for number, channel in part.channels.items():
                 if number in known:
                     times.setdefault(channel.topic, []).append(known[number])
-                elif part.counts is None or part.counts.get(number, 0):
+                elif part.counts.get(number, 0):
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 

@@ -21,7 +21,7 @@ from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
+_MESSAGE, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 4, 5, 6, 7
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
@@ -99,11 +99,10 @@ class BagStorage(BlockStorage):
         if not (stated and self._read_index(fields, stated)):
             self.channels.clear()
             self.blocks.clear()
-            self.counts = None
             if not Reindex(self).run(first, without_end=""):
                 self.note(
                     f"the bag has no usable index (was the recorder stopped properly?); a scan found "
-                    f"{sum((self.counts or {}).values())} messages"
+                    f"{sum(self.counts.values())} messages"
                 )
 
     def _head(self, at: int) -> tuple[Fields, int, int]:

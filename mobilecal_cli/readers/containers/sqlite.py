@@ -235,7 +235,7 @@ class SqliteStorage(Storage):
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order."""
-        return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
+        return {number: self._log.log_ns[self._log.channel == number] for number in self.counts}
 
     def _wanted(self, topics: Collection[str]) -> list[int]:
         return [number for number, channel in self.channels.items() if channel.topic in topics]

@@ -80,7 +80,7 @@ class Storage(ABC):
         path: the file, as given by the user or unpacked.
         opened: the file that is read: `path`, or a complete copy of it.
         channels: channel id → channel.
-        counts: channel id → number of messages, stated in the file or counted; None if unknown.
+        counts: channel id → number of messages, stated in the file or counted.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
         shift_ns: what the last log times are later than stored, because the recorder's clock stepped back.
         damage: data that was lost, as sentences; complete after a full pass.
@@ -91,7 +91,7 @@ class Storage(ABC):
     def __init__(self, path: Path) -> None:
         self.path = self.opened = path
         self.channels: dict[int, Channel] = {}
-        self.counts: dict[int, int] | None = None
+        self.counts: dict[int, int] = {}
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         self.shift_ns = 0
@@ -142,8 +142,6 @@ class Storage(ABC):
 
     def compare_counts(self, topics: Collection[str], read: Mapping[int, int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""
-        if self.counts is None:
-            return
         for number, channel in sorted(self.channels.items()):
             stated = self.counts.get(number, 0)
             if channel.topic in topics and read.get(number, 0) < stated:
