@@ -158,15 +158,11 @@ class BlockStorage(Storage):
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
         """Channel id, and (n, 2) log time and position of its messages in a chunk; nothing without an index."""
 
-    def _blocks_with(self, topics: Collection[str]) -> list[Block]:
-        """Blocks that may contain messages of the topics, in order of time."""
-        wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
-        blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
-        return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
-
     def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
-        """Blocks of `_blocks_with` that are read."""
-        blocks = self._blocks_with(topics)
+        """Blocks within the extent that may contain messages of the topics, in order of time."""
+        wanted = self.channels_of(topics)
+        blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
+        blocks.sort(key=lambda block: (block.start_ns, block.offset))
         if extent.within_bytes is not None:
             blocks = _spread(blocks, extent.within_bytes)
         if extent.at_ns is not None:
@@ -174,7 +170,6 @@ class BlockStorage(Storage):
         return blocks
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `messages` reads."""
         return sum(block.size for block in self._blocks_of(topics, extent))
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
@@ -192,7 +187,7 @@ class BlockStorage(Storage):
                     heapq.heappush(waiting, (time_ns, next(order), Message(channel, time_ns, payload)))
             while waiting and waiting[0][0] < following_ns:
                 yield heapq.heappop(waiting)[-1]
-        if len(blocks) == len(self._blocks_with(topics)):
+        if len(blocks) == len(self._blocks_of(topics, EVERYTHING)):
             self.compare_counts(topics, read)
 
     def log_times(self) -> dict[int, IntArray]:

@@ -206,7 +206,7 @@ class SqliteStorage(Storage):
         """
         read: Counter[int] = Counter()
         damaged = False
-        wanted = self._wanted(topics)
+        wanted = self.channels_of(topics)
         for fetched in self._rows(self._batches(wanted, extent), _SELECT.format("data")):
             if fetched is None:
                 damaged = True
@@ -230,20 +230,16 @@ class SqliteStorage(Storage):
             self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `messages` reads."""
-        return int(self._log.size[self._places(self._wanted(topics), extent)].sum())
+        return int(self._log.size[self._places(self.channels_of(topics), extent)].sum())
 
     def log_times(self) -> dict[int, IntArray]:
         """Topic id → (n,) log times in table order."""
         return {number: self._log.log_ns[self._log.channel == number] for number in self.counts}
 
-    def _wanted(self, topics: Collection[str]) -> list[int]:
-        return [number for number, channel in self.channels.items() if channel.topic in topics]
-
-    def _places(self, wanted: list[int], extent: Extent) -> IntArray:
+    def _places(self, wanted: set[int], extent: Extent) -> IntArray:
         """Places in the log of the messages that are read, in order of time."""
         log = self._log
-        own = np.isin(log.channel, wanted)
+        own = np.isin(log.channel, list(wanted))
         if extent.at_ns is not None:
             own &= np.isin(log.log_ns, extent.at_ns)
         places = np.flatnonzero(own)
@@ -258,7 +254,7 @@ class SqliteStorage(Storage):
         every = range(1, (end or 0) + 1)
         yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
 
-    def _batches(self, wanted: list[int], extent: Extent) -> Iterator[list[int]]:
+    def _batches(self, wanted: set[int], extent: Extent) -> Iterator[list[int]]:
         """Increasing row numbers in the order of reading."""
         rows = self._log.row[self._places(wanted, extent)]
         for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):

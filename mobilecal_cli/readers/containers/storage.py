@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bz2
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
@@ -120,6 +121,10 @@ class Storage(ABC):
                 f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
             )
 
+    def channels_of(self, topics: Collection[str]) -> set[int]:
+        """Ids of the channels of some topics."""
+        return {number for number, channel in self.channels.items() if channel.topic in topics}
+
     @abstractmethod
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
         """Messages of the topics in order of log time, as far as the file is intact."""
@@ -140,12 +145,13 @@ class Storage(ABC):
     def close(self) -> None:
         """Close the file."""
 
-    def compare_counts(self, topics: Collection[str], read: Mapping[int, int]) -> None:
+    def compare_counts(self, topics: Collection[str], read: Counter[int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""
-        for number, channel in sorted(self.channels.items()):
+        for number in sorted(self.channels_of(topics)):
             stated = self.counts.get(number, 0)
-            if channel.topic in topics and read.get(number, 0) < stated:
-                self.note(f"{channel.topic}: {read.get(number, 0)} of {stated} messages could be read")
+            if read[number] < stated:
+                topic = self.channels[number].topic
+                self.note(f"{topic}: {read[number]} of {stated} messages could be read")
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
