@@ -125,7 +125,7 @@ def _read(
                 except RecordingError as error:
                     reasons[topic] = error.message
                 except NOT_ITS_TYPE as error:
-                    reasons[topic] = f"{topic}: not a valid {message.type}: {error}"
+                    reasons[topic] = f"{topic}: not a valid {message.channel.type}: {error}"
                 if not left[topic] or len(values[topic]) == enough:
                     del left[topic]
                     if not left:
@@ -211,7 +211,7 @@ def _of_topic(
         decoded = message.decode()
         for path in paths:
             series[path.text].append(path.number(decoded, topic, "the field"))
-    standard = _STANDARD.fullmatch(first.type)
+    standard = _STANDARD.fullmatch(first.channel.type)
     bits = int(standard[1]) if standard else None
     fields = []
     for name, values in series.items():

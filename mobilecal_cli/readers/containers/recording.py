@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence, Set
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
-from mobilecal_cli.readers.messages import Channel
 
 
 @contextmanager
@@ -72,9 +72,9 @@ class Recording(ExitStack):
         return f"{self.paths[0]}{more}"
 
     @property
-    def channels(self) -> dict[int, Channel]:
-        """The channels of all files, numbered."""
-        return dict(enumerate(channel for part in self.parts for channel in part.channels.values()))
+    def topic_names(self) -> Set[str]:
+        """Names of the topics."""
+        return self._by_name.keys()
 
     @property
     def start_ns(self) -> int | None:
@@ -89,7 +89,7 @@ class Recording(ExitStack):
     @property
     def damage(self) -> tuple[str, ...]:
         """Data that was lost, as sentences with numbers; complete after a full pass."""
-        return tuple(dict.fromkeys([*self._notes, *(note for part in self.parts for note in part.damage)]))
+        return tuple(dict.fromkeys(chain(self._notes, *(part.damage for part in self.parts))))
 
     def note(self, sentence: str) -> None:
         """Add a remark; a repeated one counts once."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bz2
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
@@ -35,11 +35,6 @@ class Message(NamedTuple):
     def topic(self) -> str:
         """Topic of the message."""
         return self.channel.topic
-
-    @property
-    def type(self) -> str:
-        """Message type in ROS 2 spelling."""
-        return self.channel.type
 
     def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
         """The message as an object with the fields of its definition; arrays are views of the payload.
@@ -84,7 +79,7 @@ class Storage(ABC):
         counts: channel id → number of messages, stated in the file or counted.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
         shift_ns: what the last log times are later than stored, because the recorder's clock stepped back.
-        damage: data that was lost, as sentences; complete after a full pass.
+        damage: data that was lost, as sentences, each once; complete after a full pass.
     """
 
     container: ClassVar[str]
@@ -96,16 +91,16 @@ class Storage(ABC):
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         self.shift_ns = 0
-        self._damage: dict[str, None] = {}
+        self.damage: dict[str, None] = {}
 
     @property
-    def damage(self) -> tuple[str, ...]:
-        """Each note once, in order of appearance."""
-        return tuple(self._damage)
+    def topic_names(self) -> Set[str]:
+        """Names of the topics."""
+        return {channel.topic for channel in self.channels.values()}
 
     def note(self, sentence: str) -> None:
         """Add a note on damage; a repeated one counts once."""
-        self._damage[f"{self.path.name}: {sentence}"] = None
+        self.damage[f"{self.path.name}: {sentence}"] = None
 
     def note_share(self, whole: int) -> None:
         """Note that the file is shorter than it states, with the share of its bytes that is left."""
