@@ -1,5 +1,6 @@
 """One small world, written into every container."""
 
+import json
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterable
@@ -239,6 +240,15 @@ def write_raw(path: Path, messages: Iterable[Raw], profile="ros2", **options) ->
             writer.add_message(channels[message.topic], message.log_ns, message.payload, message.log_ns)
         writer.finish()
     return path
+
+
+def write_json(path: Path, messages: Iterable[tuple[str, int, str, Any]]) -> Path:
+    """An MCAP file of (topic, log time, schema name, object)."""
+    raw = (
+        Raw(topic, log_ns, json.dumps(fields).encode(), (kind, "jsonschema", b'{"type": "object"}'), "json")
+        for topic, log_ns, kind, fields in messages
+    )
+    return write_raw(path, raw, "")
 
 
 def write_mcap(

@@ -1,7 +1,6 @@
 """Recordings in protobuf and JSON: the paper's robot's sample log, written anew with Foxglove's own schemas."""
 
 import base64
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,15 +55,6 @@ def in_json(message):
     return "foxglove.CompressedImage", {**frame, "format": "jpeg", "data": data}
 
 
-def written_in_json(out, messages):
-    """An MCAP file of (topic, log time, schema name, object)."""
-    raw = (
-        r.Raw(topic, log_ns, json.dumps(fields).encode(), (kind, "jsonschema", b'{"type": "object"}'), "json")
-        for topic, log_ns, kind, fields in messages
-    )
-    return r.write_raw(out, raw, "")
-
-
 def in_protobuf_and_json(recording, folder):
     """Pictures and calibrations in Foxglove's protobuf, joint states in JSON; no URDF."""
     pictured = [info.name for info in recording.topics if info.type != "std_msgs/msg/String"]
@@ -73,7 +63,7 @@ def in_protobuf_and_json(recording, folder):
         for m in recording.messages(pictured):
             writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
     joints = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in recording.messages(["/joint_states"]))
-    return [folder / "protobuf.mcap", written_in_json(folder / "joints.mcap", joints)]
+    return [folder / "protobuf.mcap", r.write_json(folder / "joints.mcap", joints)]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +79,7 @@ def other(request, original, tmp_path_factory):
     if request.param == "json":
         topics = [info.name for info in original.topics if info.name != "/robot_description"]
         messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(topics))
-        paths = [written_in_json(folder / "json.mcap", messages)]
+        paths = [r.write_json(folder / "json.mcap", messages)]
     else:
         paths = in_protobuf_and_json(original, folder)
     with open_recording(paths) as recording:
@@ -133,7 +123,7 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
         return {"timestamp": {"sec": 7, "nsec": i}, "odometer": counters, **angles}
 
     messages = [("/head", r.START_NS + i * STEP_NS, "my.Head", head(i)) for i in range(6)]
-    path = written_in_json(tmp_path / "log.mcap", messages)
+    path = r.write_json(tmp_path / "log.mcap", messages)
     fields = {side: f"odometer.{side}" for side in ("left", "right")}
     wheels = {side: WheelSource("/head", field=at, ticks_per_revolution=100) for side, at in fields.items()}
     pan = JointField("/head", "pan.angle", np.radians(1))
@@ -165,7 +155,7 @@ def test_dynamic_joint_states(tmp_path):
     topic, kind = "/dynamic_joint_states", "control_msgs/DynamicJointState"
     messages = [(topic, r.START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
     wheel = WheelSource(topic, joint="wheel")
-    with open_recording([written_in_json(tmp_path / "log.mcap", messages)]) as recording:
+    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
         assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
         sources = Sources({}, {}, (topic,), {"left": wheel, "right": wheel})
         signals = r.one_log(recording, sources, ("pan",))

@@ -10,7 +10,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import TURNS_AT_REST, Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations, turns_at_rest
-from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
 
@@ -45,7 +44,7 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         pose = {"pose": {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": upright}}
         return ("/odom", r.START_NS + i * r.STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
 
-    path = written_in_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
+    path = r.write_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
     source = WheelSource("/odom", baked_in=WHEELS)
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
