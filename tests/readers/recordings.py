@@ -7,13 +7,12 @@ from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import zstandard
 from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
@@ -26,6 +25,7 @@ from mobilecal_cli.model import PictureIndex, Sources, WheelSource
 from mobilecal_cli.readers import read_signals
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.pixels import codec_of
+from tests.records import Record, written
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 20_000_000
@@ -211,44 +211,25 @@ def in_sqlite(path: Path, *statements: str) -> Path:
     return path
 
 
-class Raw(NamedTuple):
-    """One message of an MCAP file as it is stored; `schema`: name, language and text of its definition."""
-
-    topic: str
-    log_ns: int
-    payload: bytes
-    schema: tuple[str, str, bytes]
-    encoding: str = "cdr"
-
-
-def schema_of(store: Typestore, kind: str) -> tuple[str, str, bytes]:
-    """The definition of a ROS type, for `Raw`."""
+def schema_of(store: Typestore, kind: str) -> dict[str, Any]:
+    """What a `Record` states of the messages of a ROS type."""
     ros = 1 if store is ROS1 else 2
-    name = kind.replace("/msg/", "/") if ros == 1 else kind
-    return name, f"ros{ros}msg", store.generate_msgdef(kind, ros_version=ros)[0].encode()
+    definition = store.generate_msgdef(kind, ros_version=ros)[0].encode()
+    name, encoding = (kind.replace("/msg/", "/"), "ros1") if ros == 1 else (kind, "cdr")
+    return {"type": name, "definition": definition, "language": f"ros{ros}msg", "encoding": encoding}
 
 
-def write_raw(path: Path, messages: Iterable[Raw], profile="ros2", **options) -> Path:
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, **options)
-        writer.start(profile)
-        channels = {}
-        for message in messages:
-            if message.topic not in channels:
-                schema = writer.register_schema(*message.schema)
-                channels[message.topic] = writer.register_channel(message.topic, message.encoding, schema)
-            writer.add_message(channels[message.topic], message.log_ns, message.payload, message.log_ns)
-        writer.finish()
-    return path
+#: What a `Record` states of messages in JSON.
+JSON = {"language": "jsonschema", "encoding": "json"}
 
 
 def write_json(path: Path, messages: Iterable[tuple[str, int, str, Any]]) -> Path:
     """An MCAP file of (topic, log time, schema name, object)."""
-    raw = (
-        Raw(topic, log_ns, json.dumps(fields).encode(), (kind, "jsonschema", b'{"type": "object"}'), "json")
+    records = (
+        Record(topic, kind, b'{"type": "object"}', log_ns, json.dumps(fields).encode(), **JSON)
         for topic, log_ns, kind, fields in messages
     )
-    return write_raw(path, raw, "")
+    return written(path, records, profile="")
 
 
 def write_mcap(
@@ -258,13 +239,14 @@ def write_mcap(
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
     schemas = {kind: schema_of(store, kind) for kind in {item.type for item in items}}
 
-    def raw(item: Item) -> Raw:
+    def record(item: Item) -> Record:
         data = bytes(serialize(item.make(store), item.type))
         payload = zstandard.compress(data) if pack else data
-        wire = encoding or ("ros1" if ros1 else "cdr")
-        return Raw(item.topic, item.log_ns, payload, schemas[item.type], wire)
+        schema = schemas[item.type] | ({"encoding": encoding} if encoding else {})
+        return Record(item.topic, time_ns=item.log_ns, data=payload, publish_ns=item.log_ns, **schema)
 
-    return write_raw(path, map(raw, items), profile, **{"chunk_size": 4096, **options})
+    options = {"chunk_size": 4096, "compression": CompressionType.ZSTD, **options}
+    return written(path, map(record, items), profile, **options)
 
 
 def _bare(path: Path, items: list[Item], suffix: str, storage: str) -> Path:

@@ -17,6 +17,7 @@ from mobilecal_cli.model import JointField, Sources, WheelSource
 from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
+from tests.records import Record, written
 
 from . import recordings as r
 
@@ -187,8 +188,8 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     ],
 )
 def test_json_that_is_no_message(tmp_path, payload, said):
-    raw = r.Raw("/eye", r.START_NS, payload, ("foxglove.CompressedImage", "jsonschema", b"{}"), "json")
-    with open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording:
+    message = Record("/eye", "foxglove.CompressedImage", b"{}", r.START_NS, payload, **r.JSON)
+    with open_recording([written(tmp_path / "log.mcap", [message])]) as recording:
         (message,) = recording.messages(["/eye"])
         with pytest.raises(RecordingError, match=said):
             message.decode()
@@ -196,9 +197,10 @@ def test_json_that_is_no_message(tmp_path, payload, said):
 
 @pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])
 def test_a_protobuf_definition_that_cannot_be_used(tmp_path, definition):
-    raw = r.Raw("/eye", r.START_NS, b"", ("foxglove.RawImage", "protobuf", definition), "protobuf")
+    kinds = {"language": "protobuf", "encoding": "protobuf"}
+    message = Record("/eye", "foxglove.RawImage", definition, r.START_NS, b"", **kinds)
     with (
-        open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording,
+        open_recording([written(tmp_path / "log.mcap", [message])]) as recording,
         pytest.raises(RecordingError, match=r"definition of the protobuf type foxglove\.RawImage"),
     ):
         recording.messages(["/eye"])
