@@ -156,7 +156,7 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id, and (n, 2) log time and position of its messages in a chunk; nothing without an index."""
+        """Channel id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
 
     def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
         """Blocks within the extent that may contain messages of the topics, in order of time."""

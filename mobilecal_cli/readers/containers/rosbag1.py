@@ -172,7 +172,6 @@ class BagStorage(BlockStorage):
             at = end
 
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Connection id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
         at = block.offset + block.size
         while at < self.size:
             fields, body, end = self._head(at)
