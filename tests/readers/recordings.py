@@ -6,6 +6,7 @@ import sqlite3
 from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -50,9 +51,13 @@ class Item:
     """One message to write; `make` builds it for a typestore."""
 
     topic: str
-    type: str
     log_ns: int
     make: Callable[[Typestore], Any]
+
+    def message(self, store: Typestore) -> tuple[Any, str]:
+        """The message, and its type."""
+        made = self.make(store)
+        return made, made.__msgtype__
 
 
 def every(recording):
@@ -155,9 +160,9 @@ URDF = "<robot name='r'><link name='base_link'/></robot>"
 def world(messages: int = 60) -> list[Item]:
     """Joints whose names change order, a tick counter that wraps, pictures of both sides, in log order."""
     items = [
-        Item("/robot_description", "std_msgs/msg/String", START_NS, number("String", URDF)),
-        Item("/left/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT, [0.1, 0, 0, 0, 0])),
-        Item("/right/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT)),
+        Item("/robot_description", START_NS, number("String", URDF)),
+        Item("/left/camera_info", START_NS, info(K_LEFT, [0.1, 0, 0, 0, 0])),
+        Item("/right/camera_info", START_NS, info(K_LEFT)),
     ]
     for k in range(messages):
         stamp = START_NS + k * STEP_NS
@@ -166,13 +171,13 @@ def world(messages: int = 60) -> list[Item]:
         if k % 3 == 1:
             names, values = names[::-1], values[::-1]
         state = joint_state(names, values, stamp_ns=stamp)
-        items.append(Item("/joint_states", "sensor_msgs/msg/JointState", log, state))
+        items.append(Item("/joint_states", log, state))
         ticks = (65_500 + 16 * k) % 2**16
-        items.append(Item("/ticks", "std_msgs/msg/UInt16", log + 1, number("UInt16", ticks)))
+        items.append(Item("/ticks", log + 1, number("UInt16", ticks)))
         if k % 10 == 0:
             left, right = image(picture(k), "mono8", stamp), compressed(picture(k + 1), ".png", stamp)
-            items.append(Item("/left/image_raw", "sensor_msgs/msg/Image", log + 2, left))
-            items.append(Item("/right/image/compressed", "sensor_msgs/msg/CompressedImage", log + 3, right))
+            items.append(Item("/left/image_raw", log + 2, left))
+            items.append(Item("/right/image/compressed", log + 3, right))
     return items
 
 
@@ -181,9 +186,10 @@ def _fill(writer, items: list[Item], store: Typestore, serialize: Callable) -> N
     with writer:
         connections = {}
         for item in items:
+            message, kind = item.message(store)
             if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=store)
-            writer.write(connections[item.topic], item.log_ns, serialize(item.make(store), item.type))
+                connections[item.topic] = writer.add_connection(item.topic, kind, typestore=store)
+            writer.write(connections[item.topic], item.log_ns, serialize(message, kind))
 
 
 def write_bag(path: Path, items: list[Item], compression: str = "") -> Path:
@@ -211,6 +217,7 @@ def in_sqlite(path: Path, *statements: str) -> Path:
     return path
 
 
+@cache
 def schema_of(store: Typestore, kind: str) -> dict[str, Any]:
     """What a `Record` states of the messages of a ROS type."""
     ros = 1 if store is ROS1 else 2
@@ -237,12 +244,12 @@ def write_mcap(
 ) -> Path:
     store = ROS1 if ros1 else ROS2
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    schemas = {kind: schema_of(store, kind) for kind in {item.type for item in items}}
 
     def record(item: Item) -> Record:
-        data = bytes(serialize(item.make(store), item.type))
+        message, kind = item.message(store)
+        data = bytes(serialize(message, kind))
         payload = zstandard.compress(data) if pack else data
-        schema = schemas[item.type] | ({"encoding": encoding} if encoding else {})
+        schema = schema_of(store, kind) | ({"encoding": encoding} if encoding else {})
         return Record(item.topic, time_ns=item.log_ns, data=payload, publish_ns=item.log_ns, **schema)
 
     options = {"chunk_size": 4096, "compression": CompressionType.ZSTD, **options}

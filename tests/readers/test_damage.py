@@ -37,8 +37,7 @@ def written(folder: Path, data: bytes, name: str = "damaged") -> Path:
 
 @pytest.mark.parametrize("chunk", [0, 1, 3])
 def test_a_truncated_chunk_of_an_mcap_gives_its_whole_messages(tmp_path, chunk):
-    kind = "std_msgs/msg/UInt16"
-    items = [r.Item(f"/n{k % 3}", kind, r.START_NS + k, r.number("UInt16", k)) for k in range(900)]
+    items = [r.Item(f"/n{k % 3}", r.START_NS + k, r.number("UInt16", k)) for k in range(900)]
     path = r.write_mcap(tmp_path / "log.mcap", items, compression=CompressionType.NONE)
     with open_recording([path]) as recording:
         (part,) = recording.parts

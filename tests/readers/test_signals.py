@@ -16,7 +16,6 @@ from mobilecal_cli.readers.signals.wheels import FieldWheel
 
 from . import recordings as r
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
 S = 10**9
 
 
@@ -26,7 +25,7 @@ def at(k: float) -> int:
 
 def images(count: int = 3, every_s: float = 1, stamp=at) -> list[r.Item]:
     return [
-        r.Item(topic, "sensor_msgs/msg/Image", at(time_s), r.image(r.picture(k), "mono8", stamp(time_s)))
+        r.Item(topic, at(time_s), r.image(r.picture(k), "mono8", stamp(time_s)))
         for k, time_s in enumerate(every_s * np.arange(count))
         for topic in ("/l", "/r")
     ]
@@ -35,7 +34,7 @@ def images(count: int = 3, every_s: float = 1, stamp=at) -> list[r.Item]:
 def joints(samples, topic="/j") -> list[r.Item]:
     """(log s, stamp ns, names, positions[, velocities]) each."""
     return [
-        r.Item(topic, JOINT_STATE, at(log), r.joint_state(names, position, *rate, stamp_ns=stamp))
+        r.Item(topic, at(log), r.joint_state(names, position, *rate, stamp_ns=stamp))
         for log, stamp, names, position, *rate in samples
     ]
 
@@ -308,7 +307,7 @@ def test_readings_beyond_the_width_of_a_counter_are_refused(tmp_path):
     said = "joint wl on /j: a reading of 400 does not fit a counter of 8 bits"
     with pytest.raises(RecordingError, match=said):
         joints_read(tmp_path, rows, with_left(joint="wl", **width))
-    ticks = [r.Item("/t", "std_msgs/msg/UInt16", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
+    ticks = [r.Item("/t", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
     with pytest.raises(RecordingError, match="a reading of 360 does not fit a counter of 8 bits"):
         signals_of(tmp_path, [*images(), *joints(steady()), *ticks], with_left("/t", field="data", **width))
 
@@ -356,7 +355,7 @@ def test_wrong_sources_are_refused(tmp_path, sources, message):
 
 def test_side_without_images_is_refused(tmp_path):
     items = [item for item in images() if item.topic == "/l"]
-    empty = r.Item("/r", "sensor_msgs/msg/Image", at(0), r.image(r.picture(0), "mono8"))
+    empty = r.Item("/r", at(0), r.image(r.picture(0), "mono8"))
     path = r.write_mcap(tmp_path / "log.mcap", [*items, *joints(steady()), empty])
     with open_recording([path]) as recording:
         part = recording.parts[0]
