@@ -254,7 +254,7 @@ def undo_steps(files: Sequence[Storage]) -> None:
         shift_ns = before.shift_ns
         if file.start_ns < end_ns - LEAST_STEP_NS and file.end_ns > start_ns + LEAST_STEP_NS:
             shift_ns += end_ns - file.start_ns
-            file.note_steps([end_ns - file.start_ns])
+            file.note_step(end_ns - file.start_ns)
         if shift_ns and file.end_ns + shift_ns < LATEST_NS:
             file.delay(shift_ns)
 

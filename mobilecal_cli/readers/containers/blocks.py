@@ -25,7 +25,6 @@ from mobilecal_cli.readers.containers.storage import (
     Message,
     Storage,
     goes_back,
-    steps_back,
 )
 from mobilecal_cli.readers.messages import Payload
 
@@ -244,24 +243,19 @@ class BlockStorage(Storage):
         except _UnindexedError:
             return
         channel, log_ns = np.concatenate(parts, axis=1)
-        steps = steps_back(channel, log_ns)
-        sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
-        if not steps:
+        shift_ns = self.shifts_of(channel, log_ns)
+        if not shift_ns.any():
             return
+        ends = np.cumsum([len(times.T) for times in parts])[:-1]
+        times_of = np.split(np.stack([log_ns + shift_ns, shift_ns]), ends, axis=1)
         self.blocks.clear()
-        begin = 0
-        for block, (_, log_ns) in zip(blocks, parts, strict=True):
-            end = begin + len(log_ns)
-            inside = [place - begin for place, _ in steps if begin < place < end]
-            before = sum(place <= begin for place, _ in steps)
-            for number, (first, last) in enumerate(pairwise([0, *inside, len(log_ns)]), before):
+        for block, (own_ns, own_shift_ns) in zip(blocks, times_of, strict=True):
+            steps = (np.flatnonzero(np.diff(own_shift_ns)) + 1).tolist()
+            for first, last in pairwise([0, *steps, len(own_ns)]):
                 if first < last:
-                    own = log_ns[first:last] + sizes[number]
+                    own, shift = own_ns[first:last], int(own_shift_ns[first])
                     part = replace(block, start_ns=int(own.min()), end_ns=int(own.max()))
-                    self.blocks.append(replace(part, first=first, last=last, shift_ns=sizes[number]))
-            begin = end
-        self.shift_ns = sizes[-1]
-        self.note_steps([size for _, size in steps])
+                    self.blocks.append(replace(part, first=first, last=last, shift_ns=shift))
 
     def delay(self, shift_ns: int) -> None:
         self.shift_ns += shift_ns

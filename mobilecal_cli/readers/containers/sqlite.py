@@ -28,7 +28,6 @@ from mobilecal_cli.readers.containers.storage import (
     Message,
     Storage,
     message_payload,
-    steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES
@@ -167,11 +166,7 @@ class SqliteStorage(Storage):
                 log, counts = self._of_readable(select, last)
             self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
         self.counts = counts
-        steps = steps_back(log.channel, log.log_ns)
-        for first, size_ns in steps:
-            log.log_ns[first:] += size_ns
-            self.shift_ns += size_ns
-        self.note_steps([size_ns for _, size_ns in steps])
+        log.log_ns[:] += self.shifts_of(log.channel, log.log_ns)
         self._log = log
         self.delay(0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bz2
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence, Set
+from collections.abc import Collection, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, NamedTuple
@@ -109,12 +109,24 @@ class Storage(ABC):
             f"the file is truncated: {size} of {whole} bytes or more ({100 * size / whole:.0f} %) are left"
         )
 
-    def note_steps(self, sizes_ns: Sequence[int]) -> None:
-        """Note steps of the recorder's clock by their sizes."""
-        for size_ns in sizes_ns:
-            self.note(
-                f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
-            )
+    def note_step(self, size_ns: int) -> None:
+        """Note a step of the recorder's clock."""
+        self.note(
+            f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
+        )
+
+    def shifts_of(self, channel: IntArray, log_ns: IntArray) -> IntArray:
+        """(n,) what log times are later than stored, for they go on where the clock stepped back; notes the steps.
+
+        Args:
+            channel, log_ns: see `steps_back`.
+        """
+        shift_ns = np.zeros_like(log_ns)
+        for first, size_ns in steps_back(channel, log_ns):
+            shift_ns[first:] += size_ns
+            self.shift_ns += size_ns
+            self.note_step(size_ns)
+        return shift_ns
 
     def channels_of(self, topics: Collection[str]) -> set[int]:
         """Ids of the channels of some topics."""
