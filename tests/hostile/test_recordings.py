@@ -251,7 +251,7 @@ def chain_of(depth: int, line: str, last: str) -> str:
 )
 @pytest.mark.parametrize("encoding", ["ros1", "cdr"])
 def test_message_definitions_without_end(definition, payload, encoding):
-    channel = Channel("/t", "a/msg/T0", encoding, definition, "msg")
+    channel = Channel("/t", "a/msg/T0", encoding, definition.encode(), "msg")
     head = b"\x00\x01\x00\x00" if encoding == "cdr" else b""
     with bounded():
         try:

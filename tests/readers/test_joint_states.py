@@ -92,7 +92,7 @@ def test_the_limit_holds_for_each_message_that_says_what_a_joint_state_says():
     message = replace(dynamic(store, 1, r.START_NS), joint_names=[*MOVING, "x" * LARGEST_JOINT_STATE])
     definition, _ = store.generate_msgdef(name, ros_version=2)
     with pytest.raises(RecordingError, match=r"a joint state of 10\d{5} bytes"):
-        Channel("/joint_states", name, "cdr", definition).decode(store.serialize_cdr(message, name))
+        Channel("/joint_states", name, "cdr", definition.encode()).decode(store.serialize_cdr(message, name))
 
 
 CONTROL = {

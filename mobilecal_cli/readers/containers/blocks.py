@@ -26,7 +26,7 @@ from mobilecal_cli.readers.containers.storage import (
     Storage,
     goes_back,
 )
-from mobilecal_cli.readers.messages import Payload
+from mobilecal_cli.readers.messages.types import Payload
 
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
 _MOST_MESSAGES = 2**19

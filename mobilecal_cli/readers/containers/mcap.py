@@ -24,8 +24,8 @@ from mobilecal_cli.readers.containers.storage import (
     decompress,
     message_payload,
 )
-from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.messages.types import LANGUAGES
+from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -173,8 +173,7 @@ class McapStorage(BlockStorage):
             return
         schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
         name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
-        definition = schema.data if kind == "protobuf" else schema.data.decode(errors="replace")
-        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, definition, kind)
+        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, schema.data, kind)
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, body, end = self._head(at)

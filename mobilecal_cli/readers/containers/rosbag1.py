@@ -17,7 +17,8 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
-from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.messages.types import Payload
 
 MAGIC = b"#ROSBAG V2.0\n"
 
@@ -188,9 +189,8 @@ class BagStorage(BlockStorage):
         if number in self.channels:
             return
         inner = _fields(memoryview(data))
-        name, text = inner[b"type"].decode(), inner.get(b"message_definition", b"").decode(errors="replace")
-        topic = fields[b"topic"].decode()
-        self.channels[number] = Channel(topic, ros2_spelling(name), "ros1", text, "msg")
+        name, topic = ros2_spelling(inner[b"type"].decode()), fields[b"topic"].decode()
+        self.channels[number] = Channel(topic, name, "ros1", inner.get(b"message_definition", b""), "msg")
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         fields, body, end = self._head(at)

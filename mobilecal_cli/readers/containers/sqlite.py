@@ -147,8 +147,9 @@ class SqliteStorage(Storage):
                 self.note(f"topic {topic!r} has the invalid id {number!r}; skipped")
                 continue
             language, text = definitions.get(str(name), ("", ""))
+            kind = ros2_spelling(str(name))
             self.channels[number] = Channel(
-                str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
+                str(topic), kind, str(encoding), text.encode(), LANGUAGES.get(language, "")
             )
 
     def _scan(self) -> None:

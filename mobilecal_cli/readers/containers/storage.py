@@ -15,7 +15,8 @@ import numpy as np
 import zstandard
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.messages import Channel, Payload
+from mobilecal_cli.readers.messages import Channel
+from mobilecal_cli.readers.messages.types import Payload
 
 
 class Message(NamedTuple):

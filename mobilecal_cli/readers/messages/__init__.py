@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from graphlib import TopologicalSorter
@@ -18,13 +17,12 @@ from mobilecal_cli.model import JOINT_STATE, listed
 from mobilecal_cli.readers.messages.types import (
     Decoder,
     DefinitionFormat,
+    Payload,
     leaves_of,
     like_ros,
     ros_decoder,
     ros_type,
 )
-
-Payload = bytes | memoryview
 
 #: Exceptions raised by a message without the fields of its type: JSON may contain anything.
 NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
@@ -41,14 +39,14 @@ class Channel:
         topic: the topic.
         type: message type; ROS's in ROS 2 spelling.
         encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or another value from the container.
-        definition: message definition with its dependencies, "" if the container has none; bytes for protobuf.
+        definition: message definition with its dependencies, as stored; empty if the container has none.
         definition_format: language of the definition.
     """
 
     topic: str
     type: str
     encoding: str
-    definition: str | bytes = ""
+    definition: bytes = b""
     definition_format: DefinitionFormat = ""
 
     @property
@@ -104,10 +102,10 @@ def ros2_spelling(name: str) -> str:
 
 @lru_cache(maxsize=256)
 def _decoder(
-    encoding: str, type_name: str, definition: str | bytes, definition_format: DefinitionFormat
-) -> Callable[[Payload], object]:
-    if isinstance(definition, str) and encoding in ("cdr", "ros1"):
-        decode = ros_decoder(encoding, type_name, definition, definition_format)
+    encoding: str, type_name: str, definition: bytes, definition_format: DefinitionFormat
+) -> Decoder:
+    if encoding in ("cdr", "ros1") and definition_format != "protobuf":
+        decode = ros_decoder(encoding, type_name, definition.decode(errors="replace"), definition_format)
         if ros_type(type_name) == type_name:
             return decode
     elif encoding == "json":
@@ -117,7 +115,7 @@ def _decoder(
     return like_ros(decode, type_name)
 
 
-def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
+def _protobuf_decoder(type_name: str, definition: bytes) -> Decoder:
     """Decoder of messages of one type in a `FileDescriptorSet`.
 
     Raises:
@@ -126,9 +124,8 @@ def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     try:
-        stored = definition.encode() if isinstance(definition, str) else definition
         pool = descriptor_pool.DescriptorPool()
-        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
+        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file}
         needed = {name: files.keys() & set(file.dependency) for name, file in files.items()}
         for name in TopologicalSorter(needed).static_order():
             pool.Add(files[name])

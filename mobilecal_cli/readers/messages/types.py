@@ -19,7 +19,8 @@ from rosbags.typesys.store import Typestore
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING
 
-Decoder = Callable[[bytes | memoryview], Any]
+Payload = bytes | memoryview
+Decoder = Callable[[Payload], Any]
 DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
 #: Language of a definition as containers name it → its format.
 LANGUAGES: dict[str, DefinitionFormat] = {
@@ -182,7 +183,7 @@ def like_ros(decode: Decoder, type_name: str) -> Decoder:
     """A decoder whose messages have the fields of the equivalent ROS type, and a header if they have a `timestamp`."""
     convert = _known(type_name)[1].convert
 
-    def converted(payload: bytes | memoryview) -> Any:  # noqa: ANN401
+    def converted(payload: Payload) -> Any:  # noqa: ANN401
         message = decode(payload)
         more = convert(message)
         return SimpleNamespace(**{**fields_of(message), **more}) if more else message

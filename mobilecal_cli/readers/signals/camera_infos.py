@@ -12,7 +12,8 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, Camera, CameraInfo, Distortion, FloatArray, IntArray
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel
+from mobilecal_cli.readers.messages.types import Payload
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
 _LENGTHS: dict[Distortion, tuple[int, ...]] = {
