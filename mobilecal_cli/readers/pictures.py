@@ -12,7 +12,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
-from mobilecal_cli.readers.messages import stamp_of
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
 from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
 
 #: Bytes of a topic that are read to find a few images by their order alone.
@@ -64,9 +64,9 @@ def _read(
     for message in recording.messages([topic for topic, places in missing.items() if places], extent):
         try:
             decoded = message.decode()
-        except RecordingError:
+            stamp_ns = stamp_of(decoded, message.log_time_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
             continue  # without a stamp, it cannot have been selected
-        stamp_ns = stamp_of(decoded, message.log_time_ns)
         wanted = missing[message.topic].pop((message.log_time_ns, stamp_ns), [])
         decode = _decoder(videos, message.topic, decoded)
         if not wanted and decode is decode_image:

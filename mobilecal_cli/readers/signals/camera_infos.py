@@ -195,7 +195,7 @@ class InfoChanges:
         if self._last != own:
             try:
                 decoded = camera_info(channel.decode(payload), self.topic)
-            except (RecordingError, *NOT_ITS_TYPE):
+            except RecordingError:
                 return
             known = (k for k, info in enumerate(self.infos) if not _difference(info, decoded))
             which = next(known, len(self.infos))

@@ -13,7 +13,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import stamp_of
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
 from mobilecal_cli.readers.signals.series import Samples, Series
 from mobilecal_cli.readers.signals.sources import Source, Subscriptions
 
@@ -211,14 +211,14 @@ def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str
     samples_of: dict[tuple[str, str], list[FloatArray]] = {}
     for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
-            items = message.decode().transforms
-        except (RecordingError, AttributeError):
+            items = list(message.decode().transforms)
+        except (RecordingError, *NOT_ITS_TYPE):
             continue
         for item in items:
             try:
                 ends = (str(item.header.frame_id).lstrip("/"), str(item.child_frame_id).lstrip("/"))
                 T = _matrix(item.transform)
-            except (AttributeError, TypeError, ValueError):  # JSON may contain anything
+            except NOT_ITS_TYPE:
                 continue
             if T is not None:
                 samples = samples_of.setdefault(ends, [])
