@@ -189,13 +189,12 @@ class BlockStorage(Storage):
         if len(blocks) == len(self._blocks_of(topics, EVERYTHING)):
             self.compare_counts(topics, read)
 
-    def log_times(self) -> dict[int, IntArray]:
+    def log_times(self) -> IntArray:
         try:
             parts = [times for _, times in self._times(self.blocks)]
         except _UnindexedError:
-            return {}
-        channel, log_ns = np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
-        return {number: log_ns[channel == number] for number in np.unique(channel).tolist()}
+            parts = []
+        return np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
 
     def _times(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, IntArray]]:
         """Blocks in file order, each with (2, n) channel ids and log times of its messages.

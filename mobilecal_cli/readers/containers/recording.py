@@ -118,10 +118,11 @@ class Recording(ExitStack):
         times: dict[str, list[IntArray]] = {}
         unknown = set()
         for part in self.parts:
-            known = part.log_times()
+            numbers, log_ns = part.log_times()
             for number, channel in part.channels.items():
-                if number in known:
-                    times.setdefault(channel.topic, []).append(known[number])
+                own_ns = log_ns[numbers == number]
+                if len(own_ns):
+                    times.setdefault(channel.topic, []).append(own_ns)
                 elif part.counts.get(number, 0):
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}

@@ -228,9 +228,8 @@ class SqliteStorage(Storage):
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
         return int(self._log.size[self._places(self.channels_of(topics), extent)].sum())
 
-    def log_times(self) -> dict[int, IntArray]:
-        """Topic id → (n,) log times in table order."""
-        return {number: self._log.log_ns[self._log.channel == number] for number in self.counts}
+    def log_times(self) -> IntArray:
+        return np.stack([self._log.channel, self._log.log_ns])
 
     def _places(self, wanted: set[int], extent: Extent) -> IntArray:
         """Places in the log of the messages that are read, in order of time."""

@@ -142,8 +142,8 @@ class Storage(ABC):
         """Number of bytes that `messages` reads."""
 
     @abstractmethod
-    def log_times(self) -> dict[int, IntArray]:
-        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
+    def log_times(self) -> IntArray:
+        """(2, n) channel ids and log times in file order; none if they are not available without reading all."""
 
     @abstractmethod
     def delay(self, shift_ns: int) -> None:
