@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from itertools import chain, islice
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
-from mobilecal_cli.readers.messages.types import leaves_of
+from mobilecal_cli.readers.messages.types import Decoded, leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import transforms_of
 from mobilecal_cli.readers.signals.wheels import wraps
@@ -95,14 +95,14 @@ def read_description(recording: Recording) -> RobotDescription:
     )
 
 
-def _first(recording: Recording, topics: Sequence[str], read: Callable[[Any], T]) -> dict[str, T]:
+def _first(recording: Recording, topics: Sequence[str], read: Callable[[Decoded], T]) -> dict[str, T]:
     """Value read from the first message of each topic that has it, among the first few."""
     several = _read(recording, topics, TRIES, 1, read)
     return {topic: values[0] for topic, values in several.items() if values}
 
 
 def _read(
-    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Any], T]
+    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Decoded], T]
 ) -> dict[str, list[T]]:
     """Values read from at most `enough` of each topic's first `most` messages; none if a topic cannot be read.
 

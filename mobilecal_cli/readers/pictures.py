@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, Ste
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
+from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
 
 #: Bytes of a topic that are read to find a few images by their order alone.
@@ -126,7 +126,7 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
             return
         if message.log_time_ns < waiting[0]:
             continue
-        decode: Callable[[Any], GrayImage] = decode_image
+        decode: Callable[[Decoded], GrayImage] = decode_image
         picture: GrayImage | Rejection
         try:
             decoded = message.decode()
@@ -140,7 +140,7 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
         yield picture
 
 
-def _decoder(videos: dict[str, Video], topic: str, message: Any) -> Callable[[Any], GrayImage]:  # noqa: ANN401
+def _decoder(videos: dict[str, Video], topic: str, message: Decoded) -> Callable[[Decoded], GrayImage]:
     """`decode_image`, or the decoder of a topic's video, created with its first frame."""
     codec = codec_of(message)
     if codec is None:

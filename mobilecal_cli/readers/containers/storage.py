@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NamedTuple
+from typing import BinaryIO, ClassVar, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -16,7 +16,7 @@ import zstandard
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.messages import Channel
-from mobilecal_cli.readers.messages.types import Payload
+from mobilecal_cli.readers.messages.types import Decoded, Payload
 
 
 class Message(NamedTuple):
@@ -37,7 +37,7 @@ class Message(NamedTuple):
         """Topic of the message."""
         return self.channel.topic
 
-    def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+    def decode(self) -> Decoded:
         """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from graphlib import TopologicalSorter
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, listed
 from mobilecal_cli.readers.messages.types import (
+    Decoded,
     Decoder,
     DefinitionFormat,
     Payload,
@@ -71,7 +71,7 @@ class Channel:
         except RecordingError as error:
             raise RecordingError(f"{self.topic}: {error.message}", error.hint) from error
 
-    def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+    def decode(self, payload: Payload) -> Decoded:
         """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
@@ -140,7 +140,7 @@ def _protobuf_decoder(type_name: str, definition: bytes) -> Decoder:
     return lambda payload: _from_protobuf(kind.FromString(bytes(payload)))
 
 
-def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
+def _from_protobuf(message: Decoded) -> Decoded:
     if message.DESCRIPTOR.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
         return SimpleNamespace(sec=message.seconds, nanosec=message.nanos)
     result = SimpleNamespace()
@@ -158,7 +158,7 @@ def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
     return result
 
 
-def _from_json(payload: Payload) -> Any:  # noqa: ANN401
+def _from_json(payload: Payload) -> Decoded:
     """A JSON object; NaN and Infinity are allowed."""
     value = json.loads(bytes(payload), object_hook=lambda fields: SimpleNamespace(**fields))
     if not isinstance(value, SimpleNamespace):
@@ -166,7 +166,7 @@ def _from_json(payload: Payload) -> Any:  # noqa: ANN401
     return value
 
 
-def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is the recording's
+def header_stamp_ns(message: Decoded) -> int | None:
     """Header stamp of a message, ns; of a TFMessage, that of its first transform. None without a header."""
     if getattr(message, "transforms", None):
         message = message.transforms[0]
@@ -174,12 +174,12 @@ def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is t
     return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
+def stamp_of(message: Decoded, log_ns: int) -> int:
     """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
     return header_stamp_ns(message) or log_ns
 
 
-def content_of(message: Any) -> bytes:  # noqa: ANN401
+def content_of(message: Decoded) -> bytes:
     """Pixels of an image message, as encoded; b"" without any."""
     try:
         return bytes(memoryview(message.data))
@@ -220,7 +220,7 @@ class FieldPath:
             steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
         return cls(text, tuple(steps))
 
-    def number(self, message: Any, topic: str, setting: str) -> int | float:  # noqa: ANN401 - the type is the recording's
+    def number(self, message: Decoded, topic: str, setting: str) -> int | float:
         """The number at the path.
 
         Args:
@@ -250,7 +250,7 @@ class FieldPath:
         )
 
 
-def _field_names(message: Any) -> list[str]:  # noqa: ANN401
+def _field_names(message: Decoded) -> list[str]:
     """Paths to the numbers and lists in a message."""
     paths: list[str] = []
     for path, value in leaves_of(message):

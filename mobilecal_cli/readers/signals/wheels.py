@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from mobilecal_cli.model import (
     WheelSource,
     listed,
 )
+from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.joints import StatedJoint
 from mobilecal_cli.readers.signals.series import Samples, Series
 from mobilecal_cli.readers.signals.sources import FieldSource, Source, Subscriptions
@@ -302,7 +302,7 @@ class OdometryWheel(Source):
         super().__init__(Series(source.topic, f"pose on {source.topic}", width=3))
         self._side, self._source, self._wheels = side, source, wheels
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         position, turned = message.pose.pose.position, message.pose.pose.orientation
         self.series.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
