@@ -215,7 +215,8 @@ def _of_topic(
     bits = int(standard[1]) if standard else None
     fields = []
     for name, values in series.items():
-        whole = all(isinstance(value, int) for value in values)  # other numbers do not start again
+        # Other numbers do not start again, and neither do larger ones, which JSON may contain.
+        whole = all(isinstance(value, int) and abs(value) < 2**64 for value in values)
         starts_again = wraps(np.array(values, dtype=np.float64)) if whole else (None, None)
         fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again))
     return tuple(fields)
