@@ -217,14 +217,6 @@ def test_only_nan_is_refused(tmp_path, bad):
         joints_read(tmp_path, rows)
 
 
-def test_wrapped_positions_are_unwrapped_and_noted(tmp_path):
-    angle = 0.3 * np.arange(60)
-    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    signals = joints_read(tmp_path, wheel_at(0.05 * np.arange(60), wrapped))
-    np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
-    assert any("wrapped to one turn; 3 jumps are undone" in note for note in signals.notes)
-
-
 def test_positions_that_never_change_beside_velocities(tmp_path):
     """Some drivers fill in zeros in place of the positions that they do not know."""
     stuck = [(0.1 * k, at(0.1 * k), NAMES, [0, 0, 0], [0, 2.0, min(k, 1) * 1.0]) for k in range(11)]
@@ -234,14 +226,15 @@ def test_positions_that_never_change_beside_velocities(tmp_path):
     assert any("positions that never change; velocities are integrated" in note for note in signals.notes)
 
 
-@pytest.mark.parametrize("pause_s", [1.2, 3.0])
-def test_a_pause_does_not_switch_unwrapping_off(tmp_path, pause_s):
+@pytest.mark.parametrize("pause_s", [0.05, 1.2, 3.0])
+def test_wrapped_positions_are_unwrapped_and_noted_with_and_without_a_pause(tmp_path, pause_s):
     """The wheel turns on during the pause at the speed that it had before and has after it."""
     times = np.concatenate([0.05 * np.arange(60), 2.95 + pause_s + 0.05 * np.arange(60)])
     angle = 4.0 * times
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
     signals = joints_read(tmp_path, wheel_at(times, wrapped))
     np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
+    assert any("wrapped to one turn; 4 jumps are undone" in note for note in signals.notes)
 
 
 def turning(count=400, rate=4.0):
