@@ -77,7 +77,7 @@ class Channel:
         Raises:
             RecordingError: the payload does not match the definition, or is a joint state that no robot has.
         """
-        if self.ros_type == JOINT_STATE and len(payload) > LARGEST_JOINT_STATE:
+        if len(payload) > LARGEST_JOINT_STATE and self.ros_type == JOINT_STATE:
             raise RecordingError(
                 f"{self.topic}: a joint state of {len(payload)} bytes (limit {LARGEST_JOINT_STATE})",
                 "check the driver that publishes it",
