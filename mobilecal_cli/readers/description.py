@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from itertools import chain, islice
 from typing import TypeVar
@@ -54,31 +55,31 @@ def read_description(recording: Recording) -> RobotDescription:
     """
     if not any(info.count for info in recording.topics):
         raise RecordingError(f"{recording.name}: the recording contains no messages", "record a new one")
-    names: dict[str, list[str]] = {}
+    names: defaultdict[str, list[str]] = defaultdict(list)
     for info in recording.topics:
-        names.setdefault(info.type, []).append(info.name)
-    images = [topic for kind in IMAGES for topic in names.get(kind, [])]
-    described = [topic for topic in names.get(STRING, []) if "robot_description" in topic]
+        names[info.type].append(info.name)
+    images = [topic for kind in IMAGES for topic in names[kind]]
+    described = [topic for topic in names[STRING] if "robot_description" in topic]
     texts = _first(recording, described, lambda message: str(message.data))
     urdfs = {topic: text for topic, text in texts.items() if text.strip()}
-    infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
+    infos, unusable = _infos(recording, names[CAMERA_INFO])
     image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
     joints = _read(
         recording,
-        names.get(JOINT_STATE, []),
+        names[JOINT_STATE],
         JOINT_MESSAGES,
         JOINT_MESSAGES,
         lambda message: [str(name) for name in message.name],
     )
     frames = _first(
         recording,
-        names.get(ODOMETRY, []),
+        names[ODOMETRY],
         lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
     )
     transforms: dict[tuple[str, str], FloatArray] = {}
     if not urdfs:
         try:
-            transforms = transforms_of(recording, names.get(TRANSFORMS, []))
+            transforms = transforms_of(recording, names[TRANSFORMS])
         except RecordingError as error:  # the configuration may not need them
             recording.note(error.message)
     return RobotDescription(

@@ -196,10 +196,7 @@ class SqliteStorage(Storage):
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """Messages of the topics in order of log time.
-
-        Rows of other topics are not read, so a limit in bytes does not apply.
-        """
+        # Rows of other topics are not read, so a limit in bytes does not apply.
         read: Counter[int] = Counter()
         damaged = False
         wanted = self.channels_of(topics)
