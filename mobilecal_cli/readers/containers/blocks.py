@@ -330,7 +330,6 @@ class Reindex:
 
     def __init__(self, storage: BlockStorage) -> None:
         self._storage = storage
-        self._counts: Counter[int] = Counter()
         #: The last block, which the next message may continue.
         self._last: Block | None = None
 
@@ -374,12 +373,11 @@ class Reindex:
                 break
             at = end
         self._close(truncated=bool(trouble))
-        storage.counts = dict(self._counts)
         if trouble:
             storage.set_time_range()
             seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
             storage.note(
-                f"{trouble}; {self._counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
+                f"{trouble}; {storage.counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
             )
         return trouble
 
@@ -400,7 +398,7 @@ class Reindex:
     def _add(self, block: Block) -> None:
         """Add a chunk, or a message outside chunks, which continues the block of the message directly before it."""
         last = self._last
-        self._counts.update(block.channels or ())
+        self._storage.counts.update(block.channels or ())
         if (
             last is None
             or last.channels is None
@@ -435,7 +433,7 @@ class Reindex:
                 storage.note(sentence)
             if times.size:
                 counts = Counter(times[0].tolist())
-                self._counts.update(counts)
+                storage.counts.update(counts)
                 start_ns, end_ns = int(times[1].min()), int(times[1].max())
                 block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
         storage.blocks.append(block)

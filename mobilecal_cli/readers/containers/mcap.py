@@ -90,7 +90,7 @@ class McapStorage(BlockStorage):
         self._schemas.update(summary.schemas)
         for channel in summary.channels.values():
             self._register(channel)
-        self.counts = dict(summary.statistics.channel_message_counts)
+        self.counts.update(summary.statistics.channel_message_counts)
         for index in chunks:
             ids = frozenset(index.message_index_offsets)
             if ids or index.message_end_time:

@@ -61,7 +61,7 @@ class Recording(ExitStack):
         for part in self.parts:
             for number, channel in part.channels.items():
                 types.setdefault(channel.topic, channel.ros_type)
-                counts[channel.topic] += part.counts.get(number, 0)
+                counts[channel.topic] += part.counts[number]
         self.topics = tuple(TopicInfo(topic, types[topic], counts[topic]) for topic in sorted(types))
         self._by_name = {info.name: info for info in self.topics}
 
@@ -123,7 +123,7 @@ class Recording(ExitStack):
                 own_ns = log_ns[numbers == number]
                 if len(own_ns):
                     times.setdefault(channel.topic, []).append(own_ns)
-                elif part.counts.get(number, 0):
+                elif part.counts[number]:
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 

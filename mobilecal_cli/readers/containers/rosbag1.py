@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -103,7 +104,7 @@ class BagStorage(BlockStorage):
             if not Reindex(self).run(first, without_end=""):
                 self.note(
                     f"the bag has no usable index (was the recorder stopped properly?); a scan found "
-                    f"{sum(self.counts.values())} messages"
+                    f"{self.counts.total()} messages"
                 )
 
     def _head(self, at: int) -> tuple[Fields, int, int]:
@@ -121,7 +122,7 @@ class BagStorage(BlockStorage):
                 fields, body, end = self._head(at)
                 self._define(fields, self.read_at(body, end - body))
                 at = end
-            counts, damaged = dict.fromkeys(self.channels, 0), []
+            counts, damaged = Counter[int](), list[str]()
             for _ in range(_u32(bag, b"chunk_count")):
                 fields, body, end = self._head(at)
                 trouble = self._index_chunk(fields, self.read_at(body, end - body), counts)
@@ -136,7 +137,7 @@ class BagStorage(BlockStorage):
         self.counts = counts
         return True
 
-    def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> str:
+    def _index_chunk(self, fields: Fields, data: bytes, counts: Counter[int]) -> str:
         """Process an index entry; returns what is wrong with its chunk, "" for nothing."""
         position = int(_U64.unpack(fields[b"chunk_pos"])[0])
         numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))

@@ -52,7 +52,7 @@ class _Log(NamedTuple):
     size: IntArray
 
 
-def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
+def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, Counter[int]]:
     """The log of rows with their sizes, and topic id → number of messages."""
     log = array("q")
     counts: Counter[int] = Counter()
@@ -63,7 +63,7 @@ def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
         counts[topic] += 1
         if isinstance(time_ns, int):
             log.extend(value or 0 for value in row)
-    return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), dict(counts)
+    return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), counts
 
 
 class SqliteStorage(Storage):
@@ -162,16 +162,16 @@ class SqliteStorage(Storage):
             # SQLite reads what is missing of a page that is cut as zeros.
             last = leaves[-1].last_row if leaves and cut else None
             log, counts = self._of_readable(select, last)
-            if sum(leaf.rows for leaf in leaves) > sum(counts.values()):
+            if sum(leaf.rows for leaf in leaves) > counts.total():
                 self._relink(leaves)
                 log, counts = self._of_readable(select, last)
-            self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
+            self.note(f"the message table is damaged; {counts.total()} messages could be read")
         self.counts = counts
         log.log_ns[:] += self.shifts_of(log.channel, log.log_ns)
         self._log = log
         self.delay(0)
 
-    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, dict[int, int]]:
+    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, Counter[int]]:
         """See `_listed`; of the rows of a damaged table that can be read one by one, up to the last whole one."""
         rows = self._rows(self._every_row(), select)
         return _listed(row for row in rows if row is not None and (last is None or row[0] <= last))
@@ -217,7 +217,7 @@ class SqliteStorage(Storage):
                 yield Message(channel, int(self._log.log_ns[np.searchsorted(self._log.row, row)]), data)
         if damaged:
             self.note(
-                f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
+                f"the message table is damaged; {read.total()} messages of the topics in use could be read"
             )
         if extent.at_ns is None:
             self.compare_counts(topics, read)

@@ -88,7 +88,7 @@ class Storage(ABC):
     def __init__(self, path: Path) -> None:
         self.path = self.opened = path
         self.channels: dict[int, Channel] = {}
-        self.counts: dict[int, int] = {}
+        self.counts: Counter[int] = Counter()
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         self.shift_ns = 0
@@ -156,10 +156,9 @@ class Storage(ABC):
     def compare_counts(self, topics: Collection[str], read: Counter[int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""
         for number in sorted(self.channels_of(topics)):
-            stated = self.counts.get(number, 0)
-            if read[number] < stated:
+            if read[number] < self.counts[number]:
                 topic = self.channels[number].topic
-                self.note(f"{topic}: {read[number]} of {stated} messages could be read")
+                self.note(f"{topic}: {read[number]} of {self.counts[number]} messages could be read")
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
