@@ -31,12 +31,12 @@ class TopicInfo:
     Attributes:
         name: name of the topic.
         type: message type in ROS 2 spelling, "sensor_msgs/msg/JointState".
-        count: number of messages, None if the file does not contain it.
+        count: number of messages.
     """
 
     name: str
     type: str
-    count: int | None
+    count: int
 
 
 @dataclass(frozen=True, slots=True)

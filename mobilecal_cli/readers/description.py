@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Callable, Collection, Sequence
 from itertools import chain, islice
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath
-from mobilecal_cli.readers.messages.types import leaves_of
+from mobilecal_cli.readers.messages.types import Decoded, leaves_of
 from mobilecal_cli.readers.signals.camera_infos import camera_info
 from mobilecal_cli.readers.signals.joints import transforms_of
 from mobilecal_cli.readers.signals.wheels import wraps
@@ -52,33 +53,33 @@ def read_description(recording: Recording) -> RobotDescription:
     Raises:
         RecordingError: the recording is empty.
     """
-    if not any(info.count != 0 for info in recording.topics):
+    if not any(info.count for info in recording.topics):
         raise RecordingError(f"{recording.name}: the recording contains no messages", "record a new one")
-    names: dict[str, list[str]] = {}
+    names: defaultdict[str, list[str]] = defaultdict(list)
     for info in recording.topics:
-        names.setdefault(info.type, []).append(info.name)
-    images = [topic for kind in IMAGES for topic in names.get(kind, [])]
-    described = [topic for topic in names.get(STRING, []) if "robot_description" in topic]
+        names[info.type].append(info.name)
+    images = [topic for kind in IMAGES for topic in names[kind]]
+    described = [topic for topic in names[STRING] if "robot_description" in topic]
     texts = _first(recording, described, lambda message: str(message.data))
     urdfs = {topic: text for topic, text in texts.items() if text.strip()}
-    infos, unusable = _infos(recording, names.get(CAMERA_INFO, []))
+    infos, unusable = _infos(recording, names[CAMERA_INFO])
     image_frames = _first(recording, images, lambda message: str(message.header.frame_id))
     joints = _read(
         recording,
-        names.get(JOINT_STATE, []),
+        names[JOINT_STATE],
         JOINT_MESSAGES,
         JOINT_MESSAGES,
         lambda message: [str(name) for name in message.name],
     )
     frames = _first(
         recording,
-        names.get(ODOMETRY, []),
+        names[ODOMETRY],
         lambda message: (str(message.header.frame_id), str(message.child_frame_id)),
     )
     transforms: dict[tuple[str, str], FloatArray] = {}
     if not urdfs:
         try:
-            transforms = transforms_of(recording, names.get(TRANSFORMS, []))
+            transforms = transforms_of(recording, names[TRANSFORMS])
         except RecordingError as error:  # the configuration may not need them
             recording.note(error.message)
     return RobotDescription(
@@ -95,14 +96,14 @@ def read_description(recording: Recording) -> RobotDescription:
     )
 
 
-def _first(recording: Recording, topics: Sequence[str], read: Callable[[Any], T]) -> dict[str, T]:
+def _first(recording: Recording, topics: Sequence[str], read: Callable[[Decoded], T]) -> dict[str, T]:
     """Value read from the first message of each topic that has it, among the first few."""
     several = _read(recording, topics, TRIES, 1, read)
     return {topic: values[0] for topic, values in several.items() if values}
 
 
 def _read(
-    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Any], T]
+    recording: Recording, topics: Sequence[str], most: int, enough: int, read: Callable[[Decoded], T]
 ) -> dict[str, list[T]]:
     """Values read from at most `enough` of each topic's first `most` messages; none if a topic cannot be read.
 
@@ -125,7 +126,7 @@ def _read(
                 except RecordingError as error:
                     reasons[topic] = error.message
                 except NOT_ITS_TYPE as error:
-                    reasons[topic] = f"{topic}: not a valid {message.type}: {error}"
+                    reasons[topic] = f"{topic}: not a valid {message.channel.type}: {error}"
                 if not left[topic] or len(values[topic]) == enough:
                     del left[topic]
                     if not left:
@@ -211,11 +212,12 @@ def _of_topic(
         decoded = message.decode()
         for path in paths:
             series[path.text].append(path.number(decoded, topic, "the field"))
-    standard = _STANDARD.fullmatch(first.type)
+    standard = _STANDARD.fullmatch(first.channel.type)
     bits = int(standard[1]) if standard else None
     fields = []
     for name, values in series.items():
-        whole = all(isinstance(value, int) for value in values)  # other numbers do not start again
+        # Other numbers do not start again, and neither do larger ones, which JSON may contain.
+        whole = all(isinstance(value, int) and abs(value) < 2**64 for value in values)
         starts_again = wraps(np.array(values, dtype=np.float64)) if whole else (None, None)
         fields.append(NumberField(topic, name, isinstance(values[0], int), bits, *starts_again))
     return tuple(fields)

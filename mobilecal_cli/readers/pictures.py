@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, PictureIndex, Rejection, Sources, StereoLayout
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message
-from mobilecal_cli.readers.messages import stamp_of
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
 from mobilecal_cli.readers.pixels import Video, codec_of, decode_image
 
 #: Bytes of a topic that are read to find a few images by their order alone.
@@ -64,16 +63,18 @@ def _read(
     for message in recording.messages([topic for topic, places in missing.items() if places], extent):
         try:
             decoded = message.decode()
-        except RecordingError:
+            stamp_ns = stamp_of(decoded, message.log_time_ns)
+        except (RecordingError, *NOT_ITS_TYPE):
             continue  # without a stamp, it cannot have been selected
-        stamp_ns = stamp_of(decoded, message.log_time_ns)
         wanted = missing[message.topic].pop((message.log_time_ns, stamp_ns), [])
-        decode = _decoder(videos, message.topic, decoded)
-        if not wanted and decode is decode_image:
+        codec = codec_of(decoded)
+        if not wanted and codec is None:
             continue
+        if codec is not None and message.topic not in videos:
+            videos[message.topic] = Video(codec)
         picture: GrayImage | Rejection
         try:
-            picture = decode(decoded)
+            picture = decode_image(decoded) if codec is None else videos[message.topic].picture(decoded)
         except RecordingError as error:
             detail = f"{message.topic}: {error.message}"
             picture = Rejection("readers", "image cannot be decoded", detail, stamp_ns)
@@ -126,28 +127,19 @@ def _first_after(messages: Iterable[Message], times_ns: Sequence[int]) -> Iterat
             return
         if message.log_time_ns < waiting[0]:
             continue
-        decode: Callable[[Any], GrayImage] = decode_image
+        video: Video | None = None
         picture: GrayImage | Rejection
         try:
             decoded = message.decode()
-            decode = _decoder({}, message.topic, decoded)
-            picture = decode(decoded)
+            codec = codec_of(decoded)
+            video = None if codec is None else Video(codec)
+            picture = decode_image(decoded) if video is None else video.picture(decoded)
         except RecordingError as error:
-            if decode is not decode_image:
+            if video is not None:  # no key frame
                 continue
             picture = Rejection("readers", "image cannot be decoded", error.message, message.log_time_ns)
         waiting = [time_ns for time_ns in waiting if time_ns > message.log_time_ns]
         yield picture
-
-
-def _decoder(videos: dict[str, Video], topic: str, message: Any) -> Callable[[Any], GrayImage]:  # noqa: ANN401
-    """`decode_image`, or the decoder of a topic's video, created with its first frame."""
-    codec = codec_of(message)
-    if codec is None:
-        return decode_image
-    if topic not in videos:
-        videos[topic] = Video(codec)
-    return videos[topic].picture
 
 
 def _part(picture: GrayImage | Rejection, name: str, layout: StereoLayout) -> GrayImage | Rejection:

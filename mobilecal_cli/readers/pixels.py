@@ -15,6 +15,7 @@ from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import GrayImage, listed
+from mobilecal_cli.readers.messages.types import Decoded
 
 #: Maximum number of pixels of an image, three times those of a large stereo camera.
 LARGEST_PIXELS = 2**25
@@ -71,7 +72,7 @@ _ENCODINGS: dict[str, _Encoding] = {
 }
 
 
-def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
+def decode_image(message: Decoded) -> GrayImage:
     """Gray image from a decoded Image or CompressedImage message.
 
     A 16-bit image keeps its upper byte. If no pixel uses the full range (10 or 12 bit sensors in 16-bit words), the
@@ -102,7 +103,7 @@ def decode_image(message: Any) -> GrayImage:  # noqa: ANN401 - the type is the r
         raise RecordingError(f"image damaged: {error.err}") from error
 
 
-def _decompressed(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
+def _decompressed(message: Decoded) -> tuple[Pixels, int | None]:
     """Pixels of a JPEG or PNG as they are stored, and their conversion to gray."""
     data, kind = np.frombuffer(message.data, dtype=np.uint8), str(message.format)
     if not data.size:
@@ -150,7 +151,7 @@ def _check_header(stored: bytes, kind: str) -> str:
     return mode
 
 
-def _raw(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
+def _raw(message: Decoded) -> tuple[Pixels, int | None]:
     """View of an image's pixels that respects step and byte order, and their conversion to gray."""
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:
@@ -181,7 +182,7 @@ def _raw(message: Any) -> tuple[Pixels, int | None]:  # noqa: ANN401
 CODECS = {"h264": "h264", "h.264": "h264", "avc": "h264", "h265": "hevc", "h.265": "hevc", "hevc": "hevc"}
 
 
-def codec_of(message: Any) -> str | None:  # noqa: ANN401 - the type is the recording's
+def codec_of(message: Decoded) -> str | None:
     """Codec of a message's image, None if it is not video."""
     return CODECS.get(str(getattr(message, "format", "")).strip().lower())
 
@@ -212,7 +213,7 @@ class Video:
         self._context.flags |= av.codec.context.Flags.low_delay
         self._whole = False
 
-    def picture(self, message: Any) -> GrayImage:  # noqa: ANN401 - the type is the recording's
+    def picture(self, message: Decoded) -> GrayImage:
         """Frame of the next message, (height, width) uint8.
 
         Raises:

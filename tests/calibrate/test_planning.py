@@ -36,13 +36,13 @@ def joint(t, motion):
     at = motion(t)
     stamp = r.START_NS + round(t * S)
     make = r.joint_state(["pan", "wheel_left", "wheel_right"], [at, 3 * at, 4 * at], stamp_ns=stamp)
-    return r.Item("/j", "sensor_msgs/msg/JointState", stamp + 2 * MS, make)
+    return r.Item("/j", stamp + 2 * MS, make)
 
 
 def picture(topic, t, lag_ns):
     stamp = r.START_NS + round(t * S)
     pixels = np.full((48, 64), round(t * 10) % 256, np.uint8)
-    return r.Item(topic, "sensor_msgs/msg/Image", stamp + lag_ns, r.image(pixels, "mono8", stamp))
+    return r.Item(topic, stamp + lag_ns, r.image(pixels, "mono8", stamp))
 
 
 def log(motion=rests, lag=lambda topic, t: LAG_NS[topic], hz=10):

@@ -66,10 +66,8 @@ def test_command_for_people_and_for_programs(sample_logs, tmp_path):
 
 def test_everything_that_is_missing_is_named_at_once(tmp_path):
     items = [
-        r.Item(
-            "/joint_states", "sensor_msgs/msg/JointState", r.START_NS, r.joint_state(["head_tilt"], [0.1])
-        ),
-        r.Item("/left/image_raw", "sensor_msgs/msg/Image", r.START_NS, r.image(r.picture(0), "mono8")),
+        r.Item("/joint_states", r.START_NS, r.joint_state(["head_tilt"], [0.1])),
+        r.Item("/left/image_raw", r.START_NS, r.image(r.picture(0), "mono8")),
     ]
     found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     said = [lack.what for lack in found.missing]
@@ -88,14 +86,13 @@ def test_a_camera_without_camera_info_is_the_only_thing_that_is_missing(tmp_path
         return store.types["std_msgs/msg/String"](urdf_text(ROBOTS["rgbd"]()))
 
     items = [
-        r.Item("/robot_description", "std_msgs/msg/String", r.START_NS, described),
+        r.Item("/robot_description", r.START_NS, described),
         r.Item(
             "/joint_states",
-            "sensor_msgs/msg/JointState",
             r.START_NS,
             r.joint_state(["wheel_left_joint", "wheel_right_joint"], [0.1, 0.2]),
         ),
-        r.Item("/camera/image_raw", "sensor_msgs/msg/Image", r.START_NS, r.image(r.picture(0), "mono8")),
+        r.Item("/camera/image_raw", r.START_NS, r.image(r.picture(0), "mono8")),
     ]
     found = inspect.inspect([r.write_mcap(tmp_path / "log.mcap", items)])
     (lack,) = [lack for lack in found.missing if "checkerboard" not in lack.what]

@@ -50,6 +50,7 @@ from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
 from tests.formats import HEAD_EYE, text_of
 from tests.readers import recordings as r
+from tests.records import Record, written
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 Use = Callable[[Path], None]
@@ -202,11 +203,11 @@ def _in_json(path: Path) -> None:
         "/ticks": ("encoders", {"header": header, "counts": [5, 6]}),
     }
     messages = (
-        r.Raw(topic, 5 * 10**9 + k, json.dumps(fields).encode(), (kind, "jsonschema", b"{}"), "json")
+        Record(topic, kind, b"{}", 5 * 10**9 + k, json.dumps(fields).encode(), **r.JSON)
         for topic, (kind, fields) in kinds.items()
         for k in range(4)
     )
-    r.write_raw(path, messages, profile="", enable_crcs=False, compression=CompressionType.NONE)
+    written(path, messages, profile="", enable_crcs=False)
 
 
 def _in_protobuf(path: Path) -> None:

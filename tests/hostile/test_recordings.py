@@ -251,7 +251,7 @@ def chain_of(depth: int, line: str, last: str) -> str:
 )
 @pytest.mark.parametrize("encoding", ["ros1", "cdr"])
 def test_message_definitions_without_end(definition, payload, encoding):
-    channel = Channel("/t", "a/msg/T0", encoding, definition, "msg")
+    channel = Channel("/t", "a/msg/T0", encoding, definition.encode(), "msg")
     head = b"\x00\x01\x00\x00" if encoding == "cdr" else b""
     with bounded():
         try:
@@ -278,10 +278,9 @@ def test_a_protobuf_definition_in_a_chain_of_files():
 def test_json_that_is_deeper_than_the_stack(tmp_path):
     path = tmp_path / "log.mcap"
     deep = b'{"name": ' + b"[" * 10**6 + b"]" * 10**6 + b"}"
-    schema = ("sensor_msgs/JointState", "jsonschema", b"{}")
     payloads = (deep, b'{"name": ["pan"], "position": [1.0]}')
-    messages = [r.Raw("/joint_states", k, data, schema, "json") for k, data in enumerate(payloads, 1)]
-    r.write_raw(path, messages, profile="")
+    kind = "sensor_msgs/JointState"
+    written(path, (Record("/joint_states", kind, b"{}", k, p, **r.JSON) for k, p in enumerate(payloads, 1)))
     with bounded(), open_recording([path]) as recording:
         assert read_description(recording).joint_names == {"/joint_states": ("pan",)}
 

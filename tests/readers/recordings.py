@@ -1,18 +1,19 @@
 """One small world, written into every container."""
 
+import json
 import shutil
 import sqlite3
 from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
 import zstandard
 from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
@@ -25,6 +26,7 @@ from mobilecal_cli.model import PictureIndex, Sources, WheelSource
 from mobilecal_cli.readers import read_signals
 from mobilecal_cli.readers.messages import stamp_of
 from mobilecal_cli.readers.pixels import codec_of
+from tests.records import Record, written
 
 START_NS = 1_700_000_000_000_000_000
 STEP_NS = 20_000_000
@@ -49,9 +51,13 @@ class Item:
     """One message to write; `make` builds it for a typestore."""
 
     topic: str
-    type: str
     log_ns: int
     make: Callable[[Typestore], Any]
+
+    def message(self, store: Typestore) -> tuple[Any, str]:
+        """The message, and its type."""
+        made = self.make(store)
+        return made, made.__msgtype__
 
 
 def every(recording):
@@ -154,9 +160,9 @@ URDF = "<robot name='r'><link name='base_link'/></robot>"
 def world(messages: int = 60) -> list[Item]:
     """Joints whose names change order, a tick counter that wraps, pictures of both sides, in log order."""
     items = [
-        Item("/robot_description", "std_msgs/msg/String", START_NS, number("String", URDF)),
-        Item("/left/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT, [0.1, 0, 0, 0, 0])),
-        Item("/right/camera_info", "sensor_msgs/msg/CameraInfo", START_NS, info(K_LEFT)),
+        Item("/robot_description", START_NS, number("String", URDF)),
+        Item("/left/camera_info", START_NS, info(K_LEFT, [0.1, 0, 0, 0, 0])),
+        Item("/right/camera_info", START_NS, info(K_LEFT)),
     ]
     for k in range(messages):
         stamp = START_NS + k * STEP_NS
@@ -165,13 +171,13 @@ def world(messages: int = 60) -> list[Item]:
         if k % 3 == 1:
             names, values = names[::-1], values[::-1]
         state = joint_state(names, values, stamp_ns=stamp)
-        items.append(Item("/joint_states", "sensor_msgs/msg/JointState", log, state))
+        items.append(Item("/joint_states", log, state))
         ticks = (65_500 + 16 * k) % 2**16
-        items.append(Item("/ticks", "std_msgs/msg/UInt16", log + 1, number("UInt16", ticks)))
+        items.append(Item("/ticks", log + 1, number("UInt16", ticks)))
         if k % 10 == 0:
             left, right = image(picture(k), "mono8", stamp), compressed(picture(k + 1), ".png", stamp)
-            items.append(Item("/left/image_raw", "sensor_msgs/msg/Image", log + 2, left))
-            items.append(Item("/right/image/compressed", "sensor_msgs/msg/CompressedImage", log + 3, right))
+            items.append(Item("/left/image_raw", log + 2, left))
+            items.append(Item("/right/image/compressed", log + 3, right))
     return items
 
 
@@ -180,9 +186,10 @@ def _fill(writer, items: list[Item], store: Typestore, serialize: Callable) -> N
     with writer:
         connections = {}
         for item in items:
+            message, kind = item.message(store)
             if item.topic not in connections:
-                connections[item.topic] = writer.add_connection(item.topic, item.type, typestore=store)
-            writer.write(connections[item.topic], item.log_ns, serialize(item.make(store), item.type))
+                connections[item.topic] = writer.add_connection(item.topic, kind, typestore=store)
+            writer.write(connections[item.topic], item.log_ns, serialize(message, kind))
 
 
 def write_bag(path: Path, items: list[Item], compression: str = "") -> Path:
@@ -210,35 +217,26 @@ def in_sqlite(path: Path, *statements: str) -> Path:
     return path
 
 
-class Raw(NamedTuple):
-    """One message of an MCAP file as it is stored; `schema`: name, language and text of its definition."""
-
-    topic: str
-    log_ns: int
-    payload: bytes
-    schema: tuple[str, str, bytes]
-    encoding: str = "cdr"
-
-
-def schema_of(store: Typestore, kind: str) -> tuple[str, str, bytes]:
-    """The definition of a ROS type, for `Raw`."""
+@cache
+def schema_of(store: Typestore, kind: str) -> dict[str, Any]:
+    """What a `Record` states of the messages of a ROS type."""
     ros = 1 if store is ROS1 else 2
-    name = kind.replace("/msg/", "/") if ros == 1 else kind
-    return name, f"ros{ros}msg", store.generate_msgdef(kind, ros_version=ros)[0].encode()
+    definition = store.generate_msgdef(kind, ros_version=ros)[0].encode()
+    name, encoding = (kind.replace("/msg/", "/"), "ros1") if ros == 1 else (kind, "cdr")
+    return {"type": name, "definition": definition, "language": f"ros{ros}msg", "encoding": encoding}
 
 
-def write_raw(path: Path, messages: Iterable[Raw], profile="ros2", **options) -> Path:
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, **options)
-        writer.start(profile)
-        channels = {}
-        for message in messages:
-            if message.topic not in channels:
-                schema = writer.register_schema(*message.schema)
-                channels[message.topic] = writer.register_channel(message.topic, message.encoding, schema)
-            writer.add_message(channels[message.topic], message.log_ns, message.payload, message.log_ns)
-        writer.finish()
-    return path
+#: What a `Record` states of messages in JSON.
+JSON = {"language": "jsonschema", "encoding": "json"}
+
+
+def write_json(path: Path, messages: Iterable[tuple[str, int, str, Any]]) -> Path:
+    """An MCAP file of (topic, log time, schema name, object)."""
+    records = (
+        Record(topic, kind, b'{"type": "object"}', log_ns, json.dumps(fields).encode(), **JSON)
+        for topic, log_ns, kind, fields in messages
+    )
+    return written(path, records, profile="")
 
 
 def write_mcap(
@@ -246,15 +244,16 @@ def write_mcap(
 ) -> Path:
     store = ROS1 if ros1 else ROS2
     serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
-    schemas = {kind: schema_of(store, kind) for kind in {item.type for item in items}}
 
-    def raw(item: Item) -> Raw:
-        data = bytes(serialize(item.make(store), item.type))
+    def record(item: Item) -> Record:
+        message, kind = item.message(store)
+        data = bytes(serialize(message, kind))
         payload = zstandard.compress(data) if pack else data
-        wire = encoding or ("ros1" if ros1 else "cdr")
-        return Raw(item.topic, item.log_ns, payload, schemas[item.type], wire)
+        schema = schema_of(store, kind) | ({"encoding": encoding} if encoding else {})
+        return Record(item.topic, time_ns=item.log_ns, data=payload, publish_ns=item.log_ns, **schema)
 
-    return write_raw(path, map(raw, items), profile, **{"chunk_size": 4096, **options})
+    options = {"chunk_size": 4096, "compression": CompressionType.ZSTD, **options}
+    return written(path, map(record, items), profile, **options)
 
 
 def _bare(path: Path, items: list[Item], suffix: str, storage: str) -> Path:

@@ -82,7 +82,7 @@ def test_parts_in_any_order_are_one_recording(tmp_path, name):
 
 
 def test_separate_recordings_are_not_joined(tmp_path):
-    later = [r.Item(i.topic, i.type, i.log_ns + 20 * 10**9, i.make) for i in ITEMS]
+    later = [r.Item(i.topic, i.log_ns + 20 * 10**9, i.make) for i in ITEMS]
     first = r.write_mcap(tmp_path / "first.mcap", ITEMS)
     again = r.write_bag(tmp_path / "again.bag", ITEMS)  # at the same time
     paths = [r.write_mcap(tmp_path / "later.mcap", later), first, again]
@@ -155,7 +155,7 @@ def test_only_what_is_asked_for_is_read(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("encoding", ["cbor", "protobuf"])
 def test_other_encodings_fail_only_when_asked_for(tmp_path, encoding):
-    odd = r.Item("/odd", "std_msgs/msg/String", r.START_NS, r.number("String", "{}"))
+    odd = r.Item("/odd", r.START_NS, r.number("String", "{}"))
     good = r.write_mcap(tmp_path / "good.mcap", ITEMS)
     path = r.write_mcap(tmp_path / "odd.mcap", [odd], encoding=encoding)
     with open_recording([good, path]) as recording:

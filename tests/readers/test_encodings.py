@@ -1,10 +1,10 @@
 """Recordings in protobuf and JSON: the paper's robot's sample log, written anew with Foxglove's own schemas."""
 
 import base64
-import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
@@ -14,10 +14,11 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import JointField, Sources, WheelSource
-from mobilecal_cli.readers import open_recording, read_description
+from mobilecal_cli.model import JointField, PictureIndex, Sources, WheelSource
+from mobilecal_cli.readers import open_recording, read_description, read_images
 from mobilecal_cli.rig.config import RigConfig
 from mobilecal_cli.rig.resolve import complete_rig, survey_rig
+from tests.records import Record, written
 
 from . import recordings as r
 
@@ -56,15 +57,6 @@ def in_json(message):
     return "foxglove.CompressedImage", {**frame, "format": "jpeg", "data": data}
 
 
-def written_in_json(out, messages):
-    """An MCAP file of (topic, log time, schema name, object)."""
-    raw = (
-        r.Raw(topic, log_ns, json.dumps(fields).encode(), (kind, "jsonschema", b'{"type": "object"}'), "json")
-        for topic, log_ns, kind, fields in messages
-    )
-    return r.write_raw(out, raw, "")
-
-
 def in_protobuf_and_json(recording, folder):
     """Pictures and calibrations in Foxglove's protobuf, joint states in JSON; no URDF."""
     pictured = [info.name for info in recording.topics if info.type != "std_msgs/msg/String"]
@@ -73,7 +65,7 @@ def in_protobuf_and_json(recording, folder):
         for m in recording.messages(pictured):
             writer.write_message(m.topic, in_protobuf(m.decode()), m.log_time_ns)
     joints = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in recording.messages(["/joint_states"]))
-    return [folder / "protobuf.mcap", written_in_json(folder / "joints.mcap", joints)]
+    return [folder / "protobuf.mcap", r.write_json(folder / "joints.mcap", joints)]
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +81,7 @@ def other(request, original, tmp_path_factory):
     if request.param == "json":
         topics = [info.name for info in original.topics if info.name != "/robot_description"]
         messages = ((m.topic, m.log_time_ns, *in_json(m.decode())) for m in original.messages(topics))
-        paths = [written_in_json(folder / "json.mcap", messages)]
+        paths = [r.write_json(folder / "json.mcap", messages)]
     else:
         paths = in_protobuf_and_json(original, folder)
     with open_recording(paths) as recording:
@@ -133,7 +125,7 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
         return {"timestamp": {"sec": 7, "nsec": i}, "odometer": counters, **angles}
 
     messages = [("/head", r.START_NS + i * STEP_NS, "my.Head", head(i)) for i in range(6)]
-    path = written_in_json(tmp_path / "log.mcap", messages)
+    path = r.write_json(tmp_path / "log.mcap", messages)
     fields = {side: f"odometer.{side}" for side in ("left", "right")}
     wheels = {side: WheelSource("/head", field=at, ticks_per_revolution=100) for side, at in fields.items()}
     pan = JointField("/head", "pan.angle", np.radians(1))
@@ -165,7 +157,7 @@ def test_dynamic_joint_states(tmp_path):
     topic, kind = "/dynamic_joint_states", "control_msgs/DynamicJointState"
     messages = [(topic, r.START_NS + i * STEP_NS, kind, state(i)) for i in range(4)]
     wheel = WheelSource(topic, joint="wheel")
-    with open_recording([written_in_json(tmp_path / "log.mcap", messages)]) as recording:
+    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
         assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
         sources = Sources({}, {}, (topic,), {"left": wheel, "right": wheel})
         signals = r.one_log(recording, sources, ("pan",))
@@ -197,18 +189,46 @@ def test_a_raw_image_in_protobuf_is_a_picture(tmp_path):
     ],
 )
 def test_json_that_is_no_message(tmp_path, payload, said):
-    raw = r.Raw("/eye", r.START_NS, payload, ("foxglove.CompressedImage", "jsonschema", b"{}"), "json")
-    with open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording:
+    message = Record("/eye", "foxglove.CompressedImage", b"{}", r.START_NS, payload, **r.JSON)
+    with open_recording([written(tmp_path / "log.mcap", [message])]) as recording:
         (message,) = recording.messages(["/eye"])
         with pytest.raises(RecordingError, match=said):
             message.decode()
 
 
+@pytest.mark.parametrize("fields", [{}, {"transforms": 5}, {"transforms": [5]}])
+def test_transforms_in_json_that_are_none(tmp_path, fields):
+    path = r.write_json(tmp_path / "log.mcap", [("/tf", r.START_NS, "tf2_msgs/TFMessage", fields)])
+    with open_recording([path]) as recording:
+        assert read_description(recording).transforms == {}
+
+
+def test_an_image_in_json_whose_stamp_is_no_number_is_left_out(tmp_path):
+    data = base64.b64encode(cv2.imencode(".png", r.picture(0))[1]).decode()
+    messages = [
+        (
+            "/eye",
+            ns,
+            "foxglove.CompressedImage",
+            {"timestamp": {"sec": sec, "nsec": 0}, "format": "png", "data": data},
+        )
+        for ns, sec in ((1, "?"), (2, 7))
+    ]
+    index = PictureIndex(*np.array([[7 * 10**9], [7 * 10**9], [2]]), sequential=True)
+    with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
+        ((_, time_ns, picture),) = read_images(
+            recording, Sources({"left": "/eye"}, {}, (), {}), {"left": index}
+        )
+    assert time_ns == 7 * 10**9
+    assert np.array_equal(picture, r.picture(0))
+
+
 @pytest.mark.parametrize("definition", [b"", b"\xff\xff", b"\n\x07\n\x05a.foo"])
 def test_a_protobuf_definition_that_cannot_be_used(tmp_path, definition):
-    raw = r.Raw("/eye", r.START_NS, b"", ("foxglove.RawImage", "protobuf", definition), "protobuf")
+    kinds = {"language": "protobuf", "encoding": "protobuf"}
+    message = Record("/eye", "foxglove.RawImage", definition, r.START_NS, b"", **kinds)
     with (
-        open_recording([r.write_raw(tmp_path / "log.mcap", [raw], "")]) as recording,
+        open_recording([written(tmp_path / "log.mcap", [message])]) as recording,
         pytest.raises(RecordingError, match=r"definition of the protobuf type foxglove\.RawImage"),
     ):
         recording.messages(["/eye"])

@@ -24,7 +24,7 @@ def world(after=None, count=10, at=6, **before):
         log_ns = r.START_NS + k * 100_000_000
         stated = {**usual, **(after or {})} if k >= at else usual
         make = r.info(**stated, stamp_ns=log_ns)
-        items.append(r.Item("/left/camera_info", "sensor_msgs/msg/CameraInfo", log_ns, make))
+        items.append(r.Item("/left/camera_info", log_ns, make))
     return sorted(items, key=lambda item: item.log_ns)
 
 

@@ -15,6 +15,7 @@ from mobilecal_cli.readers import open_recording, read_signals
 from mobilecal_cli.readers.description import read_description
 from mobilecal_cli.readers.messages import LARGEST_JOINT_STATE, Channel
 from mobilecal_cli.readers.signals.joints import StatedJoint
+from tests.records import Record, written
 
 from . import recordings as r
 
@@ -43,12 +44,12 @@ def channel(ros1: bool) -> Channel:
 
 def write(path: Path, ros1: bool, payloads: list[bytes]) -> Path:
     """An MCAP file of joint states, logged 3 ms after one another."""
-    schema, wire = r.schema_of(r.ROS1 if ros1 else r.ROS2, JOINT_STATE), "ros1" if ros1 else "cdr"
+    schema = r.schema_of(r.ROS1 if ros1 else r.ROS2, JOINT_STATE)
     messages = (
-        r.Raw("/joint_states", r.START_NS + k * 3_000_000, data, schema, wire)
+        Record("/joint_states", time_ns=r.START_NS + k * 3_000_000, data=data, **schema)
         for k, data in enumerate(payloads)
     )
-    return r.write_raw(path, messages, "ros1" if ros1 else "ros2", chunk_size=4096)
+    return written(path, messages, "ros1" if ros1 else "ros2", chunk_size=4096)
 
 
 @pytest.mark.parametrize("ros1", [False, True])
@@ -91,7 +92,7 @@ def test_the_limit_holds_for_each_message_that_says_what_a_joint_state_says():
     message = replace(dynamic(store, 1, r.START_NS), joint_names=[*MOVING, "x" * LARGEST_JOINT_STATE])
     definition, _ = store.generate_msgdef(name, ros_version=2)
     with pytest.raises(RecordingError, match=r"a joint state of 10\d{5} bytes"):
-        Channel("/joint_states", name, "cdr", definition).decode(store.serialize_cdr(message, name))
+        Channel("/joint_states", name, "cdr", definition.encode()).decode(store.serialize_cdr(message, name))
 
 
 CONTROL = {
@@ -164,10 +165,12 @@ def test_measured_states_of_trajectory_controllers(tmp_path, fields):
     name, store = "control_msgs/msg/JointTrajectoryControllerState", control_store(fields)
     schema, stamps_ns = r.schema_of(store, name), r.START_NS + np.arange(5) * S // 10
     messages = (
-        r.Raw("/joint_states", ns, bytes(store.serialize_cdr(trajectory(store, k, ns), name)), schema)
+        Record(
+            "/joint_states", time_ns=ns, data=store.serialize_cdr(trajectory(store, k, ns), name), **schema
+        )
         for k, ns in enumerate(stamps_ns.tolist())
     )
-    check_control(r.write_raw(tmp_path / "log.mcap", messages))
+    check_control(written(tmp_path / "log.mcap", messages))
 
 
 @pytest.mark.parametrize("ros1", [False, True])

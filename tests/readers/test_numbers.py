@@ -7,6 +7,8 @@ from mobilecal_cli.model import NumberField
 from mobilecal_cli.readers import number_fields, open_recording
 from mobilecal_cli.readers.signals.wheels import wraps
 
+from . import recordings as r
+
 
 def counter(span, step, count=400, start=None):
     return [int(v) for v in ((span // 2 if start is None else start) + step * np.arange(count)) % span]
@@ -44,6 +46,13 @@ def test_numbers_of_the_sample(sample_logs):
         stamps = number_fields(recording, ["/stereo/left/camera_info"], lambda topic, path: True)
         assert {"height", "width", "binning_x", "roi.x_offset"} <= {field.path for field in stamps}
         assert not any("header" in field.path for field in stamps)
+
+
+def test_a_number_beyond_the_range_of_floats(tmp_path):
+    path = r.write_json(tmp_path / "log.mcap", [("/t", r.START_NS, "mine", {"count": 10**400})])
+    with open_recording([path]) as recording:
+        found = number_fields(recording, ["/t"], lambda topic, path: True)
+    assert found == (NumberField("/t", "count", True),)
 
 
 def test_a_topic_that_cannot_be_read_has_none(shared_data):

@@ -10,7 +10,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import TURNS_AT_REST, Sources, WheelGeometry, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.wheels import check_forward, check_speed, rotations, turns_at_rest
-from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
 
@@ -19,19 +18,19 @@ WHEELS = WheelGeometry(0.1, 0.2, 0.5)
 
 def test_straight_on_by_hand():
     """One metre along a heading of 90 degrees: 10 rad of the wheel of 0.1 m, 5 rad of that of 0.2 m."""
-    way = np.column_stack([np.ones(5), np.linspace(1, 2, 5)])
-    right, left, jumps = rotations(way, np.full(5, math.pi / 2), WHEELS)
+    pose = np.column_stack([np.ones(5), np.linspace(1, 2, 5), np.full(5, math.pi / 2)])
+    right, left, jumps = rotations(pose, WHEELS)
     assert (right[-1], left[-1], jumps) == (pytest.approx(10), pytest.approx(5), 0)
 
 
 def test_backwards_on_the_spot_and_round_by_hand():
     """Back by 0.1 m; 1 rad to the left on the spot; a quarter circle of radius 1 m to the left."""
-    assert rotations(np.array([[0, 0], [-0.1, 0]]), np.zeros(2), WHEELS)[0][-1] == pytest.approx(-1)
-    right, left, _ = rotations(np.zeros((2, 2)), np.array([3.0, 4.0 - 2 * math.pi]), WHEELS)
+    assert rotations(np.array([[0, 0, 0], [-0.1, 0, 0]]), WHEELS)[0][-1] == pytest.approx(-1)
+    right, left, _ = rotations(np.array([[0, 0, 3.0], [0, 0, 4.0 - 2 * math.pi]]), WHEELS)
     assert (right[-1], left[-1]) == (pytest.approx(2.5), pytest.approx(-1.25))
     at = np.linspace(0, math.pi / 2, 10)
-    arc = np.stack([np.sin(at), 1 - np.cos(at)], axis=1)
-    right, left, _ = rotations(arc, at, WHEELS)
+    arc = np.stack([np.sin(at), 1 - np.cos(at), at], axis=1)
+    right, left, _ = rotations(arc, WHEELS)
     assert right[-1] == pytest.approx(math.pi / 2 * 1.25 / 0.1)
     assert left[-1] == pytest.approx(math.pi / 2 * 0.75 / 0.2)
 
@@ -45,7 +44,7 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
         pose = {"pose": {"position": {"x": x, "y": 0.0, "z": 0.0}, "orientation": upright}}
         return ("/odom", r.START_NS + i * r.STEP_NS, "nav_msgs/Odometry", {"header": header, "pose": pose})
 
-    path = written_in_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
+    path = r.write_json(tmp_path / "log.mcap", (odometry(i, x) for i, x in enumerate(xs)))
     source = WheelSource("/odom", baked_in=WHEELS)
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
@@ -60,11 +59,11 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
 
 def test_positions_in_millimeters_are_named():
     time_ns, way_m = np.arange(5) * 20_000_000, np.array([0, 0, 0.006, 0.012, 0.018])
-    pose = np.stack([way_m, np.zeros(5)], axis=1)
+    pose = np.stack([way_m, np.zeros(5), np.zeros(5)], axis=1)
     check_speed("/odom", time_ns, pose)
     with pytest.raises(RecordingError, match=r"/odom: the odometry drives at 300 m/s \(limit 20 m/s\)"):
         check_speed("/odom", time_ns, 1e3 * pose)
-    check_speed("/odom", time_ns, np.zeros((5, 2)))
+    check_speed("/odom", time_ns, np.zeros((5, 3)))
     check_speed("/odom", time_ns[:1], pose[:1])
 
 

@@ -27,7 +27,7 @@ def late(share: float, most_s: float) -> np.ndarray:
 )
 def test_messages_come_in_order(tmp_path, name, times_s):
     items = [
-        r.Item("/n", "std_msgs/msg/UInt16", r.START_NS + round(time_s * 1e9), r.number("UInt16", k))
+        r.Item("/n", r.START_NS + round(time_s * 1e9), r.number("UInt16", k))
         for k, time_s in enumerate(times_s)
     ]
     with open_recording([r.CONTAINERS[name](tmp_path / "log", items)]) as recording:
@@ -59,7 +59,7 @@ def stepping(lengths_s=(20.0, 20.0), hz=(50, 5, 1)):
         for rate in hz:
             if k % (max(hz) // rate) == 0:
                 make = r.joint_state(["a"], [true_s], stamp_ns=log_ns)
-                items.append(r.Item(f"/hz{rate}", "sensor_msgs/msg/JointState", log_ns + rate, make))
+                items.append(r.Item(f"/hz{rate}", log_ns + rate, make))
     return items
 
 

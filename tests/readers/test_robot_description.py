@@ -75,10 +75,7 @@ def test_calibrations_that_are_none_are_refused(arguments, message):
 
 
 def infos(matrices) -> list[r.Item]:
-    return [
-        r.Item(f"/camera{k}", "sensor_msgs/msg/CameraInfo", r.START_NS, r.info(matrix))
-        for k, matrix in enumerate(matrices)
-    ]
+    return [r.Item(f"/camera{k}", r.START_NS, r.info(matrix)) for k, matrix in enumerate(matrices)]
 
 
 @pytest.mark.parametrize("calibrated", [(True, False, True), (False, False)])
@@ -102,10 +99,10 @@ def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
             return super().values()
 
     items = [
-        r.Item(f"/robot{n}/joint_states", "sensor_msgs/msg/JointState", r.START_NS + k, r.joint_state([f"a{n}", f"b{k}"], [1.0, 2.0]))
+        r.Item(f"/robot{n}/joint_states", r.START_NS + k, r.joint_state([f"a{n}", f"b{k}"], [1.0, 2.0]))
         for k in range(3)
         for n in range(40)
-    ]  # fmt: skip
+    ]
     path = r.write_mcap(tmp_path / "log.mcap", items, chunk_size=1000)
     loads = []
     load = McapStorage.load
@@ -124,10 +121,7 @@ def test_many_topics_are_read_in_one_pass(tmp_path, monkeypatch):
 
 def test_joint_names_of_drivers_that_take_turns(tmp_path):
     names = [["pan", "tilt"], ["wheel_left"], ["wheel_right"]]
-    items = [
-        r.Item("/j", "sensor_msgs/msg/JointState", r.START_NS + k, r.joint_state(names[k % 3], [0.0] * 2))
-        for k in range(200)
-    ]
+    items = [r.Item("/j", r.START_NS + k, r.joint_state(names[k % 3], [0.0] * 2)) for k in range(200)]
     path = r.write_mcap(tmp_path / "log.mcap", items)
     with open_recording([path]) as recording:
         assert read_description(recording).joint_names == {"/j": ("pan", "tilt", "wheel_left", "wheel_right")}

@@ -16,7 +16,6 @@ from mobilecal_cli.readers.signals.wheels import FieldWheel
 
 from . import recordings as r
 
-JOINT_STATE = "sensor_msgs/msg/JointState"
 S = 10**9
 
 
@@ -26,7 +25,7 @@ def at(k: float) -> int:
 
 def images(count: int = 3, every_s: float = 1, stamp=at) -> list[r.Item]:
     return [
-        r.Item(topic, "sensor_msgs/msg/Image", at(time_s), r.image(r.picture(k), "mono8", stamp(time_s)))
+        r.Item(topic, at(time_s), r.image(r.picture(k), "mono8", stamp(time_s)))
         for k, time_s in enumerate(every_s * np.arange(count))
         for topic in ("/l", "/r")
     ]
@@ -35,7 +34,7 @@ def images(count: int = 3, every_s: float = 1, stamp=at) -> list[r.Item]:
 def joints(samples, topic="/j") -> list[r.Item]:
     """(log s, stamp ns, names, positions[, velocities]) each."""
     return [
-        r.Item(topic, JOINT_STATE, at(log), r.joint_state(names, position, *rate, stamp_ns=stamp))
+        r.Item(topic, at(log), r.joint_state(names, position, *rate, stamp_ns=stamp))
         for log, stamp, names, position, *rate in samples
     ]
 
@@ -60,6 +59,16 @@ def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
         return r.one_log(recording, sources, names)
 
 
+def joints_read(tmp_path, rows, sources=SOURCES, names=("pan",)):
+    """Signals of joint states beside a few images."""
+    return signals_of(tmp_path, [*images(), *joints(rows)], sources, names)
+
+
+def wheel_at(times_s, angles):
+    """Joint states of a left wheel."""
+    return [(s, at(s), NAMES, [0, angle, 0]) for s, angle in zip(times_s, angles, strict=True)]
+
+
 def steady(count=10):
     return [(0.1 * k, at(0.1 * k), NAMES, [k, 2.0 * k, 3.0 * k]) for k in range(count)]
 
@@ -80,29 +89,29 @@ def test_names_spread_over_topics(tmp_path):
 def test_velocities_are_integrated_where_positions_are_absent(tmp_path):
     t = np.linspace(0, 1, 11)
     rows = [(s, at(s), NAMES, [0.0], [0, 2 * s, 4 - s]) for s in t]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     np.testing.assert_allclose(signals.wheels["left"].value, t**2, atol=1e-12)
     np.testing.assert_allclose(signals.wheels["right"].value, 4 * t - t**2 / 2, atol=1e-12)
     assert any("wl on /j: no positions; velocities are integrated" in note for note in signals.notes)
     rows = [(0.1 * k, at(0.1 * k), NAMES, [0.0]) for k in range(5)]
     with pytest.raises(RecordingError, match="neither positions nor velocities"):
-        signals_of(tmp_path, [*images(), *joints(rows)])
+        joints_read(tmp_path, rows)
 
 
 def test_zero_stamps_fall_back_to_log_time_and_another_clock_is_noted(tmp_path):
     rows = [(0.1 * k, 0, NAMES, [k, k, k]) for k in range(5)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     np.testing.assert_array_equal(signals.joints["pan"].time_ns, [at(0.1 * k) for k in range(5)])
     assert "/j: all 5 header stamps are zero; the log time is used" in signals.notes
     rows = [(0.1 * k, at(0.1 * k) - 100 * S, NAMES, [k, k, k]) for k in range(5)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     assert any(note.startswith("clocks differ: the stamps of /j are 100.000 s") for note in signals.notes)
 
 
 def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
     stamps = [0, 1, 2, 3, 1.5, 2.5, 3.5, 4.5]
     rows = [(0.1 * k, at(s), NAMES, [s, s, s]) for k, s in enumerate(stamps)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     track = signals.joints["pan"]
     assert len(track.time_ns) == 6
     np.testing.assert_allclose((track.time_ns - r.START_NS) / S, track.value)
@@ -117,7 +126,7 @@ def test_late_messages_are_put_in_order(tmp_path, most_s, seed):
     rng = np.random.default_rng(seed)
     delay_s = np.where(rng.random(60) < 0.25, rng.uniform(0, most_s, 60), 0) + rng.uniform(0, 2e-3, 60)
     rows = sorted((0.1 * k + delay, at(0.1 * k), NAMES, [k, k, k]) for k, delay in enumerate(delay_s))
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(60))
     assert any("samples are recorded after later ones, by up to 0." in note for note in signals.notes)
 
@@ -128,7 +137,7 @@ def test_two_publishers_of_one_joint_are_named(tmp_path):
     zero = [(0.02 * k + 0.01, at(0.02 * k + 0.01), NAMES, [0.0, 0.0, 0.0]) for k in range(0, 100, 5)]
     message = "joint wl on /j: the readings alternate between two values, such as 0.1 and 0, in 17 % of 120"
     with pytest.raises(RecordingError, match=message) as caught:
-        signals_of(tmp_path, [*images(), *joints(sorted(real + zero))])
+        joints_read(tmp_path, sorted(real + zero))
     assert "joint_state_publisher" in caught.value.hint
 
 
@@ -141,7 +150,7 @@ def test_few_messages_of_a_second_publisher_are_dropped(tmp_path, share):
     rows = [(s, at(s), names, list(value)) for s, value in zip(t, right, strict=True)]
     sent = 2 + np.flatnonzero(rng.random(1900) < share)
     wrong = [(0.02 * k + 0.005, at(0.02 * k + 0.005), names, [0.0] * 4) for k in sent]
-    signals = signals_of(tmp_path, [*images(), *joints(sorted(rows + wrong))], names=("pan", "tilt"))
+    signals = joints_read(tmp_path, sorted(rows + wrong), names=("pan", "tilt"))
     for track, expected in zip((*signals.joints.values(), *signals.wheels.values()), right.T, strict=True):
         assert len(track.value) > 0.99 * len(expected)  # right ones between two wrong ones are dropped, too
         np.testing.assert_allclose(np.interp(track.time_ns, [at(s) for s in t], expected), track.value)
@@ -161,7 +170,7 @@ def test_what_joints_and_wheels_do_is_no_second_publisher(tmp_path):
         (s, at(s), NAMES, list(value))
         for s, value in zip(t, np.stack([np.sin(3 * t), wrapped, reset], axis=1).tolist(), strict=True)
     ]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     assert not any("jump to another value" in note for note in signals.notes)
     assert {len(track.value) for track in (*signals.joints.values(), *signals.wheels.values())} == {400}
     turned = signals.wheels["left"].value
@@ -173,7 +182,7 @@ def test_noise_and_an_encoder_between_two_steps_are_one_publisher(tmp_path):
     t = 0.02 * np.arange(200)
     values = np.stack([np.round(t * 40 + rng.normal(size=200)) / 40, t, 0.02 * (np.arange(200) % 2)], axis=1)
     rows = [(s, at(s), NAMES, list(value)) for s, value in zip(t, values, strict=True)]
-    assert len(signals_of(tmp_path, [*images(), *joints(rows)]).joints["pan"].value) == 200
+    assert len(joints_read(tmp_path, rows).joints["pan"].value) == 200
 
 
 def test_duplicate_stamps_keep_the_first(tmp_path):
@@ -185,9 +194,8 @@ def test_duplicate_stamps_keep_the_first(tmp_path):
 
 
 def test_gap_in_which_wheels_turned_is_reported(tmp_path):
-    times = [0.02 * k for k in range(50)] + [0.98 + 2.56 + 0.02 * k for k in range(50)]
-    rows = [(s, at(s), NAMES, [0, 2 * s, 0]) for s in times]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    times = np.concatenate([0.02 * np.arange(50), 0.98 + 2.56 + 0.02 * np.arange(50)])
+    signals = joints_read(tmp_path, wheel_at(times, 2 * times))
     worst = "the worst lasts 2.56 s from 0.98 s on, with 5.120 rad"
     assert f"left wheel: 1 gap during which the wheel turned; {worst}" in signals.notes
     assert not any(note.startswith("right wheel") for note in signals.notes)
@@ -196,7 +204,7 @@ def test_gap_in_which_wheels_turned_is_reported(tmp_path):
 def test_nan_readings_are_dropped_and_counted(tmp_path):
     rows = steady()
     rows[3] = (*rows[3][:3], [np.nan, np.inf, 9.0])
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     assert len(signals.joints["pan"].value) == len(signals.wheels["left"].value) == 9
     assert len(signals.wheels["right"].value) == 10
     assert "joint pan on /j: 1 of 10 readings are NaN or infinite; dropped" in signals.notes
@@ -206,36 +214,27 @@ def test_nan_readings_are_dropped_and_counted(tmp_path):
 def test_only_nan_is_refused(tmp_path, bad):
     rows = [(*row[:3], [np.nan if k == bad else x for k, x in enumerate(row[3])]) for row in steady()]
     with pytest.raises(RecordingError, match=f"joint {NAMES[bad]} on /j: all 10 readings are NaN"):
-        signals_of(tmp_path, [*images(), *joints(rows)])
-
-
-def test_wrapped_positions_are_unwrapped_and_noted(tmp_path):
-    angle = 0.3 * np.arange(60)
-    wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    rows = [(0.05 * k, at(0.05 * k), NAMES, [0, a, 0]) for k, a in enumerate(wrapped)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
-    np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
-    assert any("wrapped to one turn; 3 jumps are undone" in note for note in signals.notes)
+        joints_read(tmp_path, rows)
 
 
 def test_positions_that_never_change_beside_velocities(tmp_path):
     """Some drivers fill in zeros in place of the positions that they do not know."""
     stuck = [(0.1 * k, at(0.1 * k), NAMES, [0, 0, 0], [0, 2.0, min(k, 1) * 1.0]) for k in range(11)]
-    signals = signals_of(tmp_path, [*images(), *joints(stuck)])
+    signals = joints_read(tmp_path, stuck)
     assert signals.wheels["left"].value[-1] == 0  # neither changes
     assert signals.wheels["right"].value[-1] == pytest.approx(0.95)
     assert any("positions that never change; velocities are integrated" in note for note in signals.notes)
 
 
-@pytest.mark.parametrize("pause_s", [1.2, 3.0])
-def test_a_pause_does_not_switch_unwrapping_off(tmp_path, pause_s):
+@pytest.mark.parametrize("pause_s", [0.05, 1.2, 3.0])
+def test_wrapped_positions_are_unwrapped_and_noted_with_and_without_a_pause(tmp_path, pause_s):
     """The wheel turns on during the pause at the speed that it had before and has after it."""
     times = np.concatenate([0.05 * np.arange(60), 2.95 + pause_s + 0.05 * np.arange(60)])
     angle = 4.0 * times
     wrapped = (angle + np.pi) % (2 * np.pi) - np.pi
-    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, wrapped, strict=True)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, wheel_at(times, wrapped))
     np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=1e-9)
+    assert any("wrapped to one turn; 4 jumps are undone" in note for note in signals.notes)
 
 
 def turning(count=400, rate=4.0):
@@ -255,8 +254,7 @@ def turning(count=400, rate=4.0):
 def test_jumps_of_a_wheel_are_undone_and_noted(tmp_path, jumps):
     times, angle = turning()
     read = angle + sum(size * (np.arange(len(times)) >= at) for at, size in jumps.items())
-    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, read, strict=True)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, wheel_at(times, read))
     np.testing.assert_allclose(signals.wheels["left"].value, angle, atol=0.02)
     first = min(jumps)
     often = "once" if len(jumps) == 1 else f"{len(jumps)} times, first"
@@ -270,7 +268,7 @@ def test_a_wrong_velocity_of_a_wheel_is_a_jump(tmp_path):
     expected = np.concatenate([[0.0], np.cumsum((rate[1:] + rate[:-1]) / 2 * np.diff(times))])
     rate[100] = 1e6
     rows = [(s, at(s), NAMES, [0, 0, 0], [0, v, 0]) for s, v in zip(times, rate, strict=True)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, rows)
     np.testing.assert_allclose(signals.wheels["left"].value, expected, atol=0.02)
     assert any("the rotation jumps 2 times" in note for note in signals.notes)
 
@@ -280,8 +278,7 @@ def test_what_wheels_do_is_no_jump(tmp_path, rate, slip):
     """Also not a wheel that slips by less than a turn, readings in ticks, and one that hardly turns."""
     times, angle = turning(rate=rate)
     angle = angle + slip * (times > 5)
-    rows = [(s, at(s), NAMES, [0, a, 0]) for s, a in zip(times, angle, strict=True)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
+    signals = joints_read(tmp_path, wheel_at(times, angle))
     np.testing.assert_array_equal(signals.wheels["left"].value, angle)
     assert not any("jumps" in note for note in signals.notes)
 
@@ -290,32 +287,32 @@ def test_what_wheels_do_is_no_jump(tmp_path, rate, slip):
 def test_a_counter_in_joint_states_wraps_at_its_width(tmp_path, signed):
     ticks = np.arange(65_000, 67_000, 40)
     readings = (ticks + 2**15) % 2**16 - 2**15 if signed else ticks % 2**16
-    rows = [(0.05 * k, at(0.05 * k), NAMES, [0, float(n), 0]) for k, n in enumerate(readings)]
+    rows = wheel_at(0.05 * np.arange(50), readings)
     sources = with_left(joint="wl", ticks_per_revolution=1000, bits=16)
-    signals = signals_of(tmp_path, [*images(), *joints(rows)], sources)
+    signals = joints_read(tmp_path, rows, sources)
     turned = signals.wheels["left"].value
     np.testing.assert_allclose(turned - turned[0], (ticks - ticks[0]) * 2 * np.pi / 1000, atol=1e-9)
 
 
 def test_readings_beyond_the_width_of_a_counter_are_refused(tmp_path):
     width = {"ticks_per_revolution": 1000, "bits": 8}
-    rows = [(0.1 * k, at(0.1 * k), NAMES, [0, 100.0 * k, 0]) for k in range(5)]
+    rows = wheel_at(0.1 * np.arange(5), 100.0 * np.arange(5))
     said = "joint wl on /j: a reading of 400 does not fit a counter of 8 bits"
     with pytest.raises(RecordingError, match=said):
-        signals_of(tmp_path, [*images(), *joints(rows)], with_left(joint="wl", **width))
-    ticks = [r.Item("/t", "std_msgs/msg/UInt16", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
+        joints_read(tmp_path, rows, with_left(joint="wl", **width))
+    ticks = [r.Item("/t", at(0.1 * k), r.number("UInt16", 90 * k)) for k in range(5)]
     with pytest.raises(RecordingError, match="a reading of 360 does not fit a counter of 8 bits"):
         signals_of(tmp_path, [*images(), *joints(steady()), *ticks], with_left("/t", field="data", **width))
 
 
 def test_sparse_positions_are_left_alone(tmp_path):
-    rows = [(3.0 * k, at(3.0 * k), NAMES, [0, 3 * (-1) ** k, 0]) for k in range(8)]
-    signals = signals_of(tmp_path, [*images(), *joints(rows)])
-    np.testing.assert_array_equal(signals.wheels["left"].value, [3 * (-1) ** k for k in range(8)])
+    angles = [3 * (-1) ** k for k in range(8)]
+    signals = joints_read(tmp_path, wheel_at(3.0 * np.arange(8), angles))
+    np.testing.assert_array_equal(signals.wheels["left"].value, angles)
 
 
 def test_sign_turns_a_wheel_round(tmp_path):
-    signals = signals_of(tmp_path, [*images(), *joints(steady())], with_left(joint="wl", sign=-1))
+    signals = joints_read(tmp_path, steady(), with_left(joint="wl", sign=-1))
     np.testing.assert_array_equal(signals.wheels["left"].value, -2.0 * np.arange(10))
 
 
@@ -351,7 +348,7 @@ def test_wrong_sources_are_refused(tmp_path, sources, message):
 
 def test_side_without_images_is_refused(tmp_path):
     items = [item for item in images() if item.topic == "/l"]
-    empty = r.Item("/r", "sensor_msgs/msg/Image", at(0), r.image(r.picture(0), "mono8"))
+    empty = r.Item("/r", at(0), r.image(r.picture(0), "mono8"))
     path = r.write_mcap(tmp_path / "log.mcap", [*items, *joints(steady()), empty])
     with open_recording([path]) as recording:
         part = recording.parts[0]
@@ -453,11 +450,11 @@ def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
     names = [*NAMES, "rear"]
     rows = [(0.1 * k, at(0.1 * k), names, [k, 2.0 * k, 3.0 * k, np.nan]) for k in range(30)]
     sources = with_left(joint="wl", others=(WheelSource("/j", joint="rear"),))
-    signals = signals_of(tmp_path, [*images(), *joints(rows)], sources)
+    signals = joints_read(tmp_path, rows, sources)
     np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(30))
     assert "joint rear on /j: all readings are NaN or infinite; left out" in signals.notes
     with pytest.raises(RecordingError, match="joint rear on /j: all 30 readings are NaN or infinite"):
-        signals_of(tmp_path, [*images(), *joints(rows)], with_left(joint="rear"))
+        joints_read(tmp_path, rows, with_left(joint="rear"))
 
 
 @pytest.mark.parametrize(

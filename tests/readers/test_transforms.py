@@ -11,7 +11,6 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JointTransform, Sources, WheelSource
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.readers.signals.joints import reading
-from tests.readers.test_encodings import written_in_json
 
 from . import recordings as r
 
@@ -68,7 +67,7 @@ def tf_message(i, *frames):
 
 def signals_of(folder, messages, sources):
     counts = [("/count", r.START_NS + i, "std_msgs/Int32", {"data": 7}) for i in range(2)]
-    path = written_in_json(folder / "log.mcap", [*messages, *counts])
+    path = r.write_json(folder / "log.mcap", [*messages, *counts])
     wheels = dict.fromkeys(("left", "right"), WheelSource("/count", field="data"))
     with open_recording([path]) as recording:
         return r.one_log(recording, Sources({}, {}, (), wheels, elsewhere=sources), tuple(sources))

@@ -52,7 +52,7 @@ def open_recording(paths: Sequence[Path]) -> Recording:
             raise RecordingError("; ".join(recording.damage), KNOWN)
         undo_steps(recording.parts)
         recording.complete()
-        if recording.damage and not any(info.count != 0 for info in recording.topics):
+        if recording.damage and not any(info.count for info in recording.topics):
             raise RecordingError(
                 f"{recording.name}: nothing usable is left: {'; '.join(recording.damage)}",
                 "copy the recording again, or record a new one",
@@ -234,9 +234,7 @@ def _continues(group: Sequence[Storage | Recording], file: Storage | Recording) 
     if file.start_ns is None or not ends:
         return False
     gap_ns = file.start_ns - max(ends)
-    topics = {channel.topic for channel in file.channels.values()}
-    shared = any(topics & {channel.topic for channel in member.channels.values()} for member in group)
-    if shared:
+    if any(file.topic_names & member.topic_names for member in group):
         return -LEAST_STEP_NS <= gap_ns < LARGEST_GAP_NS
     return gap_ns < 0
 
@@ -251,13 +249,12 @@ def undo_steps(files: Sequence[Storage]) -> None:
         if before.start_ns is None or before.end_ns is None or file.start_ns is None or file.end_ns is None:
             continue
         start_ns, end_ns = before.start_ns - before.shift_ns, before.end_ns - before.shift_ns
-        topics = [{channel.topic for channel in part.channels.values()} for part in (before, file)]
-        if file.start_ns - end_ns >= LARGEST_GAP_NS or topics[0].isdisjoint(topics[1]):
+        if file.start_ns - end_ns >= LARGEST_GAP_NS or not before.topic_names & file.topic_names:
             continue
         shift_ns = before.shift_ns
         if file.start_ns < end_ns - LEAST_STEP_NS and file.end_ns > start_ns + LEAST_STEP_NS:
             shift_ns += end_ns - file.start_ns
-            file.note_steps([end_ns - file.start_ns])
+            file.note_step(end_ns - file.start_ns)
         if shift_ns and file.end_ns + shift_ns < LATEST_NS:
             file.delay(shift_ns)
 

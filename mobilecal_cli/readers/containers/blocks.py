@@ -25,9 +25,8 @@ from mobilecal_cli.readers.containers.storage import (
     Message,
     Storage,
     goes_back,
-    steps_back,
 )
-from mobilecal_cli.readers.messages import Payload
+from mobilecal_cli.readers.messages.types import Payload
 
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
 _MOST_MESSAGES = 2**19
@@ -156,17 +155,13 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id, and (n, 2) log time and position of its messages in a chunk; nothing without an index."""
-
-    def _blocks_with(self, topics: Collection[str]) -> list[Block]:
-        """Blocks that may contain messages of the topics, in order of time."""
-        wanted = {number for number, channel in self.channels.items() if channel.topic in topics}
-        blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
-        return sorted(blocks, key=lambda block: (block.start_ns, block.offset))
+        """Channel id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
 
     def _blocks_of(self, topics: Collection[str], extent: Extent) -> list[Block]:
-        """Blocks of `_blocks_with` that are read."""
-        blocks = self._blocks_with(topics)
+        """Blocks within the extent that may contain messages of the topics, in order of time."""
+        wanted = self.channels_of(topics)
+        blocks = [b for b in self.blocks if b.channels is None or not wanted.isdisjoint(b.channels)]
+        blocks.sort(key=lambda block: (block.start_ns, block.offset))
         if extent.within_bytes is not None:
             blocks = _spread(blocks, extent.within_bytes)
         if extent.at_ns is not None:
@@ -174,7 +169,6 @@ class BlockStorage(Storage):
         return blocks
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `messages` reads."""
         return sum(block.size for block in self._blocks_of(topics, extent))
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
@@ -192,16 +186,15 @@ class BlockStorage(Storage):
                     heapq.heappush(waiting, (time_ns, next(order), Message(channel, time_ns, payload)))
             while waiting and waiting[0][0] < following_ns:
                 yield heapq.heappop(waiting)[-1]
-        if len(blocks) == len(self._blocks_with(topics)):
+        if len(blocks) == len(self._blocks_of(topics, EVERYTHING)):
             self.compare_counts(topics, read)
 
-    def log_times(self) -> dict[int, IntArray]:
+    def log_times(self) -> IntArray:
         try:
             parts = [times for _, times in self._times(self.blocks)]
         except _UnindexedError:
-            return {}
-        channel, log_ns = np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
-        return {number: log_ns[channel == number] for number in np.unique(channel).tolist()}
+            parts = []
+        return np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
 
     def _times(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, IntArray]]:
         """Blocks in file order, each with (2, n) channel ids and log times of its messages.
@@ -249,24 +242,19 @@ class BlockStorage(Storage):
         except _UnindexedError:
             return
         channel, log_ns = np.concatenate(parts, axis=1)
-        steps = steps_back(channel, log_ns)
-        sizes = np.cumsum([0, *(size for _, size in steps)]).tolist()
-        if not steps:
+        shift_ns = self.shifts_of(channel, log_ns)
+        if not shift_ns.any():
             return
+        ends = np.cumsum([len(times.T) for times in parts])[:-1]
+        times_of = np.split(np.stack([log_ns + shift_ns, shift_ns]), ends, axis=1)
         self.blocks.clear()
-        begin = 0
-        for block, (_, log_ns) in zip(blocks, parts, strict=True):
-            end = begin + len(log_ns)
-            inside = [place - begin for place, _ in steps if begin < place < end]
-            before = sum(place <= begin for place, _ in steps)
-            for number, (first, last) in enumerate(pairwise([0, *inside, len(log_ns)]), before):
+        for block, (own_ns, own_shift_ns) in zip(blocks, times_of, strict=True):
+            steps = (np.flatnonzero(np.diff(own_shift_ns)) + 1).tolist()
+            for first, last in pairwise([0, *steps, len(own_ns)]):
                 if first < last:
-                    own = log_ns[first:last] + sizes[number]
+                    own, shift = own_ns[first:last], int(own_shift_ns[first])
                     part = replace(block, start_ns=int(own.min()), end_ns=int(own.max()))
-                    self.blocks.append(replace(part, first=first, last=last, shift_ns=sizes[number]))
-            begin = end
-        self.shift_ns = sizes[-1]
-        self.note_steps([size for _, size in steps])
+                    self.blocks.append(replace(part, first=first, last=last, shift_ns=shift))
 
     def delay(self, shift_ns: int) -> None:
         self.shift_ns += shift_ns
@@ -342,7 +330,6 @@ class Reindex:
 
     def __init__(self, storage: BlockStorage) -> None:
         self._storage = storage
-        self._counts: Counter[int] = Counter()
         #: The last block, which the next message may continue.
         self._last: Block | None = None
 
@@ -386,12 +373,11 @@ class Reindex:
                 break
             at = end
         self._close(truncated=bool(trouble))
-        storage.counts = dict(self._counts)
         if trouble:
             storage.set_time_range()
             seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
             storage.note(
-                f"{trouble}; {self._counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
+                f"{trouble}; {storage.counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
             )
         return trouble
 
@@ -412,7 +398,7 @@ class Reindex:
     def _add(self, block: Block) -> None:
         """Add a chunk, or a message outside chunks, which continues the block of the message directly before it."""
         last = self._last
-        self._counts.update(block.channels or ())
+        self._storage.counts.update(block.channels or ())
         if (
             last is None
             or last.channels is None
@@ -447,7 +433,7 @@ class Reindex:
                 storage.note(sentence)
             if times.size:
                 counts = Counter(times[0].tolist())
-                self._counts.update(counts)
+                storage.counts.update(counts)
                 start_ns, end_ns = int(times[1].min()), int(times[1].max())
                 block = replace(block, start_ns=start_ns, end_ns=end_ns, channels=frozenset(counts))
         storage.blocks.append(block)

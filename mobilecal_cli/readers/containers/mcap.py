@@ -14,7 +14,6 @@ from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.summary import Summary
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
@@ -25,8 +24,8 @@ from mobilecal_cli.readers.containers.storage import (
     decompress,
     message_payload,
 )
-from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
-from mobilecal_cli.readers.messages.types import LANGUAGES
+from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -60,35 +59,46 @@ class McapStorage(BlockStorage):
         super().__init__(path)
 
     def find_blocks(self) -> None:
-        """Use the summary if it is complete, otherwise scan the file."""
-        summary = self._complete_summary()
-        if summary is not None:
-            self._use(summary)
-        else:
+        """Use the summary if its index is complete, otherwise scan the file."""
+        if not self._read_index():
             Reindex(self).run(
                 len(MAGIC), "the file ends without a footer (was the recorder stopped properly?)"
             )
 
-    def _complete_summary(self) -> Summary | None:
-        """The summary, if its index is reliable: most chunks are where it says, and every channel is known."""
+    def _read_index(self) -> bool:
+        """Use the summary; False if it lacks a channel, or most chunks are not where its index says."""
         self._stream.seek(0)
         try:
             summary = SeekingReader(self._stream, record_size_limit=min(SIZE_LIMIT, self.size)).get_summary()
         except Exception:  # damage may raise anything; the scan does not need a summary
-            return None
-        if summary is None or summary.statistics is None or not summary.chunk_indexes:
-            return None
-        named = {number for index in summary.chunk_indexes for number in index.message_index_offsets}
+            return False
+        if summary is None or summary.statistics is None:
+            return False
+        chunks = summary.chunk_indexes
+        named = {number for index in chunks for number in index.message_index_offsets}
         schemas = {channel.schema_id for channel in summary.channels.values()} - {0}
         complete = (
-            summary.statistics.chunk_count == len(summary.chunk_indexes)
+            summary.statistics.chunk_count == len(chunks)
             and named
             and named <= summary.channels.keys()
             and schemas <= summary.schemas.keys()
             # A few damaged chunk headers are found on reading.
-            and 2 * sum(map(self._is_chunk, summary.chunk_indexes)) >= len(summary.chunk_indexes)
+            and 2 * sum(map(self._is_chunk, chunks)) >= len(chunks)
         )
-        return summary if complete else None
+        if not complete:
+            return False
+        self._schemas.update(summary.schemas)
+        for channel in summary.channels.values():
+            self._register(channel)
+        self.counts.update(summary.statistics.channel_message_counts)
+        for index in chunks:
+            ids = frozenset(index.message_index_offsets)
+            if ids or index.message_end_time:
+                times = (index.message_start_time, index.message_end_time)
+                self.blocks.append(
+                    Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None)
+                )
+        return True
 
     def _is_chunk(self, index: records.ChunkIndex) -> bool:
         begin, size = index.chunk_start_offset, index.chunk_length
@@ -104,23 +114,10 @@ class McapStorage(BlockStorage):
         body = at + _HEAD.size
         return opcode, body, body + length
 
-    def _use(self, summary: Summary) -> None:
-        self._schemas.update(summary.schemas)
-        for channel in summary.channels.values():
-            self._register(channel)
-        assert summary.statistics is not None
-        self.counts = dict(summary.statistics.channel_message_counts)
-        for index in summary.chunk_indexes:
-            ids = frozenset(index.message_index_offsets)
-            if not ids and index.message_end_time == 0:
-                continue
-            times = (index.message_start_time, index.message_end_time)
-            self.blocks.append(Block(index.chunk_start_offset, index.chunk_length, True, *times, ids or None))
-
     def decompressed(self, chunk: bytes) -> bytes:
         if chunk[:1] != bytes([Opcode.CHUNK]):
             raise ValueError("no chunk begins there")
-        record = records.Chunk.read(_stream(chunk[_HEAD.size :]))
+        record = records.Chunk.read(_data_stream(chunk[_HEAD.size :]))
         whole = decompress(record.data, record.compression, record.uncompressed_size)
         if record.uncompressed_crc and zlib.crc32(whole) != record.uncompressed_crc:
             raise ValueError("wrong checksum")
@@ -150,7 +147,6 @@ class McapStorage(BlockStorage):
             at = end
 
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Channel id, and (n, 2) log time and position of its messages, from the message indexes after a chunk."""
         at = block.offset + block.size
         while at + _HEAD.size <= self.size:
             opcode, body, end = self._head(at)
@@ -164,10 +160,10 @@ class McapStorage(BlockStorage):
 
     def _define(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
-            schema = records.Schema.read(_stream(body))
+            schema = records.Schema.read(_data_stream(body))
             self._schemas.setdefault(schema.id, schema)
         else:
-            self._register(records.Channel.read(_stream(body)))
+            self._register(records.Channel.read(_data_stream(body)))
 
     def _is_cdr(self, number: int) -> bool:
         return number in self.channels and self.channels[number].encoding == "cdr"
@@ -177,8 +173,7 @@ class McapStorage(BlockStorage):
             return
         schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
         name, kind = ros2_spelling(schema.name), LANGUAGES.get(schema.encoding, "")
-        definition = schema.data if kind == "protobuf" else schema.data.decode(errors="replace")
-        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, definition, kind)
+        self.channels[channel.id] = Channel(channel.topic, name, channel.message_encoding, schema.data, kind)
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         opcode, body, end = self._head(at)
@@ -230,5 +225,5 @@ class McapStorage(BlockStorage):
         return bool(_CHUNK.size + 4 + name + 8 + stored == length)
 
 
-def _stream(body: bytes) -> ReadDataStream:
+def _data_stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))

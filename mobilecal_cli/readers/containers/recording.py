@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence, Set
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,6 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
-from mobilecal_cli.readers.messages import Channel
 
 
 @contextmanager
@@ -57,18 +57,12 @@ class Recording(ExitStack):
         """Bring the parts in order of time, and list the topics, after all parts are added."""
         self.parts.sort(key=lambda part: part.start_ns if part.start_ns is not None else -1)
         types: dict[str, str] = {}
-        counts: dict[str, list[int | None]] = {}
+        counts: Counter[str] = Counter()
         for part in self.parts:
             for number, channel in part.channels.items():
                 types.setdefault(channel.topic, channel.ros_type)
-                count = None if part.counts is None else part.counts.get(number, 0)
-                counts.setdefault(channel.topic, []).append(count)
-        self.topics = tuple(
-            TopicInfo(
-                topic, types[topic], None if None in counts[topic] else sum(filter(None, counts[topic]))
-            )
-            for topic in sorted(types)
-        )
+                counts[channel.topic] += part.counts[number]
+        self.topics = tuple(TopicInfo(topic, types[topic], counts[topic]) for topic in sorted(types))
         self._by_name = {info.name: info for info in self.topics}
 
     @property
@@ -78,9 +72,9 @@ class Recording(ExitStack):
         return f"{self.paths[0]}{more}"
 
     @property
-    def channels(self) -> dict[int, Channel]:
-        """The channels of all files, numbered."""
-        return dict(enumerate(channel for part in self.parts for channel in part.channels.values()))
+    def topic_names(self) -> Set[str]:
+        """Names of the topics."""
+        return self._by_name.keys()
 
     @property
     def start_ns(self) -> int | None:
@@ -95,7 +89,7 @@ class Recording(ExitStack):
     @property
     def damage(self) -> tuple[str, ...]:
         """Data that was lost, as sentences with numbers; complete after a full pass."""
-        return tuple(dict.fromkeys([*self._notes, *(note for part in self.parts for note in part.damage)]))
+        return tuple(dict.fromkeys(chain(self._notes, *(part.damage for part in self.parts))))
 
     def note(self, sentence: str) -> None:
         """Add a remark; a repeated one counts once."""
@@ -124,11 +118,12 @@ class Recording(ExitStack):
         times: dict[str, list[IntArray]] = {}
         unknown = set()
         for part in self.parts:
-            known = part.log_times()
+            numbers, log_ns = part.log_times()
             for number, channel in part.channels.items():
-                if number in known:
-                    times.setdefault(channel.topic, []).append(known[number])
-                elif part.counts is None or part.counts.get(number, 0):
+                own_ns = log_ns[numbers == number]
+                if len(own_ns):
+                    times.setdefault(channel.topic, []).append(own_ns)
+                elif part.counts[number]:
                     unknown.add(channel.topic)
         return {topic: np.concatenate(some) for topic, some in times.items() if topic not in unknown}
 

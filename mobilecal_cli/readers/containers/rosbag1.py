@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,11 +18,12 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
 from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
-from mobilecal_cli.readers.messages import Channel, Payload, ros2_spelling
+from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.messages.types import Payload
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
+_MESSAGE, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 4, 5, 6, 7
 _U32 = struct.Struct("<I")
 _U64 = struct.Struct("<Q")
 _TIME = struct.Struct("<II")
@@ -99,11 +101,10 @@ class BagStorage(BlockStorage):
         if not (stated and self._read_index(fields, stated)):
             self.channels.clear()
             self.blocks.clear()
-            self.counts = None
             if not Reindex(self).run(first, without_end=""):
                 self.note(
                     f"the bag has no usable index (was the recorder stopped properly?); a scan found "
-                    f"{sum((self.counts or {}).values())} messages"
+                    f"{self.counts.total()} messages"
                 )
 
     def _head(self, at: int) -> tuple[Fields, int, int]:
@@ -121,7 +122,7 @@ class BagStorage(BlockStorage):
                 fields, body, end = self._head(at)
                 self._define(fields, self.read_at(body, end - body))
                 at = end
-            counts, damaged = dict.fromkeys(self.channels, 0), []
+            counts, damaged = Counter[int](), list[str]()
             for _ in range(_u32(bag, b"chunk_count")):
                 fields, body, end = self._head(at)
                 trouble = self._index_chunk(fields, self.read_at(body, end - body), counts)
@@ -136,7 +137,7 @@ class BagStorage(BlockStorage):
         self.counts = counts
         return True
 
-    def _index_chunk(self, fields: Fields, data: bytes, counts: dict[int, int]) -> str:
+    def _index_chunk(self, fields: Fields, data: bytes, counts: Counter[int]) -> str:
         """Process an index entry; returns what is wrong with its chunk, "" for nothing."""
         position = int(_U64.unpack(fields[b"chunk_pos"])[0])
         numbers = frozenset(number for number, _ in struct.iter_unpack("<II", data))
@@ -173,7 +174,6 @@ class BagStorage(BlockStorage):
             at = end
 
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
-        """Connection id, and (n, 2) log time and position of its messages, from the index records after a chunk."""
         at = block.offset + block.size
         while at < self.size:
             fields, body, end = self._head(at)
@@ -190,9 +190,8 @@ class BagStorage(BlockStorage):
         if number in self.channels:
             return
         inner = _fields(memoryview(data))
-        name, text = inner[b"type"].decode(), inner.get(b"message_definition", b"").decode(errors="replace")
-        topic = fields[b"topic"].decode()
-        self.channels[number] = Channel(topic, ros2_spelling(name), "ros1", text, "msg")
+        name, topic = ros2_spelling(inner[b"type"].decode()), fields[b"topic"].decode()
+        self.channels[number] = Channel(topic, name, "ros1", inner.get(b"message_definition", b""), "msg")
 
     def record_at(self, at: int) -> tuple[int | None, Block | None]:
         fields, body, end = self._head(at)

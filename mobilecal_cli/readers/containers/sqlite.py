@@ -28,7 +28,6 @@ from mobilecal_cli.readers.containers.storage import (
     Message,
     Storage,
     message_payload,
-    steps_back,
 )
 from mobilecal_cli.readers.messages import Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES
@@ -53,7 +52,7 @@ class _Log(NamedTuple):
     size: IntArray
 
 
-def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
+def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, Counter[int]]:
     """The log of rows with their sizes, and topic id → number of messages."""
     log = array("q")
     counts: Counter[int] = Counter()
@@ -64,7 +63,7 @@ def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, dict[int, int]]:
         counts[topic] += 1
         if isinstance(time_ns, int):
             log.extend(value or 0 for value in row)
-    return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), dict(counts)
+    return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), counts
 
 
 class SqliteStorage(Storage):
@@ -148,8 +147,9 @@ class SqliteStorage(Storage):
                 self.note(f"topic {topic!r} has the invalid id {number!r}; skipped")
                 continue
             language, text = definitions.get(str(name), ("", ""))
+            kind = ros2_spelling(str(name))
             self.channels[number] = Channel(
-                str(topic), ros2_spelling(str(name)), str(encoding), text, LANGUAGES.get(language, "")
+                str(topic), kind, str(encoding), text.encode(), LANGUAGES.get(language, "")
             )
 
     def _scan(self) -> None:
@@ -162,20 +162,16 @@ class SqliteStorage(Storage):
             # SQLite reads what is missing of a page that is cut as zeros.
             last = leaves[-1].last_row if leaves and cut else None
             log, counts = self._of_readable(select, last)
-            if sum(leaf.rows for leaf in leaves) > sum(counts.values()):
+            if sum(leaf.rows for leaf in leaves) > counts.total():
                 self._relink(leaves)
                 log, counts = self._of_readable(select, last)
-            self.note(f"the message table is damaged; {sum(counts.values())} messages could be read")
+            self.note(f"the message table is damaged; {counts.total()} messages could be read")
         self.counts = counts
-        steps = steps_back(log.channel, log.log_ns)
-        for first, size_ns in steps:
-            log.log_ns[first:] += size_ns
-            self.shift_ns += size_ns
-        self.note_steps([size_ns for _, size_ns in steps])
+        log.log_ns[:] += self.shifts_of(log.channel, log.log_ns)
         self._log = log
         self.delay(0)
 
-    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, dict[int, int]]:
+    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, Counter[int]]:
         """See `_listed`; of the rows of a damaged table that can be read one by one, up to the last whole one."""
         rows = self._rows(self._every_row(), select)
         return _listed(row for row in rows if row is not None and (last is None or row[0] <= last))
@@ -200,13 +196,10 @@ class SqliteStorage(Storage):
             self.start_ns, self.end_ns = int(self._log.log_ns.min()), int(self._log.log_ns.max())
 
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
-        """Messages of the topics in order of log time.
-
-        Rows of other topics are not read, so a limit in bytes does not apply.
-        """
+        # Rows of other topics are not read, so a limit in bytes does not apply.
         read: Counter[int] = Counter()
         damaged = False
-        wanted = self._wanted(topics)
+        wanted = self.channels_of(topics)
         for fetched in self._rows(self._batches(wanted, extent), _SELECT.format("data")):
             if fetched is None:
                 damaged = True
@@ -224,26 +217,21 @@ class SqliteStorage(Storage):
                 yield Message(channel, int(self._log.log_ns[np.searchsorted(self._log.row, row)]), data)
         if damaged:
             self.note(
-                f"the message table is damaged; {sum(read.values())} messages of the topics in use could be read"
+                f"the message table is damaged; {read.total()} messages of the topics in use could be read"
             )
         if extent.at_ns is None:
             self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        """Number of bytes that `messages` reads."""
-        return int(self._log.size[self._places(self._wanted(topics), extent)].sum())
+        return int(self._log.size[self._places(self.channels_of(topics), extent)].sum())
 
-    def log_times(self) -> dict[int, IntArray]:
-        """Topic id → (n,) log times in table order."""
-        return {number: self._log.log_ns[self._log.channel == number] for number in self.counts or ()}
+    def log_times(self) -> IntArray:
+        return np.stack([self._log.channel, self._log.log_ns])
 
-    def _wanted(self, topics: Collection[str]) -> list[int]:
-        return [number for number, channel in self.channels.items() if channel.topic in topics]
-
-    def _places(self, wanted: list[int], extent: Extent) -> IntArray:
+    def _places(self, wanted: set[int], extent: Extent) -> IntArray:
         """Places in the log of the messages that are read, in order of time."""
         log = self._log
-        own = np.isin(log.channel, wanted)
+        own = np.isin(log.channel, list(wanted))
         if extent.at_ns is not None:
             own &= np.isin(log.log_ns, extent.at_ns)
         places = np.flatnonzero(own)
@@ -258,7 +246,7 @@ class SqliteStorage(Storage):
         every = range(1, (end or 0) + 1)
         yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
 
-    def _batches(self, wanted: list[int], extent: Extent) -> Iterator[list[int]]:
+    def _batches(self, wanted: set[int], extent: Extent) -> Iterator[list[int]]:
         """Increasing row numbers in the order of reading."""
         rows = self._log.row[self._places(wanted, extent)]
         for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import bz2
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterator, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar, NamedTuple
+from typing import BinaryIO, ClassVar, NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.messages import Channel, Payload
+from mobilecal_cli.readers.messages import Channel
+from mobilecal_cli.readers.messages.types import Decoded, Payload
 
 
 class Message(NamedTuple):
@@ -35,12 +37,7 @@ class Message(NamedTuple):
         """Topic of the message."""
         return self.channel.topic
 
-    @property
-    def type(self) -> str:
-        """Message type in ROS 2 spelling."""
-        return self.channel.type
-
-    def decode(self) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+    def decode(self) -> Decoded:
         """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
@@ -80,10 +77,10 @@ class Storage(ABC):
         path: the file, as given by the user or unpacked.
         opened: the file that is read: `path`, or a complete copy of it.
         channels: channel id → channel.
-        counts: channel id → number of messages, stated in the file or counted; None if unknown.
+        counts: channel id → number of messages, stated in the file or counted.
         start_ns, end_ns: log time of the first and last message, None if unknown or empty.
         shift_ns: what the last log times are later than stored, because the recorder's clock stepped back.
-        damage: data that was lost, as sentences; complete after a full pass.
+        damage: data that was lost, as sentences, each once; complete after a full pass.
     """
 
     container: ClassVar[str]
@@ -91,20 +88,20 @@ class Storage(ABC):
     def __init__(self, path: Path) -> None:
         self.path = self.opened = path
         self.channels: dict[int, Channel] = {}
-        self.counts: dict[int, int] | None = None
+        self.counts: Counter[int] = Counter()
         self.start_ns: int | None = None
         self.end_ns: int | None = None
         self.shift_ns = 0
-        self._damage: dict[str, None] = {}
+        self.damage: dict[str, None] = {}
 
     @property
-    def damage(self) -> tuple[str, ...]:
-        """Each note once, in order of appearance."""
-        return tuple(self._damage)
+    def topic_names(self) -> Set[str]:
+        """Names of the topics."""
+        return {channel.topic for channel in self.channels.values()}
 
     def note(self, sentence: str) -> None:
         """Add a note on damage; a repeated one counts once."""
-        self._damage[f"{self.path.name}: {sentence}"] = None
+        self.damage[f"{self.path.name}: {sentence}"] = None
 
     def note_share(self, whole: int) -> None:
         """Note that the file is shorter than it states, with the share of its bytes that is left."""
@@ -113,12 +110,28 @@ class Storage(ABC):
             f"the file is truncated: {size} of {whole} bytes or more ({100 * size / whole:.0f} %) are left"
         )
 
-    def note_steps(self, sizes_ns: Sequence[int]) -> None:
-        """Note steps of the recorder's clock by their sizes."""
-        for size_ns in sizes_ns:
-            self.note(
-                f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
-            )
+    def note_step(self, size_ns: int) -> None:
+        """Note a step of the recorder's clock."""
+        self.note(
+            f"the recorder's clock steps back by {size_ns * 1e-9:.3f} s; messages are read in the order of the file"
+        )
+
+    def shifts_of(self, channel: IntArray, log_ns: IntArray) -> IntArray:
+        """(n,) what log times are later than stored, for they go on where the clock stepped back; notes the steps.
+
+        Args:
+            channel, log_ns: see `steps_back`.
+        """
+        shift_ns = np.zeros_like(log_ns)
+        for first, size_ns in steps_back(channel, log_ns):
+            shift_ns[first:] += size_ns
+            self.shift_ns += size_ns
+            self.note_step(size_ns)
+        return shift_ns
+
+    def channels_of(self, topics: Collection[str]) -> set[int]:
+        """Ids of the channels of some topics."""
+        return {number for number, channel in self.channels.items() if channel.topic in topics}
 
     @abstractmethod
     def messages(self, topics: Collection[str], extent: Extent = EVERYTHING) -> Iterator[Message]:
@@ -129,8 +142,8 @@ class Storage(ABC):
         """Number of bytes that `messages` reads."""
 
     @abstractmethod
-    def log_times(self) -> dict[int, IntArray]:
-        """Channel id → (n,) log times in file order; empty if they are not available without reading all."""
+    def log_times(self) -> IntArray:
+        """(2, n) channel ids and log times in file order; none if they are not available without reading all."""
 
     @abstractmethod
     def delay(self, shift_ns: int) -> None:
@@ -140,14 +153,12 @@ class Storage(ABC):
     def close(self) -> None:
         """Close the file."""
 
-    def compare_counts(self, topics: Collection[str], read: Mapping[int, int]) -> None:
+    def compare_counts(self, topics: Collection[str], read: Counter[int]) -> None:
         """After a full pass, note topics with fewer messages than the file states."""
-        if self.counts is None:
-            return
-        for number, channel in sorted(self.channels.items()):
-            stated = self.counts.get(number, 0)
-            if channel.topic in topics and read.get(number, 0) < stated:
-                self.note(f"{channel.topic}: {read.get(number, 0)} of {stated} messages could be read")
+        for number in sorted(self.channels_of(topics)):
+            if read[number] < self.counts[number]:
+                topic = self.channels[number].topic
+                self.note(f"{topic}: {read[number]} of {self.counts[number]} messages could be read")
 
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"

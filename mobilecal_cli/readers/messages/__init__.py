@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from graphlib import TopologicalSorter
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, listed
 from mobilecal_cli.readers.messages.types import (
+    Decoded,
     Decoder,
     DefinitionFormat,
+    Payload,
     leaves_of,
     like_ros,
     ros_decoder,
     ros_type,
 )
-
-Payload = bytes | memoryview
 
 #: Exceptions raised by a message without the fields of its type: JSON may contain anything.
 NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
@@ -41,14 +39,14 @@ class Channel:
         topic: the topic.
         type: message type; ROS's in ROS 2 spelling.
         encoding: "cdr" (ROS 2), "ros1", "protobuf", "json", or another value from the container.
-        definition: message definition with its dependencies, "" if the container has none; bytes for protobuf.
+        definition: message definition with its dependencies, as stored; empty if the container has none.
         definition_format: language of the definition.
     """
 
     topic: str
     type: str
     encoding: str
-    definition: str | bytes = ""
+    definition: bytes = b""
     definition_format: DefinitionFormat = ""
 
     @property
@@ -73,13 +71,13 @@ class Channel:
         except RecordingError as error:
             raise RecordingError(f"{self.topic}: {error.message}", error.hint) from error
 
-    def decode(self, payload: Payload) -> Any:  # noqa: ANN401 - the type is the recording's, known at run time
+    def decode(self, payload: Payload) -> Decoded:
         """The message as an object with the fields of its definition; arrays are views of the payload.
 
         Raises:
             RecordingError: the payload does not match the definition, or is a joint state that no robot has.
         """
-        if self.ros_type == JOINT_STATE and len(payload) > LARGEST_JOINT_STATE:
+        if len(payload) > LARGEST_JOINT_STATE and self.ros_type == JOINT_STATE:
             raise RecordingError(
                 f"{self.topic}: a joint state of {len(payload)} bytes (limit {LARGEST_JOINT_STATE})",
                 "check the driver that publishes it",
@@ -104,10 +102,10 @@ def ros2_spelling(name: str) -> str:
 
 @lru_cache(maxsize=256)
 def _decoder(
-    encoding: str, type_name: str, definition: str | bytes, definition_format: DefinitionFormat
-) -> Callable[[Payload], object]:
-    if isinstance(definition, str) and encoding in ("cdr", "ros1"):
-        decode = ros_decoder(encoding, type_name, definition, definition_format)
+    encoding: str, type_name: str, definition: bytes, definition_format: DefinitionFormat
+) -> Decoder:
+    if encoding in ("cdr", "ros1") and definition_format != "protobuf":
+        decode = ros_decoder(encoding, type_name, definition.decode(errors="replace"), definition_format)
         if ros_type(type_name) == type_name:
             return decode
     elif encoding == "json":
@@ -117,7 +115,7 @@ def _decoder(
     return like_ros(decode, type_name)
 
 
-def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
+def _protobuf_decoder(type_name: str, definition: bytes) -> Decoder:
     """Decoder of messages of one type in a `FileDescriptorSet`.
 
     Raises:
@@ -126,9 +124,8 @@ def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     try:
-        stored = definition.encode() if isinstance(definition, str) else definition
         pool = descriptor_pool.DescriptorPool()
-        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(stored).file}
+        files = {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(definition).file}
         needed = {name: files.keys() & set(file.dependency) for name, file in files.items()}
         for name in TopologicalSorter(needed).static_order():
             pool.Add(files[name])
@@ -143,7 +140,7 @@ def _protobuf_decoder(type_name: str, definition: str | bytes) -> Decoder:
     return lambda payload: _from_protobuf(kind.FromString(bytes(payload)))
 
 
-def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
+def _from_protobuf(message: Decoded) -> Decoded:
     if message.DESCRIPTOR.full_name in ("google.protobuf.Timestamp", "google.protobuf.Duration"):
         return SimpleNamespace(sec=message.seconds, nanosec=message.nanos)
     result = SimpleNamespace()
@@ -161,7 +158,7 @@ def _from_protobuf(message: Any) -> Any:  # noqa: ANN401
     return result
 
 
-def _from_json(payload: Payload) -> Any:  # noqa: ANN401
+def _from_json(payload: Payload) -> Decoded:
     """A JSON object; NaN and Infinity are allowed."""
     value = json.loads(bytes(payload), object_hook=lambda fields: SimpleNamespace(**fields))
     if not isinstance(value, SimpleNamespace):
@@ -169,7 +166,7 @@ def _from_json(payload: Payload) -> Any:  # noqa: ANN401
     return value
 
 
-def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is the recording's
+def header_stamp_ns(message: Decoded) -> int | None:
     """Header stamp of a message, ns; of a TFMessage, that of its first transform. None without a header."""
     if getattr(message, "transforms", None):
         message = message.transforms[0]
@@ -177,12 +174,12 @@ def header_stamp_ns(message: Any) -> int | None:  # noqa: ANN401 - the type is t
     return None if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def stamp_of(message: Any, log_ns: int) -> int:  # noqa: ANN401
+def stamp_of(message: Decoded, log_ns: int) -> int:
     """Header stamp of a message, ns; the log time if there is no header or its stamp is zero."""
     return header_stamp_ns(message) or log_ns
 
 
-def content_of(message: Any) -> bytes:  # noqa: ANN401
+def content_of(message: Decoded) -> bytes:
     """Pixels of an image message, as encoded; b"" without any."""
     try:
         return bytes(memoryview(message.data))
@@ -223,7 +220,7 @@ class FieldPath:
             steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
         return cls(text, tuple(steps))
 
-    def number(self, message: Any, topic: str, setting: str) -> int | float:  # noqa: ANN401 - the type is the recording's
+    def number(self, message: Decoded, topic: str, setting: str) -> int | float:
         """The number at the path.
 
         Args:
@@ -253,7 +250,7 @@ class FieldPath:
         )
 
 
-def _field_names(message: Any) -> list[str]:  # noqa: ANN401
+def _field_names(message: Decoded) -> list[str]:
     """Paths to the numbers and lists in a message."""
     paths: list[str] = []
     for path, value in leaves_of(message):

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
@@ -19,7 +19,10 @@ from rosbags.typesys.store import Typestore
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO, IMAGES, JOINT_STATE, STRING
 
-Decoder = Callable[[bytes | memoryview], Any]
+Payload = bytes | memoryview
+#: A decoded message: an object with the fields of its definition, which is the recording's, known at run time.
+Decoded: TypeAlias = Any
+Decoder = Callable[[Payload], Decoded]
 DefinitionFormat = Literal["msg", "idl", "protobuf", ""]
 #: Language of a definition as containers name it → its format.
 LANGUAGES: dict[str, DefinitionFormat] = {
@@ -31,7 +34,7 @@ LANGUAGES: dict[str, DefinitionFormat] = {
 }
 
 
-def fields_of(message: Any) -> dict[str, Any]:  # noqa: ANN401 - the type is the recording's
+def fields_of(message: Decoded) -> dict[str, Any]:
     """Name → value of an object's fields."""
     if isinstance(message, SimpleNamespace):
         return vars(message)
@@ -39,7 +42,7 @@ def fields_of(message: Any) -> dict[str, Any]:  # noqa: ANN401 - the type is the
     return {name: getattr(message, name) for name in names if not name.startswith("__")}
 
 
-def leaves_of(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:  # noqa: ANN401
+def leaves_of(message: Decoded, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Path and value of all fields of a message and of the messages in it."""
     for name, inner in fields_of(message).items():
         if fields_of(inner):
@@ -48,7 +51,7 @@ def leaves_of(message: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:  # n
             yield f"{prefix}{name}", inner
 
 
-def _header(message: Any) -> dict[str, Any]:  # noqa: ANN401
+def _header(message: Decoded) -> dict[str, Any]:
     """A header, if the message has a `timestamp` instead."""
     stamp = getattr(message, "timestamp", None)
     nanosec = getattr(stamp, "nanosec", getattr(stamp, "nsec", None))
@@ -59,7 +62,7 @@ def _header(message: Any) -> dict[str, Any]:  # noqa: ANN401
     return {"header": SimpleNamespace(stamp=stamp, frame_id=frame_id)}
 
 
-def _image(message: Any) -> dict[str, Any]:  # noqa: ANN401
+def _image(message: Decoded) -> dict[str, Any]:
     """Of a foxglove image; JSON encodes its bytes in base64."""
     header = _header(message)
     if not header:
@@ -73,13 +76,13 @@ def _image(message: Any) -> dict[str, Any]:  # noqa: ANN401
     return {**header, "is_bigendian": 0, "data": data}
 
 
-def _camera_info(message: Any) -> dict[str, Any]:  # noqa: ANN401
+def _camera_info(message: Decoded) -> dict[str, Any]:
     """Of a foxglove calibration, which is of whole images."""
     header, roi = _header(message), SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0)
     return {**header, "roi": roi, "binning_x": 0, "binning_y": 0} if header else {}
 
 
-def _interfaces(message: Any) -> dict[str, Any]:  # noqa: ANN401
+def _interfaces(message: Decoded) -> dict[str, Any]:
     """Positions and velocities of a DynamicJointState; NaN if a joint has none."""
     values_of: dict[str, list[float]] = {"position": [], "velocity": []}
     for joint in message.interface_values:
@@ -90,7 +93,7 @@ def _interfaces(message: Any) -> dict[str, Any]:  # noqa: ANN401
     return {"name": list(message.joint_names), **known}
 
 
-def _controlled(message: Any) -> dict[str, Any]:  # noqa: ANN401
+def _controlled(message: Decoded) -> dict[str, Any]:
     """The measured state of a trajectory controller; older versions call it actual."""
     state: Any = getattr(message, "feedback", None) or message.actual
     return {"name": list(message.joint_names), "position": state.positions, "velocity": state.velocities}
@@ -113,7 +116,7 @@ class MessageType:
     definition: str = ""
     read_as: str = ""
     any_package: bool = False
-    convert: Callable[[Any], dict[str, Any]] = _header
+    convert: Callable[[Decoded], dict[str, Any]] = _header
 
 
 #: Definitions are listed here, because rosbags loads the types of five releases to get them, which takes longer than
@@ -182,7 +185,7 @@ def like_ros(decode: Decoder, type_name: str) -> Decoder:
     """A decoder whose messages have the fields of the equivalent ROS type, and a header if they have a `timestamp`."""
     convert = _known(type_name)[1].convert
 
-    def converted(payload: bytes | memoryview) -> Any:  # noqa: ANN401
+    def converted(payload: Payload) -> Decoded:
         message = decode(payload)
         more = convert(message)
         return SimpleNamespace(**{**fields_of(message), **more}) if more else message

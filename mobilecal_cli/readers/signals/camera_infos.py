@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from array import array
-from typing import Any
 
 import numpy as np
 
@@ -12,7 +11,8 @@ from mobilecal_cli.camera import project
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES, Camera, CameraInfo, Distortion, FloatArray, IntArray
 from mobilecal_cli.ranges import FOCAL_LENGTH, Range
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel, Payload
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, Channel
+from mobilecal_cli.readers.messages.types import Decoded, Payload
 
 #: Coefficient counts of OpenCV's models, in OpenCV's order.
 _LENGTHS: dict[Distortion, tuple[int, ...]] = {
@@ -42,7 +42,7 @@ _ROTATION = 1e-3
 _ADVICE = "calibrate the camera (for example with camera_calibration) and record its camera_info again"
 
 
-def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the type is the recording's
+def camera_info(message: Decoded, topic: str) -> CameraInfo:
     """Convert a CameraInfo message.
 
     The message describes the full sensor. A region of interest shifts the principal point, then binning scales both
@@ -61,7 +61,7 @@ def camera_info(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401 - the t
         raise RecordingError(f"{topic}: not a valid camera info: {error}", _ADVICE) from error
 
 
-def _converted(message: Any, topic: str) -> CameraInfo:  # noqa: ANN401
+def _converted(message: Decoded, topic: str) -> CameraInfo:
     K = _matrix(message, "K", (3, 3), topic)
     P = _matrix(message, "P", (3, 4), topic)
     R = _matrix(message, "R", (3, 3), topic)
@@ -134,7 +134,7 @@ def _impossible(camera: Camera, R: FloatArray, P: FloatArray) -> str:
     return ""
 
 
-def _matrix(message: Any, name: str, shape: tuple[int, ...], topic: str) -> FloatArray:  # noqa: ANN401
+def _matrix(message: Decoded, name: str, shape: tuple[int, ...], topic: str) -> FloatArray:
     value = getattr(message, name, None)
     if value is None:
         value = getattr(message, name.lower())
@@ -144,7 +144,7 @@ def _matrix(message: Any, name: str, shape: tuple[int, ...], topic: str) -> Floa
     return matrix
 
 
-def _distortion(message: Any, topic: str) -> tuple[Distortion, FloatArray]:  # noqa: ANN401
+def _distortion(message: Decoded, topic: str) -> tuple[Distortion, FloatArray]:
     D = _matrix(message, "D", (-1,), topic)
     name = str(message.distortion_model).strip().lower()
     if D.size == 0 or (not name and not D.any()):
@@ -194,7 +194,7 @@ class InfoChanges:
         if self._last != own:
             try:
                 decoded = camera_info(channel.decode(payload), self.topic)
-            except (RecordingError, *NOT_ITS_TYPE):
+            except RecordingError:
                 return
             known = (k for k, info in enumerate(self.infos) if not _difference(info, decoded))
             which = next(known, len(self.infos))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +12,8 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, FloatArray, JointTransform, Track, listed
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import stamp_of
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
+from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.series import Samples, Series
 from mobilecal_cli.readers.signals.sources import Source, Subscriptions
 
@@ -43,7 +43,7 @@ class StatedJoint(Source):
         self._names: list[str] = []
         self._place: int | None = None
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         """Read one message; the order of names may change from message to message."""
         if message.name != self._names:
             names = self._names = list(message.name)
@@ -167,7 +167,7 @@ class TransformJoint(Source):
         self._worst = (0.0, 0.0)
         self._present: dict[str, None] = {}
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         for item in message.transforms:
             ends = (item.header.frame_id.lstrip("/"), item.child_frame_id.lstrip("/"))
             if ends != (self._source.parent, self._source.child):
@@ -211,14 +211,14 @@ def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str
     samples_of: dict[tuple[str, str], list[FloatArray]] = {}
     for message in recording.messages(topics, Extent(_SAMPLED_BYTES)) if topics else ():
         try:
-            items = message.decode().transforms
-        except (RecordingError, AttributeError):
+            items = list(message.decode().transforms)
+        except (RecordingError, *NOT_ITS_TYPE):
             continue
         for item in items:
             try:
                 ends = (str(item.header.frame_id).lstrip("/"), str(item.child_frame_id).lstrip("/"))
                 T = _matrix(item.transform)
-            except (AttributeError, TypeError, ValueError):  # JSON may contain anything
+            except NOT_ITS_TYPE:
                 continue
             if T is not None:
                 samples = samples_of.setdefault(ends, [])
@@ -228,7 +228,7 @@ def transforms_of(recording: Recording, topics: Sequence[str]) -> dict[tuple[str
     return {ends: np.stack(samples) for ends, samples in samples_of.items()}
 
 
-def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401
+def _matrix(transform: Decoded) -> FloatArray | None:
     """(4, 4) of a geometry_msgs/Transform, None if it is not finite."""
     q, t = transform.rotation, transform.translation
     quaternion, place = np.array([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z])
@@ -237,7 +237,7 @@ def _matrix(transform: Any) -> FloatArray | None:  # noqa: ANN401
     return se3.transform(se3.from_quaternion_xyzw(quaternion / np.linalg.norm(quaternion)), place)
 
 
-def reading(source: JointTransform, transform: Any) -> tuple[float, float, float]:  # noqa: ANN401
+def reading(source: JointTransform, transform: Decoded) -> tuple[float, float, float]:
     """Position of a joint from the transform of its link.
 
     Returns:

@@ -433,12 +433,9 @@ _MEASURED = 101
 #: Clocks that step within this time, step together; those that step by this much less or more, by the same amount.
 _TOGETHER_NS, _SAME_NS = 2 * LEAST_STEP_NS, LEAST_STEP_NS // 2
 
-#: The samples of one piece, in the order of all series.
-Piece = tuple[Samples, ...]
 
-
-def cut(series: Sequence[Samples]) -> tuple[list[Piece], list[str]]:
-    """The pieces of a recording in order of time, and a note for each place where it is cut.
+def cut(series: Sequence[Samples]) -> tuple[list[tuple[Samples, ...]], list[str]]:
+    """The pieces of a recording in order of time, each of all series, and a note for each place where it is cut.
 
     Args:
         series: everything that is read, each with increasing log times.

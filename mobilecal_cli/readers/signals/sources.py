@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from mobilecal_cli.model import IMAGES, PictureIndex, Track
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, content_of, header_stamp_ns
+from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.series import Clock, Samples, Series
@@ -30,7 +31,7 @@ class Source:
     def __init__(self, series: Series) -> None:
         self.series = series
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         """Read one message; its time is the stamp, or the log time without one."""
         raise NotImplementedError
 
@@ -73,7 +74,7 @@ class FieldSource(Source):
         """What is stored of a number."""
         return self._scale * value
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         try:
             value = self._path.number(message, self.series.topic, self._setting)
         except RecordingError as error:  # a list may be empty in one message, but not in all
@@ -104,7 +105,7 @@ class Images(Source):
         self.sequential = False
         self._before = b""
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         if codec_of(message) is not None:
             self.sequential = True
             self.series.add(time_ns, log_ns, 0.0)
@@ -137,7 +138,7 @@ class Subscriptions:
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         self.clocks: dict[str, Clock] = {}
-        self._takers: dict[str, list[Callable[[Any, int, int], None]]] = {}
+        self._takers: dict[str, list[Callable[[Decoded, int, int], None]]] = {}
 
     def add(self, source: AnySource) -> AnySource:
         """Read a source's topic.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from mobilecal_cli.model import (
     WheelSource,
     listed,
 )
+from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.joints import StatedJoint
 from mobilecal_cli.readers.signals.series import Samples, Series
 from mobilecal_cli.readers.signals.sources import FieldSource, Source, Subscriptions
@@ -295,15 +295,14 @@ class OdometryWheel(Source):
     """A wheel whose rotation follows from the poses (x, y, heading) of nav_msgs/Odometry.
 
     Args:
-        wheels: with which the driver computed its poses.
-        assumed: these are assumed.
+        wheels: with which the driver computed its poses, as the source states.
     """
 
-    def __init__(self, side: Side, topic: str, wheels: WheelGeometry, assumed: bool) -> None:
-        super().__init__(Series(topic, f"pose on {topic}", width=3))
-        self._side, self._wheels, self._assumed = side, wheels, assumed
+    def __init__(self, side: Side, source: WheelSource, wheels: WheelGeometry) -> None:
+        super().__init__(Series(source.topic, f"pose on {source.topic}", width=3))
+        self._side, self._source, self._wheels = side, source, wheels
 
-    def take(self, message: Any, time_ns: int, log_ns: int) -> None:  # noqa: ANN401 - the type is the recording's
+    def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         position, turned = message.pose.pose.position, message.pose.pose.orientation
         self.series.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
@@ -311,11 +310,11 @@ class OdometryWheel(Source):
         """Rotation of the wheel, rad, starting at zero."""
         wheels = self._wheels
         time_ns, pose = samples.ordered(notes)
-        check_speed(samples.topic, time_ns, pose[:, :2])
+        check_speed(samples.topic, time_ns, pose)
         notes += check_forward(samples.topic, time_ns, pose)
         notes += turns_at_rest(samples.topic, time_ns, pose)
-        right, left, jumps = rotations(pose[:, :2], pose[:, 2], wheels)
-        if self._assumed:
+        right, left, jumps = rotations(pose, wheels)
+        if self._source.assumed:
             notes.append(
                 f"{samples.topic}: the poses of the odometry are used, its covariance is ignored; the result is the "
                 "factors by which its distance and its rotation are wrong"
@@ -392,7 +391,7 @@ def turns_at_rest(topic: str, time_ns: IntArray, pose: FloatArray) -> list[str]:
     Args:
         topic, time_ns, pose: see `check_forward`.
     """
-    turn = _steps(pose[:, :2], pose[:, 2])[0]
+    turn = _steps(pose)[0]
     slow = np.abs(turn) < _SLOWLY_RADPS * np.diff(time_ns) * 1e-9
     still = slow & np.all(np.diff(pose[:, :2], axis=0) == 0, axis=1)
     ends = np.flatnonzero(np.diff(still, prepend=False, append=False)).reshape(-1, 2)
@@ -419,7 +418,7 @@ def _sideways(pose: FloatArray, jumping: IntArray | slice = slice(0)) -> tuple[F
     Returns:
         (n - 1,) not negative, and two numbers.
     """
-    *steps, jumps = _steps(pose[:, :2], pose[:, 2])
+    *steps, jumps = _steps(pose)
     jumps[jumping] = True
     turn, ahead, aside = (np.where(jumps, 0.0, values) for values in steps)
     offset_m = float(aside @ turn) / max(float(turn @ turn), 1e-12)
@@ -430,16 +429,16 @@ def _moves_sideways(aside_m: FloatArray, path_m: float) -> bool:
     return float(aside_m.sum()) > max(_ASIDE_M, _ASIDE_SHARE * path_m)
 
 
-def check_speed(topic: str, time_ns: IntArray, xy_m: FloatArray) -> None:
+def check_speed(topic: str, time_ns: IntArray, pose: FloatArray) -> None:
     """Check that odometry drives at the speed of a robot.
 
     Args:
-        time_ns, xy_m: (n,) stamps and (n, 2) positions.
+        topic, time_ns, pose: see `check_forward`.
 
     Raises:
         RecordingError: usually, it is much too fast: its positions are in another unit.
     """
-    step_m = np.hypot(*np.diff(xy_m, axis=0).T)
+    step_m = np.hypot(*np.diff(pose[:, :2], axis=0).T)
     drives = step_m > _SMALL
     speed_mps = step_m[drives] / np.maximum(np.diff(time_ns)[drives] * 1e-9, _LEAST_INTERVAL_S)
     if len(speed_mps) and (usual := float(np.median(speed_mps))) > _FAST_MPS:
@@ -450,31 +449,28 @@ def check_speed(topic: str, time_ns: IntArray, xy_m: FloatArray) -> None:
         )
 
 
-def _steps(xy_m: FloatArray, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def _steps(pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Turn, way ahead and way to the left between consecutive poses, (n - 1,) each, and which of them are jumps."""
-    turn = np.remainder(np.diff(heading_rad) + math.pi, 2 * math.pi) - math.pi
-    step = np.diff(xy_m, axis=0)
-    middle = heading_rad[:-1] + turn / 2
+    turn = np.remainder(np.diff(pose[:, 2]) + math.pi, 2 * math.pi) - math.pi
+    step = np.diff(pose[:, :2], axis=0)
+    middle = pose[:-1, 2] + turn / 2
     ahead = step[:, 0] * np.cos(middle) + step[:, 1] * np.sin(middle)
     left = step[:, 1] * np.cos(middle) - step[:, 0] * np.sin(middle)
     return turn, ahead, left, (np.hypot(*step.T) > _JUMP_M) | (np.abs(turn) > _JUMP_RAD)
 
 
-def rotations(
-    xy_m: FloatArray, heading_rad: FloatArray, wheels: WheelGeometry
-) -> tuple[FloatArray, FloatArray, int]:
+def rotations(pose: FloatArray, wheels: WheelGeometry) -> tuple[FloatArray, FloatArray, int]:
     """Wheel rotations that move a differential drive along poses (inverse of the paper's eqs. 8-10).
 
     Between two poses the base moves along an arc of length chord * h / sin(h), where h is half the turn.
 
     Args:
-        xy_m: (n, 2) positions.
-        heading_rad: (n,) headings, wrapped or not.
+        pose: (n, 3) x, y, heading; the heading may be wrapped.
 
     Returns:
         (n,) right and left rotation starting at zero, rad, and the number of jumps.
     """
-    turn, chord, _, jumps = _steps(xy_m, heading_rad)
+    turn, chord, _, jumps = _steps(pose)
     half = turn / 2
     small = np.abs(half) < _SMALL
     way = chord * np.where(small, 1.0, half / np.where(small, 1.0, np.sin(half)))
@@ -498,6 +494,6 @@ def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
         velocity = read.add(StatedJoint(source.topic, source.joint, "velocity"))
         return read.add(JointWheel(read.recording.name, side, source, velocity))
     if source.baked_in is not None:
-        return read.add(OdometryWheel(side, source.topic, source.baked_in, source.assumed))
+        return read.add(OdometryWheel(side, source, source.baked_in))
     assert source.field is not None  # a source has one of the three
     return read.add(FieldWheel(side, source, source.field))
