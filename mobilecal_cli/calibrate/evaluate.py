@@ -45,7 +45,7 @@ def evaluate(
     robot = read_params(params)
     limits = gates_of(gates, config.gates, evaluating=True)
     extraction = load(logs, config, progress).extraction
-    if len(extraction.wheels) == len(extraction.observations) or len(extraction.observations) < 2:
+    if not extraction.legs:
         raise ObservationError(
             f"the board was found at {len(extraction.observations)} stations: an evaluation needs two per recording",
             "give a recording with more stops in front of the board",

@@ -228,6 +228,12 @@ def extract(
                 f"{', '.join(first.rig.chain.joints) or 'none'}",
                 "give recordings of one robot only",
             )
+        if new.rig.cameras.names != first.rig.cameras.names:
+            raise ConfigError(
+                f"cameras of {parts[0]}: {', '.join(new.rig.cameras.names)}; of {logs[0]}: "
+                f"{', '.join(first.rig.cameras.names)}",
+                "give recordings with the same cameras, or name the cameras that all have in rig.yaml",
+            )
         other = _other_cameras(first, new)
         extracted += [replace(piece, notes=(*piece.notes, *other, *_unused(piece))) for piece in pieces]
     extraction = _assembled(extracted, sources)
@@ -267,9 +273,9 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
     """A note if the camera infos of two recordings differ beyond rounding."""
     a, b = first.rig.cameras, other.rig.cameras
     pairs = [
-        (getattr(x, name), getattr(y, name)) for x, y in zip(a.each, b.each, strict=False) for name in "KD"
+        (getattr(x, name), getattr(y, name)) for x, y in zip(a.each, b.each, strict=True) for name in "KD"
     ]
-    pairs += zip(a.T_c_each[1:], b.T_c_each[1:], strict=False)
+    pairs += zip(a.T_c_each[1:], b.T_c_each[1:], strict=True)
     if all(x.shape == y.shape and np.allclose(x, y, rtol=_SAME_INFO, atol=_SAME_INFO) for x, y in pairs):
         return ()
     return (

@@ -51,16 +51,17 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    if not any(path.is_file() and _is_archive(path) for path in logs):
+    archive = next((path for path in logs if path.is_file() and _is_archive(path)), None)
+    if archive is None:
         return Data(*extract(logs, config, progress, jobs), config.gates)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(
-            f"{logs[0]}: an extraction contains its settings and cannot be combined with others",
+            f"{archive}: an extraction contains its settings and cannot be combined with others",
             "give it without recordings and without --config, or give the recordings instead",
         )
-    refuse_others(config.flags, str(logs[0]))
-    extraction = with_settings(read_extraction(logs[0]), config)
-    return Data(extraction, snapshots_from_npz(logs[0]), config.gates)
+    refuse_others(config.flags, str(archive))
+    extraction = with_settings(read_extraction(archive), config)
+    return Data(extraction, snapshots_from_npz(archive), config.gates)
 
 
 def _is_archive(path: Path) -> bool:

@@ -356,14 +356,14 @@ def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -
         )
 
 
-_LEAST_HELD_OUT = 3  # two legs between held-out stations are the least that gives an error
+_LEAST_LEGS = 2  # between held-out stations: the least that gives an error
 
 
 def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extraction]:
     """A recording without the last share of each log's stations, and these held-out stations.
 
     Raises:
-        ObservationError: too few stations would be held out.
+        ObservationError: too few stations of one recording would be held out.
     """
     kept, tried = [], []
     for log in range(len(extraction.wheels)):
@@ -371,15 +371,15 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
         first = len(members) - math.ceil(share * len(members))
         kept += members[:first]
         tried += members[first:]
-    if len(tried) < _LEAST_HELD_OUT:
+    rest = replace(extraction, observations=tuple(tried))
+    if rest.legs < _LEAST_LEGS:
         raise ObservationError(
-            f"--hold-out {share:g} holds out {len(tried)} of {len(extraction.observations)} stations; at least "
-            f"{_LEAST_HELD_OUT} are needed",
+            f"--hold-out {share:g} holds out {len(tried)} of {len(extraction.observations)} stations, with {rest.legs} "
+            f"legs between them; at least {_LEAST_LEGS} legs are needed",
             "hold out a larger share, or record more stops",
         )
     searched = extraction.counts.get("stations", 0)
     counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
-    rest = replace(extraction, observations=tuple(tried))
     return replace(extraction, observations=tuple(kept), counts=counts), rest
 
 

@@ -210,6 +210,11 @@ class Extraction:
         return f"{log + 1}:{station}" if len(self.wheels) > 1 else str(station)
 
     @property
+    def legs(self) -> int:
+        """Number of legs: each connects two stations of one recording."""
+        return len(self.observations) - len({o.log for o in self.observations})
+
+    @property
     def measured(self) -> bool:
         """Whether poses were measured in place of corners."""
         return bool(self.observations) and not any(o.shown for o in self.observations)

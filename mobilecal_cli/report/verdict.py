@@ -91,7 +91,7 @@ def gates_of(
     Args:
         flags: `NAME=LIMIT`.
         config: name → limit.
-        evaluating: for `evaluate`; gates of the configuration that apply to `calibrate` only are ignored.
+        evaluating: for `evaluate`; gates of the configuration that are those of the other command are ignored.
         hold_out: whether stations are held out.
 
     Raises:
@@ -102,7 +102,7 @@ def gates_of(
     for name in config:
         if name not in every:
             raise _unknown(f"gates.{name}", name, sorted(every))
-    limits = {name: limit for name, limit in config.items() if name in known or not evaluating}
+    limits = {name: limit for name, limit in config.items() if name in known}
     for text in flags:
         name, _, stated = text.partition("=")
         if name not in known:

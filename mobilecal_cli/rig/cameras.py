@@ -48,6 +48,24 @@ def _image_topics(description: RobotDescription) -> dict[str, TopicInfo]:
     return {name: topic for name, topic in topics.items() if topic.count != 0} or topics
 
 
+def are_rectified(images: Mapping[str, str], stated: bool | None) -> bool:
+    """Whether images are rectified, camera → topic: as the names of their topics say, unless it is stated.
+
+    Raises:
+        ConfigError: some are, and some are not.
+    """
+    if stated is not None:
+        return stated
+    rectified = [topic for topic in images.values() if is_rectified(topic)]
+    raw = [topic for topic in images.values() if topic not in rectified]
+    if raw and rectified:
+        raise ConfigError(
+            f"by their names, the images on {raw[0]} are raw, and those on {rectified[0]} are rectified",
+            "give topics of one kind for all cameras, or state cameras.rectified in rig.yaml",
+        )
+    return bool(rectified)
+
+
 def is_rectified(topic: str) -> bool:
     """Whether the name of an image topic indicates rectified images."""
     return any(word.startswith("rect") for word in words(topic))

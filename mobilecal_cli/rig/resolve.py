@@ -21,7 +21,7 @@ from mobilecal_cli.model import (
     WheelSource,
     camera_words,
 )
-from mobilecal_cli.rig.cameras import camera_rig, image_topics, info_topic, is_rectified, optical_frame
+from mobilecal_cli.rig.cameras import are_rectified, camera_rig, image_topics, info_topic, optical_frame
 from mobilecal_cli.rig.config import RigConfig, read_urdf
 from mobilecal_cli.rig.head import Head, fixed_pose, head_of, joint_sources
 from mobilecal_cli.rig.names import of_one_robot
@@ -186,8 +186,7 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
             # Some drivers name the optical frame in the images only.
             infos[name] = replace(info, frame_id=info.frame_id or of_robot.image_frames.get(image, ""))
     first = next(iter(images), "")
-    told = config.cameras.rectified
-    survey.rectified = bool(images) and (is_rectified(images[first]) if told is None else told)
+    survey.rectified = tried("cameras", lambda: are_rectified(images, config.cameras.rectified)) or False
     wheels = tried("wheels", lambda: wheel_sources(config, of_robot))
     reference = config.cameras.reference or first
     frame = infos[reference].frame_id if reference in infos else ""

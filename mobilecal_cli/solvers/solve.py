@@ -97,10 +97,9 @@ def solve(
     asked = (*constraints.given, *(where for where, values in stated.items() if values))
     if extraction.motions:
         constraints = constraints.of_planar_sensor()
-    legs = len(extraction.observations) - len({o.log for o in extraction.observations})
-    if legs < FEWEST_LEGS:
+    if extraction.legs < FEWEST_LEGS:
         raise SolveError(
-            f"{len(extraction.observations)} stations with {legs} legs between them "
+            f"{len(extraction.observations)} stations with {extraction.legs} legs between them "
             f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )

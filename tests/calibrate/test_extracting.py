@@ -10,7 +10,7 @@ import pytest
 from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
-from mobilecal_cli.errors import ObservationError, RecordingError
+from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
@@ -54,6 +54,14 @@ def test_the_recording_with_the_error_is_named(sample_logs):
     said = r"imperfect_robot\.mcap: wheels\.left: the topic /wheel_ticks/left contains no messages"
     with pytest.raises(RecordingError, match=said):
         extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))
+
+
+def test_recordings_with_other_cameras_are_refused(sample_logs, tmp_path):
+    left = [record for record in records_of(sample_logs / "straight.mcap") if "/right/" not in record.topic]
+    log = written(tmp_path / "left.mcap", left)
+    said = r"cameras of .*left\.mcap: camera; of .*paper_robot\.mcap: left, right"
+    with pytest.raises(ConfigError, match=said):
+        extract([sample_logs / "paper_robot.mcap", log], load_rig(None, {"board.square_m": 0.08}))
 
 
 def test_a_note_on_one_of_several_recordings_names_it(sample_logs, tmp_path):

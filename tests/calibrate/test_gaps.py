@@ -4,7 +4,7 @@ from functools import cache
 import pytest
 
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
-from mobilecal_cli.calibrate.steps import fitted
+from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Nominal, Rejection, WheelTrack
 from mobilecal_cli.vision import SQUARES_UNKNOWN
@@ -89,6 +89,18 @@ def test_too_few_legs_are_counted(count, stations, legs):
     assert caught.value.hint.startswith("record more stations in each recording")
     require_stations(recordings(3, 2))
     require_stations(recordings(1, 4))
+
+
+@pytest.mark.parametrize(("count", "legs"), [(1, 0), (3, 0)])
+def test_stations_that_are_held_out_need_legs_between_them(count, legs):
+    """Three recordings with one each ended without a message."""
+    whole = recordings(count, 4)
+    with pytest.raises(
+        ObservationError, match=f"holds out {count} of {4 * count} stations, with {legs} legs"
+    ):
+        held_out(whole, 0.25)
+    kept, rest = held_out(whole, 0.75)
+    assert (len(kept.observations), rest.legs) == (count, 2 * count)
 
 
 @pytest.mark.parametrize(

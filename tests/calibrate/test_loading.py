@@ -1,6 +1,7 @@
 """Extractions as input: their own settings, and those that may replace them."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +25,12 @@ def npz(tmp_path_factory):
     path = tmp_path_factory.mktemp("npz") / "extraction.npz"
     path.write_bytes(extraction_to_npz(replace(extraction, logs=(LogSource("log.mcap", "0" * 64),))))
     return path
+
+
+def test_an_extraction_beside_a_recording_is_named(npz, sample_logs):
+    said = re.escape(f"{npz}: an extraction contains its settings and cannot be combined with others")
+    with pytest.raises(ConfigError, match=said):
+        load([sample_logs / "straight.mcap", npz], load_rig(None))
 
 
 @pytest.mark.parametrize("size", [100, 10_000])

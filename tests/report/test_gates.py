@@ -69,8 +69,11 @@ def test_gates_of_the_hold_out_test_need_one(flags, config):
     assert gates_of(flags, config) == {"hold_out.legs": 3}
 
 
-def test_an_evaluation_leaves_the_gates_of_calibrations_alone():
-    assert gates_of([], {"point_rms_mm": 12, "legs": 5}, evaluating=True) == {"legs": 5}
+def test_gates_of_the_other_command_are_left_alone():
+    """With one file for both commands: each calibration failed a gate of `evaluate`, whose figure it does not have."""
+    both = {"point_rms_mm": 12, "legs": 5, "rotation_rms_deg": 1.0}
+    assert gates_of([], both, evaluating=True) == {"legs": 5, "rotation_rms_deg": 1.0}
+    assert gates_of([], both) == {"point_rms_mm": 12, "legs": 5}
     with pytest.raises(ConfigError, match="unknown figure"):
         gates_of(["point_rms_mm=12"], {}, evaluating=True)
 

@@ -117,6 +117,16 @@ def test_rectified_images_use_the_projection_matrices():
     assert cameras.T_c_each[1][:3, :3] == pytest.approx(np.eye(3))
 
 
+def test_raw_and_rectified_images_together_are_refused():
+    """The left one's name decided for both."""
+    topics = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in ("image_rect", "image_raw")]
+    mixed = {"left": {"image": topics[1]}, "right": {"image": topics[2]}}
+    said = "the images on /stereo/left/image_raw are raw, and those on /stereo/right/image_rect are rectified"
+    with pytest.raises(ConfigError, match=said):
+        resolve_rig(config(cameras=mixed), description(topics))
+    assert resolve_rig(config(cameras=mixed | {"rectified": True}), description(topics))[0].cameras.rectified
+
+
 def test_raw_comes_before_rectified_and_full_before_compressed():
     names = [f"/stereo/{side}/{kind}" for side in ("left", "right") for kind in ("image_rect", "image_raw")]
     kind = "sensor_msgs/msg/CompressedImage"
