@@ -44,7 +44,6 @@ class Parameter:
         label: in a summary.
         unit: "rad" or "m"; "" for a factor of odometry.
         shown_unit, factor: unit for people, and how many of it one unit of the value in the code (rad or m) is.
-        digits: decimals to show where no standard deviation is known.
     """
 
     name: str
@@ -52,7 +51,6 @@ class Parameter:
     unit: str
     shown_unit: str
     factor: float
-    digits: int
 
     @property
     def gate(self) -> str:
@@ -65,7 +63,7 @@ class Parameter:
         return 1.0 if self.unit else self.factor
 
 
-_ANGLE, _LENGTH = ("rad", "deg", DEG, 3), ("m", "mm", 1e3, 2)
+_ANGLE, _LENGTH = ("rad", "deg", DEG), ("m", "mm", 1e3)
 PARAMETERS = (
     *(Parameter(f"r_{axis}", f"rotation {axis}", *_ANGLE) for axis in "xyz"),
     *(Parameter(f"t_{axis}", f"translation {axis}", *_LENGTH) for axis in "xyz"),
@@ -80,7 +78,7 @@ def parameters_of(assumed: WheelGeometry | None) -> tuple[Parameter, ...]:
     return (
         *PARAMETERS[:6],
         *(
-            Parameter(name, name.replace("_", " "), "", "", factor=1 / size, digits=5)
+            Parameter(name, name.replace("_", " "), "", "", factor=1 / size)
             for name, size in zip(FACTORS, assumed.vector.tolist(), strict=False)
         ),
     )
@@ -99,10 +97,13 @@ def std_text(std: float) -> str:
     return f"{std:.1e}" if 0 < std < 10.0**-_MOST_DECIMALS else f"{std:.{decimals_of(std)}f}"
 
 
-def percent_text(share: float, least: float = 0.0) -> str:
+_LEAST_PROBABILITY = 1e-6  # worth a digit
+
+
+def percent_text(share: float) -> str:
     """A probability in percent with two digits, or that it is below the smallest one worth a digit."""
-    if share < least:
-        return f"below {100 * least:g} %"
+    if share < _LEAST_PROBABILITY:
+        return f"below {100 * _LEAST_PROBABILITY:g} %"
     return f"{100 * share:.0f} %" if share >= 0.1 else f"{100 * share:.2g} %"
 
 

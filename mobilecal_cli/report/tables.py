@@ -20,7 +20,7 @@ _Make: TypeAlias = Callable[[Case], Iterator[Table]]
 _TABLES: list[_Make] = []
 _MOST_REJECTIONS = 100  # further ones are in report.json only
 _MOST_CONSTANTS = 6  # that the page lists, if none is contradicted
-_LEAST_PROBABILITY = 1e-6  # worth a digit
+_DIGITS = 5  # of rad, m and factors, where no standard deviation is known
 
 
 def table(make: _Make) -> _Make:
@@ -50,7 +50,7 @@ def change(case: Case) -> Iterator[Table]:
     rows = [
         (
             p.name,
-            value_text(value * p.per_unit, None if std is None else std * p.per_unit, p.digits, "+"),
+            value_text(value * p.per_unit, None if std is None else std * p.per_unit, _DIGITS, "+"),
             p.unit,
             shown(sigmas, 1),
             shown(percent, 2),
@@ -61,7 +61,7 @@ def change(case: Case) -> Iterator[Table]:
     over = "; in sigma: over its standard deviation" if np.isfinite(difference.sigmas).any() else ""
     note = f"Difference from {difference.against}{over}."
     if difference.p_value is not None:
-        chance = percent_text(difference.p_value, _LEAST_PROBABILITY)
+        chance = percent_text(difference.p_value)
         note += f" If the robot did not change, the probability of a difference this large is {chance}."
     heads = ("name:", "number:change", "unit", "number:in sigma", "number:in %")
     yield Table.of(heads, rows, "limits", "Change", note)

@@ -72,4 +72,4 @@ def test_visible_escapes_what_steers():
     ("share", "said"), [(0.998, "100 %"), (0.453, "45 %"), (0.0123, "1.2 %"), (1e-7, "below 0.0001 %")]
 )
 def test_a_probability_has_two_digits_and_no_exponent(share, said):
-    assert percent_text(share, 1e-6) == said
+    assert percent_text(share) == said
