@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.kinematics import encoder_step_rad
 from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
@@ -246,50 +245,66 @@ class Series:
 #: No joint and no wheel rests for so short a time, s. Longer ones may be rests, unless they have so many equal readings
 #: or more, and are so many times as long as the intervals between other readings beside them.
 _NO_REST_S, _EQUAL, _LONGER = 0.25, 5, 4.0
-#: A step catches up if it is larger than that of so many steps of an encoder, and at most so many times as large as the
-#: motion beside it would make since the last reading that was not stale.
-_STEPS, _CATCHES_UP = 5.0, 3.0
+#: A step catches up if it is at most so many times as large as the motion beside it would make since the last fresh
+#: reading; and so many times as large as the smallest ones, of which this is the share: those of an encoder.
+_CATCHES_UP, _STEPS, _SMALLEST = 3.0, 5.0, 0.01
+#: A driver repeats each reading if so many of such large steps catch up, and more than this share of them.
+_SEVERAL, _ALWAYS = 10, 0.5
 
 
 def without_stale(label: str, track: Track, notes: list[str]) -> Track:
     """A track without readings that a driver repeated while the joint or the wheel went on; notes how many.
 
-    The step after them catches up: it is nearer to what the motion before and after, in the same direction, would make
-    since the last reading that differs from the one before, than to what it would make since the last one. What stood
-    still starts slowly.
+    Where it repeats each reading, as by a publisher that is faster than the encoder, slow motions do not show that.
+    There, and at rest, one reading of as many is kept.
     """
-    fresh = np.flatnonzero(np.diff(track.value)) + 1
-    if len(fresh) < 6:
+    fresh = np.append(0, np.flatnonzero(np.diff(track.value)) + 1)
+    if len(fresh) < 7:
         return track
-    time_s = 1e-9 * (track.time_ns - track.time_ns[0])
-    at_s, change = time_s[fresh], np.diff(track.value[fresh])
-    step = np.abs(change)
-    since_s, last_s = np.diff(at_s), at_s[1:] - time_s[fresh[1:] - 1]
-    stale = np.zeros(len(step), dtype=np.bool_)
+    stale, large = _catching_up(1e-9 * (track.time_ns - track.time_ns[0]), track.value, fresh)
+    if not stale.any():
+        return track
+    keep, numbers = np.ones(len(track.value), dtype=np.bool_), np.arange(len(track.value))
+    first = fresh[np.searchsorted(fresh, numbers, side="right") - 1]
+    if stale.sum() >= _SEVERAL and np.mean(stale[large]) > _ALWAYS:
+        keep = (numbers - first) % int(np.median(np.diff(fresh)[stale])) == 0
+    keep &= (numbers == first) | ~np.isin(first, fresh[:-1][stale])
+    longest_s = 1e-9 * np.diff(track.time_ns[fresh])[stale].max()
+    notes.append(
+        f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat an old value, for up to {longest_s:.2f} s "
+        "during a motion; dropped"
+    )
+    return Track(track.time_ns[keep], track.value[keep])
+
+
+def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tuple[BoolArray, BoolArray]:
+    """Which steps between fresh readings, those that differ from the one before, catch up after repeated ones.
+
+    Such a step is nearer to what the motion before and after, in the same direction, would make since the last fresh
+    reading than to what it would make since the last reading. What stood still starts slowly.
+
+    Args:
+        time_s, value: (n,) readings.
+        fresh: (k + 1,) indices of the fresh ones.
+
+    Returns:
+        (k,) steps that catch up, and (k,) all that are as large.
+    """
+    at_s, change = time_s[fresh], np.diff(value[fresh])
+    step, since_s, last_s = np.abs(change), np.diff(at_s), at_s[1:] - time_s[fresh[1:] - 1]
+    large = step > _STEPS * np.quantile(step, _SMALLEST)
     inner = np.arange(2, len(step) - 2)
     beside = np.stack([inner - 2, inner - 1, inner + 1, inner + 2])
     speed = np.maximum(
         *(step[pair].sum(axis=0) / since_s[pair].sum(axis=0) for pair in (beside[:2], beside[2:]))
     )
-    repeats, since = np.diff(fresh)[inner], since_s[inner]
+    repeats, since, size = np.diff(fresh)[inner], since_s[inner], step[inner]
     no_rest = (since < _NO_REST_S) | ((repeats > _EQUAL) & (since > _LONGER * since_s[beside].max(axis=0)))
     one_way = np.all(np.sign(change[beside]) == np.sign(change[inner]), axis=0)
-    catches_up = (step[inner] > speed * (since + last_s[inner]) / 2) & (
-        step[inner] < _CATCHES_UP * speed * since
-    )
-    stale[inner] = (repeats > 1) & no_rest & one_way & catches_up
-    if stale.any():
-        stale &= step > _STEPS * encoder_step_rad(track.value)
-    if not stale.any():
-        return track
-    keep = np.ones(len(track.value), dtype=np.bool_)
-    for first, end in zip(fresh[:-1][stale] + 1, fresh[1:][stale], strict=True):
-        keep[first:end] = False
-    notes.append(
-        f"{label}: {int(np.sum(~keep))} of {len(keep)} readings repeat an old value during a motion, for up to "
-        f"{since_s[stale].max():.2f} s; dropped"
-    )
-    return Track(track.time_ns[keep], track.value[keep])
+    catches_up = (size > speed * (since + last_s[inner]) / 2) & (size < _CATCHES_UP * speed * since)
+    found = np.zeros(len(step), dtype=np.bool_)
+    found[inner] = (repeats > 1) & no_rest & one_way & catches_up & large[inner]
+    return found, large
 
 
 _NS = 1_000_000_000
