@@ -413,7 +413,7 @@ def contradiction(case: Case, metric: Metric) -> Iterator[Check]:
             part=f"{evidence.kind}.{evidence.part}",
             measured=f"{evidence.sigmas:.1f} sigma from the stated values",
             why=f"{what} It changes the result by up to {evidence.shift_sigmas:.1f} standard deviations."
-            + (f" Priors of this kind are taken {wider:.2g} times as wide." if wider > _SHOWN_WIDER else "")
+            + (f" Priors of this kind are taken {std_text(wider)} times as wide." if wider > _SHOWN_WIDER else "")
             + (" Other stated values that differ may follow from it." if is_cause else ""),
             passes=False,
             beyond="fail" if evidence.shift_sigmas > MATERIAL_SIGMAS or is_cause else "warning",
@@ -643,7 +643,7 @@ def stated_priors(case: Case, metric: Metric) -> Iterator[Check]:
     yield metric.check(
         px / alone, 5.0, "corner noise over that of each image alone",
         "State wider priors in rig.yaml, or leave them out.",
-        measured=f"{px / alone:.2g} ({std_text(px)} and {std_text(alone)} px)",
+        measured=f"{std_text(px / alone)} ({std_text(px)} and {std_text(alone)} px)",
         why=f"With the priors in rig.yaml, the corner noise is {std_text(px)} px, but {std_text(alone)} px in each "
         "image.",
         beyond="warning" if of_cameras else "fail",
