@@ -299,8 +299,8 @@ class Solution:
         point_rms_m: square root of eq. 19 at `parameters`, m.
         reprojection_rms_px: rms distance between predicted and detected corners over all legs, px.
         error_parts: what each kind of noise ("corners", or "poses" if these were measured, "joints", "floor",
-            "wheels"), "lenses" beside their models and "turns" that differ contribute to both errors; empty where the
-            noise levels are not estimated.
+            "wheels"), "lenses" beside their models and "turns" that differ (or a wheel that is late) contribute to both
+            errors; empty where the noise levels are not estimated.
         motion: extent of the motion: "pan_range_deg", "tilt_range_deg", "turned_deg", "driven_m", ...
         uncertainty: None for methods that give none.
         outliers: measurements not used in the maximum-likelihood estimate.

@@ -94,7 +94,10 @@ ERROR_PARTS = {
     "lenses": (
         "lenses beside their models", "Calibrate the cameras with a distortion model that fits their lenses.",
     ),
-    "turns": ("unequal left and right turns", "Check tires, casters and load: left and right turns differ."),
+    "turns": (
+        "unequal turns, or wheels that are read one after the other",
+        "Check tires, casters and load, and that both wheels are read at one time.",
+    ),
 }  # fmt: skip
 
 
