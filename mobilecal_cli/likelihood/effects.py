@@ -446,6 +446,10 @@ class WheelDelay(Rolling):
     By when a wheel turns faster, less of its rotation has been read.
     """
 
+    def offered(self, data: Measurements) -> bool:
+        """Only wheels with readings of their own, over time."""
+        return not data.of_odometry and data.motions is None
+
     def further(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) what each wheel turns faster by at the end of a step, for half of the delay."""
         return value * self.by_value(steps, value)

@@ -186,6 +186,7 @@ class Measurements:
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
         several_wheels: a side has more than one wheel.
+        of_odometry: the rotations of the wheels follow from the base's odometry.
     """
 
     cameras: CameraRig
@@ -215,6 +216,7 @@ class Measurements:
     times_ns: IntArray
     encoder_step_rad: FloatArray
     several_wheels: bool
+    of_odometry: bool
 
     @property
     def stations(self) -> int:

@@ -413,6 +413,11 @@ class Sources:
         return AssumedOdometry(source.topic, source.baked_in, source.separation_share)
 
     @property
+    def of_odometry(self) -> bool:
+        """Whether the rotations of the wheels follow from the base's odometry."""
+        return any(source.baked_in is not None for source in self.wheels.values())
+
+    @property
     def several_wheels(self) -> bool:
         """Whether a side has more than one wheel: the base turns with slip."""
         return any(source.others or source.unread for source in self.wheels.values())

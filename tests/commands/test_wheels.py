@@ -68,6 +68,8 @@ def test_odometry_alone(made):
         found.factors_std["angular_scale"], rel=1e-6
     )
     assert data["metrics"]["std.wheels.separation_m"] is None
+    assert "turn_sides" in data["constants"]
+    assert "wheel_delay" not in data["constants"]  # its wheels are read at one time
     assert {name for name in data["metrics"] if "odometry" in name} == {
         f"std.odometry.{name}" for name in FACTORS
     }
