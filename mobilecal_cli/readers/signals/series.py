@@ -293,7 +293,7 @@ def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tupl
     at_s, change = time_s[fresh], np.diff(value[fresh])
     step, since_s, last_s = np.abs(change), np.diff(at_s), at_s[1:] - time_s[fresh[1:] - 1]
     large = step > _STEPS * np.quantile(step, _SMALLEST)
-    inner = np.arange(2, len(step) - 2)
+    inner = 2 + np.flatnonzero(np.diff(fresh)[2:-2] > 1)
     beside = np.stack([inner - 2, inner - 1, inner + 1, inner + 2])
     speed = np.maximum(
         *(step[pair].sum(axis=0) / since_s[pair].sum(axis=0) for pair in (beside[:2], beside[2:]))
@@ -303,7 +303,7 @@ def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tupl
     one_way = np.all(np.sign(change[beside]) == np.sign(change[inner]), axis=0)
     catches_up = (size > speed * (since + last_s[inner]) / 2) & (size < _CATCHES_UP * speed * since)
     found = np.zeros(len(step), dtype=np.bool_)
-    found[inner] = (repeats > 1) & no_rest & one_way & catches_up & large[inner]
+    found[inner] = no_rest & one_way & catches_up & large[inner]
     return found, large
 
 
