@@ -443,7 +443,7 @@ def _apart(steps: Increments) -> FloatArray:
 class WheelDelay(Rolling):
     """Delay of the right wheel's readings against the left one's, s: both are read at a mean time.
 
-    By when a wheel turns faster, less of its rotation has been read.
+    A late reading lacks what the wheel turned meanwhile: more, the faster it turns.
     """
 
     def offered(self, data: Measurements) -> bool:

@@ -30,6 +30,15 @@ def test_repeated_readings_between_steps_of_a_motion_are_dropped():
     ]
 
 
+@pytest.mark.parametrize("turns_back_s", [10.2, 10.8, 11.9])
+def test_a_motion_that_turned_back_behind_repeated_readings_shows_them_too(turns_back_s):
+    value = 20 - np.abs(_TIME_S - turns_back_s) * 1.0
+    value[200:240] = value[200]
+    keep, notes = _kept(value)
+    assert np.flatnonzero(~keep).tolist() == [*range(201, 240)]
+    assert len(notes) == 1
+
+
 def test_a_coarse_encoder_shows_them_too():
     """It changes in every second or third reading only."""
     value = 0.006 * np.round(0.05 * _TIME_S / 0.006)

@@ -242,9 +242,10 @@ class Series:
         return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
 
 
-#: No joint and no wheel rests for so short a time, s. Longer ones may be rests, unless they have so many equal readings
-#: or more, and are so many times as long as the intervals between other readings beside them.
-_NO_REST_S, _EQUAL, _LONGER = 0.25, 5, 4.0
+#: No joint and no wheel rests for so short a time, s. After longer ones it did not rest if there are so many equal
+#: readings or more, for so many times the intervals between the readings beside them, and if the step after them is so
+#: many times what the motion beside it would make since the last reading.
+_NO_REST_S, _EQUAL, _LONGER, _LEAP = 0.25, 5, 4.0, 3.0
 #: A step catches up if it is at most so many times as large as the motion beside it would make since the last fresh
 #: reading; and so many times as large as the smallest ones, of which this is the share: those of an encoder.
 _CATCHES_UP, _STEPS, _SMALLEST = 3.0, 5.0, 0.01
@@ -280,8 +281,9 @@ def without_stale(label: str, track: Track, notes: list[str]) -> Track:
 def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tuple[BoolArray, BoolArray]:
     """Which steps between fresh readings, those that differ from the one before, catch up after repeated ones.
 
-    Such a step is nearer to what the motion before and after, in the same direction, would make since the last fresh
-    reading than to what it would make since the last reading. What stood still starts slowly.
+    After a short time, such a step is nearer to what the motion before and after, in the same direction, would make
+    since the last fresh reading than to what it would make since the last reading. After a long time, it is many times
+    the latter. What stood still starts slowly.
 
     Args:
         time_s, value: (n,) readings.
@@ -298,12 +300,14 @@ def _catching_up(time_s: FloatArray, value: FloatArray, fresh: IntArray) -> tupl
     speed = np.maximum(
         *(step[pair].sum(axis=0) / since_s[pair].sum(axis=0) for pair in (beside[:2], beside[2:]))
     )
-    repeats, since, size = np.diff(fresh)[inner], since_s[inner], step[inner]
-    no_rest = (since < _NO_REST_S) | ((repeats > _EQUAL) & (since > _LONGER * since_s[beside].max(axis=0)))
+    repeats, since, last, size = np.diff(fresh)[inner], since_s[inner], last_s[inner], step[inner]
     one_way = np.all(np.sign(change[beside]) == np.sign(change[inner]), axis=0)
-    catches_up = (size > speed * (since + last_s[inner]) / 2) & (size < _CATCHES_UP * speed * since)
+    short = one_way & (since < _NO_REST_S) & (size > speed * (since + last) / 2)
+    long = (
+        (repeats > _EQUAL) & (since > _LONGER * since_s[beside].max(axis=0)) & (size > _LEAP * speed * last)
+    )
     found = np.zeros(len(step), dtype=np.bool_)
-    found[inner] = no_rest & one_way & catches_up & large[inner]
+    found[inner] = (short | long) & (size < _CATCHES_UP * speed * since) & large[inner]
     return found, large
 
 
