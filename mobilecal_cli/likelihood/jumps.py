@@ -209,6 +209,12 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
 
 
+def left_by_first_order(jump: Jump) -> float:
+    """Chi-squared of what is left of a step that was taken out to first order: of a turn by t, t / 2 of its effect."""
+    turn = np.zeros(0) if jump.part in WHEELS or jump.part == SHAPE else jump.value[:3]
+    return jump.chi2 * float(turn @ turn) / 4
+
+
 def scatter(lin: Posterior, jump: Jump) -> float:
     """How many times as far a part is off at single stations, or in single legs, as the noise levels say; in variance.
 

@@ -291,15 +291,15 @@ class Inference:
         behind = self._behind_outliers(fit)
         if behind is not None or outliers.longest_stretch(fit) is not None:
             return behind
-        found, without = None, fit
+        found, without, left = None, fit, 0.0
         for _ in range(_MOST_JUMPS):
             further = self._likeliest_jump(without, fit)
-            if further is None:
+            if further is None or further[0].chi2 < left:
                 break
             jump, without = further
             if jump.shift_sigmas >= MATERIAL_SIGMAS:
                 return jump
-            found = found or jump
+            found, left = found or jump, left + jumps.left_by_first_order(jump)
         return found
 
     def beside(self, fit: Fit, jump: jumps.Jump) -> Fit:
