@@ -275,6 +275,7 @@ class Noise:
         sway_rad, sway_m: the same beside the floor's, another at each station whatever `floor_length_m`.
         stamp_s: sigma of each image stamp in motion, s.
         pair_s: the same of the time between the images of two cameras, s; extractions alone have it.
+        shift_px: sigma of each image as a whole, along each axis, px; extractions alone have it.
         wheel_share: sigma of each wheel's relative scale error.
         floor_length_m: driven distance over which the floor stays alike; 0: another floor at each station.
         floor_smooth: the floor has slopes without steps (a Gaussian kernel), instead of an exponential one.
@@ -293,6 +294,7 @@ class Noise:
     sway_m: float = 0.0
     stamp_s: float = 0.0
     pair_s: float = 0.0
+    shift_px: float = 0.0
     wheel_share: float = 0.0
     floor_length_m: float = 0.0
     floor_smooth: bool = False

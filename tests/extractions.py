@@ -405,12 +405,16 @@ def extraction_of(
     readings = actual.readings(route, stamps_s)
     apart_s = 0.0 if at_rest else noise.pair_s * np.random.default_rng([seed, 13]).normal(size=len(times_s))
     seen = views(actual, route, times_s, floor, apart_s)
+    shifts = noise.shift_px * np.random.default_rng([seed, 14]).normal(size=(len(rig.each), len(times_s), 2))
     sigma = noise.pixel_px or _UNIT_SIGMA_PX
     exact = actual.as_stated and not noise.pixel_px
     observations = []
     for i, time_ns in enumerate(nanoseconds(stamps_s)):
         T_c_k = seen.T_c_k[i]
-        pixels = [at[i] + noise.pixel_px * random.normal(size=at[i].shape) for at in seen.pixels]
+        pixels = [
+            at[i] + noise.pixel_px * random.normal(size=at[i].shape) + shift[i]
+            for at, shift in zip(seen.pixels, shifts, strict=True)
+        ]
         shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
         if not shown:
             continue

@@ -162,15 +162,16 @@ def _by_images(lin: Posterior) -> dict[str, FloatArray]:
     ).mT  # delta by the shared ones
     G = views.rows[:, :6, :6] @ T
     G[:, :, views.columns] += views.rows[:, :6, 6:]
-    total, own = summed(T, G), np.zeros_like(C)
+    total = summed(T, G)
     total[views.columns] += summed(views.rows[:, :6, 6:], T)
     total[np.ix_(views.columns, views.columns)] += views.direct.sum(axis=0)
-    for delay in views.of_delays:
-        by_delay = (views.rows[:, delay, None, :6] @ T)[:, 0]
-        by_delay[:, views.columns] += views.rows[:, delay, 6:]
-        own += lin.noise.pair_s**2 * by_delay.T @ by_delay
-    result = {lin.data.images_level: C @ (total - own) @ C}
-    return result | {"pair_s": C @ own @ C} if views.delays else result
+    of_level = {level: np.zeros_like(C) for level, _ in views.own}
+    for k, (level, variance) in views.own_variances(lin.noise).items():
+        by_own = (views.rows[:, k, None, :6] @ T)[:, 0]
+        by_own[:, views.columns] += views.rows[:, k, 6:]
+        of_level[level] += variance * by_own.T @ by_own
+    of_level[lin.data.images_level] = total - sum(of_level.values())
+    return {level: C @ information @ C for level, information in of_level.items()}
 
 
 def _of_images(lin: Posterior) -> Iterator[Influence]:

@@ -115,9 +115,8 @@ class Linearization:
         if "views" in self.__dict__:
             level = self.data.images_level
             factor = getattr(noise, level) / getattr(self.noise, level)
-            before, after = self.noise.pair_s**2 * factor**2, noise.pair_s**2
             scaled = self.views.scaled(np.full(self.data.stations, factor))
-            known["views"] = scaled.with_own_delays(before, after)
+            known["views"] = scaled.with_own(noise, self.noise, factor)
         same_legs = noise.wheel_length_m == self.noise.wheel_length_m
         return self.changed(
             ("legs",) if same_legs else (),

@@ -20,6 +20,9 @@ from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
+#: Attribute of `CameraChange` of which each image has its own value, with several cameras → level of that noise.
+_OWN = {"delay_s": "pair_s", "principal": "shift_px"}
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Images:
@@ -29,8 +32,9 @@ class Images:
     and in sums over the stations of a group for all direct constants: there may be hundreds of these.
 
     Attributes:
-        traced: (T,) which of the Q unknowns are kept station by station: delta, mean delays of further cameras, others.
-        delays: how many of these are mean delays.
+        traced: (T,) which of the Q unknowns are kept station by station: delta, constants of which each image has its
+            own, others.
+        own: noise level and its unit, in that of the constant, of each of these constants.
         rows: (N, T, Q) rows of the information at these.
         pull: (N, T) gradient by these.
         cost: (N,) sum of squares.
@@ -40,7 +44,7 @@ class Images:
     """
 
     traced: IntArray
-    delays: int
+    own: tuple[tuple[str, float], ...]
     rows: FloatArray
     pull: FloatArray
     cost: FloatArray
@@ -48,10 +52,10 @@ class Images:
     direct: FloatArray
     gradient: FloatArray
 
-    @property
-    def of_delays(self) -> range:
-        """Which of the traced unknowns are mean delays."""
-        return range(6, 6 + self.delays)
+    def own_variances(self, noise: Noise) -> dict[int, tuple[str, float]]:
+        """Traced unknown of which each image has its own → its noise level, and the variance beside the mean."""
+        variances = ((level, (getattr(noise, level) * unit) ** 2) for level, unit in self.own)
+        return dict(enumerate(variances, 6))
 
     @property
     def information(self) -> FloatArray:
@@ -99,7 +103,7 @@ class Images:
         return out
 
     def scaled(self, factor: FloatArray) -> Self:
-        """The same with a noise of corners or measured poses, and of own delays, that is (N,) so many times larger.
+        """The same with a noise of corners or measured poses, and of own constants, that is (N,) so many times larger.
 
         It is the same for all stations of a group.
         """
@@ -115,16 +119,24 @@ class Images:
             gradient=of_group[:, None] * self.gradient,
         )
 
-    def with_own_delays(self, before: float, after: float) -> Self:
-        """The same if delays of further cameras vary from image to image by another variance, s^2.
+    def with_own(self, noise: Noise, before: Noise | None = None, factor: float = 1.0) -> Self:
+        """The same if constants vary from image to image as another noise says.
 
-        Each image's own delay is one more unknown, which is eliminated: with u the row of the information at the mean
-        delay d, and v the further variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
+        Each image's own value is one more unknown, which is eliminated: with u the row of the information at the
+        constant d, and v the further variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
+
+        Args:
+            noise: how they vary.
+            before: how they do here; not at all if None.
+            factor: times, since the images were `scaled` by it.
         """
-        images, variance = self, after - before
-        for delay in self.of_delays if variance else ():
-            u, pull = images.rows[:, delay], images.pull[:, delay]
-            weight = variance / (1 + variance * u[:, self.traced[delay]])
+        images, here = self, {} if before is None else self.own_variances(before)
+        for k, (_, after) in self.own_variances(noise).items():
+            variance = after - here[k][1] * factor**2 if here else after
+            if not variance:
+                continue
+            u, pull = images.rows[:, k], images.pull[:, k]
+            weight = variance / (1 + variance * u[:, self.traced[k]])
             weighted = (weight[:, None] * u)[:, None]
             images = replace(
                 images,
@@ -136,9 +148,9 @@ class Images:
             )
         return images
 
-    def own_delays(self, variance: float) -> FloatArray:
-        """(N, D) likeliest delay of each image beside its camera's mean, s; variance: as eliminated."""
-        return -variance * self.pull[:, [*self.of_delays]]
+    def own_values(self, noise: Noise) -> dict[int, FloatArray]:
+        """Traced unknown → (N,) likeliest value of each image beside the constant, under the noise here."""
+        return {k: -variance * self.pull[:, k] for k, (_, variance) in self.own_variances(noise).items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -245,7 +257,7 @@ def linearize_views(
     data = state.data
     i = images_of(state, inliers, noise, rates, np.arange(data.stations), group, traced)
     columns = np.array([column for column, _, _ in data.layout.direct], dtype=np.int64)
-    images = i.traced, i.delays, i.rows, i.pull, i.cost, i.group, i.direct, i.gradient
+    images = i.traced, i.own, i.rows, i.pull, i.cost, i.group, i.direct, i.gradient
     moving = np.delete(np.arange(data.layout.size), columns)
     return Views(*images, *_pose_columns(state), data.log, columns, moving)
 
@@ -272,12 +284,16 @@ def images_of(
     group = np.arange(len(stations)) if group is None else group
     if data.posed:
         return _measured_poses(state, inliers, noise, stations, group)
-    delays = [
-        column
+    several = len(data.cameras.each) > 1
+    own = {
+        column: (
+            _OWN[effect.of],
+            1 / data.cameras.each[effect.camera].width if effect.of == "principal" else 1.0,
+        )
         for column, (_, _, effect) in enumerate(direct, 6)
-        if isinstance(effect, CameraEffect) and effect.of == "delay_s"
-    ]
-    kept = np.array([*range(6), *delays, *(column for column in traced if column not in delays)])
+        if several and isinstance(effect, CameraEffect) and effect.camera is not None and effect.of in _OWN
+    }
+    kept = np.array([*range(6), *own, *(column for column in traced if column not in own)])
     Q, count = 6 + len(direct), int(group.max(initial=-1)) + 1
     rows, pull, cost = (np.zeros((len(stations), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
@@ -290,8 +306,8 @@ def images_of(
             residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
             A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
             r = whitened(W[:, k], residual).reshape(len(mine), -1, 1)
-            own, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
-            of_kept = A[:, :, own[:, 0]].mT
+            mine_of, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
+            of_kept = A[:, :, mine_of[:, 0]].mT
             rows[block, at, columns] += of_kept @ A
             pull[block, at[:, 0]] += (of_kept @ r)[..., 0]
             cost[block] += np.sum(r**2, axis=(1, 2))
@@ -300,7 +316,7 @@ def images_of(
             groups, products = _by_group(group[block], A, r)
             gradient[groups[:, None], columns] += products[..., 0]
     sums = information[:, 6:, 6:], gradient[:, 6:]
-    return Images(kept, len(delays), rows, pull, cost, group, *sums).with_own_delays(0.0, noise.pair_s**2)
+    return Images(kept, tuple(own.values()), rows, pull, cost, group, *sums).with_own(noise)
 
 
 def _measured_poses(
@@ -316,7 +332,7 @@ def _measured_poses(
     gradient = np.einsum("nab,na->nb", by_delta, pull)
     groups = int(group.max(initial=-1)) + 1
     no_constants = np.zeros((groups, 0, 0)), np.zeros((groups, 0))
-    return Images(np.arange(6), 0, information, gradient, np.sum(off * pull, axis=1), group, *no_constants)
+    return Images(np.arange(6), (), information, gradient, np.sum(off * pull, axis=1), group, *no_constants)
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:

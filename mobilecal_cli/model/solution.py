@@ -104,6 +104,7 @@ class Noise:
         floor_rad, floor_m: of the floor's roll and pitch under the base, and of its height.
         stamp_s: of an image's time stamp, where the robot moves.
         pair_s: of the time between the images of two cameras there, beside their mean delay.
+        shift_px: of each image as a whole, along each axis, where there are several cameras.
         wheel_share: of each wheel's scale.
         floor_length_m, wheel_length_m: driven distance over which floor and wheel scales stay alike.
         sway_rad, sway_m: of the base's roll and pitch, and of its height, at each station beside the floor's.
@@ -119,6 +120,7 @@ class Noise:
     floor_m: float = field(metadata=_level(0.0005, 1e-6, 0.1))
     stamp_s: float = field(metadata=_level(0.0005, 1e-6, 0.1))
     pair_s: float = field(metadata=_level(0.0001, 1e-6, 0.1))
+    shift_px: float = field(metadata=_level(0.02, 1e-4, 1e2))
     wheel_share: float = field(metadata=_level(0.001, 1e-6, 0.1))
     floor_length_m: float = field(metadata=_level(0.3, 1e-3, 1e3))
     wheel_length_m: float = field(metadata=_level(1.0, 1e-3, 1e3))

@@ -690,6 +690,9 @@ _NOISE = {
         2.0, 10.0, "time between the images of two cameras",
         "that the cameras are triggered together, or stop for each image",
     ),
+    Metric("noise.shift", "px", section="limits"): (
+        0.3, 2.0, "images as a whole", "that lenses and cameras are tight, and that no camera stabilizes its images",
+    ),
 }  # fmt: skip
 
 
@@ -713,6 +716,7 @@ def noise(case: Case, *levels: Metric) -> Iterator[Check]:
         "noise.floor": math.degrees(found.floor_rad),
         "noise.stamp": 1e3 * found.stamp_s if moving else 0.0,
         "noise.pair": 1e3 * found.pair_s if "pair_s" in found.estimated else 0.0,
+        "noise.shift": found.shift_px if "shift_px" in found.estimated else 0.0,
     }
     moved_board = {(jump.part, jump.also) for jump in case.solution.jumps} == {("board", "")}
     stepped = [visible(note) for note in case.extraction.notes if CLOCK_STEPS in note]

@@ -79,6 +79,7 @@ _LEVELS = {
     "sway_m": ("sway: height of the base beside the floor's", "mm", 1e3),
     "stamp_s": ("image time stamp in motion", "ms", 1e3),
     "pair_s": ("time between the images of two cameras in motion", "ms", 1e3),
+    "shift_px": ("shift of an image", "px", 1.0),
     "wheel_share": ("scale of a wheel", "%", 100.0),
     "pose_scale": ("measured poses, over their stated standard deviation", "", 1.0),
 }
@@ -97,6 +98,8 @@ def noise(case: Case) -> Iterator[Table]:
         std = float(getattr(levels, level))
         source = "given" if level in given else "assumed"
         if level in ("stamp_s", "pair_s") and level not in seen_moving:
+            continue
+        if level == "shift_px" and len(case.extraction.rig.cameras.each) == 1:
             continue
         if level == "encoder_rad" and not std:
             continue

@@ -375,7 +375,7 @@ class Family(NamedTuple):
 
 #: Groups of sources in the chart's order: dark shades for measurements, light ones for the robot description.
 FAMILIES = {
-    "corners": Family("Corner noise limits", "blue dark", ("pixel_px",)),
+    "corners": Family("Corner noise limits", "blue dark", ("pixel_px", "shift_px")),
     "joint readings": Family("Joint reading noise limits", "orange dark", ("joint_rad",)),
     "floor": Family("The uneven floor limits", "green dark", ("floor_rad", "floor_m", "sway_rad", "sway_m")),
     "wheels": Family("Wheel noise limits", "red dark", ("wheel_rad_per_sqrt_rad", "wheel_share")),

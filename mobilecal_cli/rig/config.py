@@ -427,6 +427,7 @@ class NoiseConfig(_Section):
     sway_m: Sigma | None = Field(None, description="of the base's height beside the floor's")
     stamp_s: Sigma | None = Field(None, description="of an image's stamp, in motion")
     pair_s: Sigma | None = Field(None, description="of the time between the images of two cameras, in motion")
+    shift_px: Sigma | None = Field(None, description="of each image as a whole, with several cameras")
     wheel_share: Sigma | None = Field(None, description="of a wheel's scale")
     wheel_length_m: Sigma | None = Field(None, description="distance over which a wheel's scale stays alike")
 

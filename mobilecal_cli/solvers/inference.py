@@ -52,7 +52,7 @@ JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
 #: Noise levels that a jump may make large: those of the processes, and others.
-_CONCEALING = (*LENGTHS, "joint_rad", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
+_CONCEALING = (*LENGTHS, "joint_rad", "shift_px", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
 _COARSE, _FINE, _HELD = 0.1, 0.005, 2.0
 _STILL = 1e-9  # rad, m: a fixed value of the reference camera follows the cameras no more

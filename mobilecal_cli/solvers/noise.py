@@ -72,11 +72,11 @@ def components(lin: Posterior) -> dict[str, Component]:
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
     squares, left = views.cost, np.where(lin.inliers.views, corners + measured, 0)
-    for delay in views.of_delays:
-        across, variance = views.rows[:, delay], lin.noise.pair_s**2
-        own = variance * views.pull[:, delay] ** 2
-        free = variance * (across[:, views.traced[delay]] - lin.marginals.variance_along(across))
-        add("pair_s", own, free)
+    for k, (level, variance) in views.own_variances(lin.noise).items():
+        across = views.rows[:, k]
+        own = variance * views.pull[:, k] ** 2
+        free = variance * (across[:, views.traced[k]] - lin.marginals.variance_along(across))
+        add(level, own, free)
         squares, left = squares - own, left - free
     add(lin.data.images_level, squares, left.sum() - lin.marginals.leverage(views))
 

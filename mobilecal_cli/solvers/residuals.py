@@ -114,19 +114,18 @@ def _as_modeled(state: State, patterns: bool) -> FloatArray:
     return np.asarray(data.pixels - np.where(data.seen[..., None], shown - modeled, 0.0))
 
 
-def at_one_time(lin: Posterior) -> State:
-    """The state with each camera's corners where they were at the mean delay of its images, see `Images.own_delays`."""
+def images_alike(lin: Posterior) -> State:
+    """The state with each camera's corners where no image would have values of its own, see `Images.own_values`."""
     data, state, direct = lin.data, lin.state, [effect for _, _, effect in lin.data.layout.direct]
-    if not lin.views.delays:
+    if not lin.views.own:
         return state
     moved = np.zeros(data.pixels.shape)
-    of_delays = zip(lin.views.of_delays, lin.views.own_delays(lin.noise.pair_s**2).T, strict=True)
-    for delay, own_s in of_delays:
-        effect = direct[lin.views.traced[delay] - 6]
-        camera = next(k for k in range(1, len(data.cameras.each)) if effect.concerns(k))
+    for own, values in lin.views.own_values(lin.noise).items():
+        effect = direct[lin.views.traced[own] - 6]
+        camera = next(k for k in range(len(data.cameras.each)) if effect.concerns(k))
         for block in blocks_of(data.stations):
             _, J = of_camera(state, camera, state.T_c_k[block], block, lin.rates[:, block], [effect])
-            moved[block, camera] = J[..., 6] * own_s[block, None, None]
+            moved[block, camera] += J[..., 6] * values[block, None, None]
     pixels = data.pixels - np.where(data.seen[..., None], moved, 0.0)
     return replace(state, data=replace(data, pixels=pixels))
 

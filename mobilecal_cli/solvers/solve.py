@@ -53,7 +53,7 @@ from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial
 from mobilecal_cli.solvers.linear import ratios_of
 from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, moved_between, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
-from mobilecal_cli.solvers.residuals import Shown, at_one_time, at_state, error_parts, residuals_of
+from mobilecal_cli.solvers.residuals import Shown, at_state, error_parts, images_alike, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm, refine_powell
 
@@ -114,9 +114,10 @@ def solve(
         else:
             solution = _by_points(extraction, method)
     except (SolveError, np.linalg.LinAlgError) as error:
-        refusal = _refusal(extraction, search) or (inference and moved_between(inference))
-        if refusal is None and isinstance(error, SolveError):
-            raise _with_request(error, asked) from error.__cause__
+        refusal = _refusal(extraction, search)
+        own = (inference and refusal is None and moved_between(inference)) or error
+        if refusal is None and isinstance(own, SolveError):
+            raise _with_request(own, asked) from error.__cause__
         raise refusal or SolveError(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
@@ -148,7 +149,7 @@ def _by_likelihood(extraction: Extraction, inference: Inference, search: Search)
     _require_positive(parameters.wheels)
     legs = fit.sure_legs if fit.sure_legs.any() else None
     used = legs, data.seen & ~fit.inliers.corners
-    together = at_one_time(fit.lin)
+    together = images_alike(fit.lin)
     corrected = at_state(together, fit.noise, corners=fit.inliers.corners)
     rms = point_rms_m(corrected.pairs, parameters)
     history = np.array([linear.point_rms_m, rms])

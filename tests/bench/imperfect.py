@@ -73,7 +73,7 @@ def configuration(cameras: int, chain: str) -> str:
 ROBOTS |= {configuration(*key): robot for key, robot in CONFIGURATIONS.items()}
 _DEVICES = {"pixel_px": 0.1, "wheel_rad_per_sqrt_rad": 0.003, "joint_rad": float(np.radians(0.02))}
 _LEVELS = (*_DEVICES, "floor_rad", "floor_m", "sway_rad", "sway_m", "stamp_s", "wheel_share")
-_LENGTHS = ("floor_length_m", "wheel_length_m")
+_LENGTHS, _OF_PAIRS = ("floor_length_m", "wheel_length_m"), ("pair_s", "shift_px")
 #: A guess of the estimator is right within this factor (one sigma of the logarithm).
 _LEVEL_FACTOR, _LENGTH_FACTOR = 1.6, 3.0
 #: A scale error that is constant over stretches of length 2 L turns and displaces as much, over a long way, as one whose
@@ -138,7 +138,7 @@ class Case:
             return self.noise
         guess, random = Noise.limits("guess"), np.random.default_rng([seed, 8])
         factors = dict.fromkeys(_LEVELS, _LEVEL_FACTOR) | dict.fromkeys(_LENGTHS, _LENGTH_FACTOR)
-        factors["pair_s"] = _LEVEL_FACTOR
+        factors |= dict.fromkeys(_OF_PAIRS, _LEVEL_FACTOR)
         drawn = {name: guess[name] * factor ** random.normal() for name, factor in factors.items()}
         drawn["wheel_length_m"] *= _STRETCHES_PER_LENGTH
         return replace(self.noise, **drawn)
@@ -242,7 +242,7 @@ def route_of(robot: str, motion: Motion, stations: int, number: int) -> Route:
 
 def given(noise: extractions.Noise) -> dict[str, float]:
     """All levels of a simulation as known, and the correlation lengths of processes."""
-    known = {name: getattr(noise, name) for name in (*_LEVELS, "pair_s", *_LENGTHS)}
+    known = {name: getattr(noise, name) for name in (*_LEVELS, *_OF_PAIRS, *_LENGTHS)}
     known["wheel_length_m"] /= _STRETCHES_PER_LENGTH
     return {name: level for name, level in known.items() if level}
 

@@ -196,11 +196,12 @@ def test_a_late_camera_comes_before_stronger_contradictions_and_fails_with_them(
 
 
 def test_a_camera_that_shakes_has_to_move_further(whole):
-    """Each right image is displaced by itself: by 0.2 px, where 54 corners of 0.1 px show 0.014 px."""
+    """Each right image is turned about its middle by itself: by 2 mrad, where 54 corners of 0.1 px show 0.2 mrad."""
     random, shaken = np.random.default_rng(3), []
     for o in whole.observations:
-        off = o.views[1].pixels + 0.2 * random.normal(size=2)
-        shaken.append(with_views(o, right=replace(o.views[1], pixels=off)))
+        pixels = o.views[1].pixels
+        turned = (pixels - pixels.mean(axis=0)) @ (0.002 * random.normal() * np.array([[0.0, -1.0], [1.0, 0.0]]))
+        shaken.append(with_views(o, right=replace(o.views[1], pixels=pixels + turned)))
     inference = Inference.of(replace(whole, observations=tuple(shaken)), Constraints())
     fit = robust_fit(inference)
     lin = jumps.traced(fit.lin)

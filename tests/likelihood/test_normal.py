@@ -32,6 +32,7 @@ NOISE = Noise(
     floor_m=0.0005,
     stamp_s=0.001,
     pair_s=0.003,
+    shift_px=0.05,
     wheel_share=0.002,
     floor_length_m=0.4,
     wheel_length_m=0.7,
@@ -88,22 +89,32 @@ class Case:
         return np.where(self.lin.inliers.used_corners[..., None], whitened, 0.0)
 
     @cached_property
-    def root_of_delays(self):
-        """(N, 2 M, 2 M) inverse root of the covariance of the right images' residuals, own delays included."""
-        constants, step_s = self.lin.state.constants, 1e-5
-        late, early = (
-            self.whitened_pixels(replace(self.lin.state, constants={**constants, "time_right": at_s}))
-            for at_s in constants["time_right"] + np.array([step_s, -step_s])
-        )
-        across = ((late - early)[:, 1] / (2 * step_s)).reshape(STATIONS, -1, 1)
-        values, vectors = np.linalg.eigh(np.eye(across.shape[1]) + NOISE.pair_s**2 * across @ across.mT)
-        return (vectors / np.sqrt(values)[:, None]) @ vectors.mT
+    def roots_of_own(self):
+        """(2, N, 2 M, 2 M) inverse root of the covariance of each camera's residuals, own delays and shifts included."""
+        constants, width = self.lin.state.constants, self.data.cameras.each[0].width
+        shift = 1e-4, NOISE.shift_px / width
+        own = [{"principal_left_x": shift, "principal_left_y": shift}]
+        own += [{"principal_right_x": shift, "principal_right_y": shift, "time_right": (1e-5, NOISE.pair_s)}]
+        roots = []
+        for camera, changes in enumerate(own):
+            covariance = np.eye(2 * self.data.pixels.shape[2])
+            for name, (step, sigma) in changes.items():
+                more, less = (
+                    self.whitened_pixels(replace(self.lin.state, constants={**constants, name: at}))
+                    for at in constants[name] + np.array([step, -step])
+                )
+                across = ((more - less)[:, camera] / (2 * step)).reshape(STATIONS, -1, 1)
+                covariance = covariance + sigma**2 * across @ across.mT
+            values, vectors = np.linalg.eigh(covariance)
+            roots.append((vectors / np.sqrt(values)[:, None]) @ vectors.mT)
+        return roots
 
     def residuals(self, x):
         state = self.displaced(x)
         pixels = self.whitened_pixels(state)
-        right = pixels[:, 1].reshape(STATIONS, -1, 1)
-        pixels[:, 1] = (self.root_of_delays @ right).reshape(pixels[:, 1].shape)
+        for camera, root in enumerate(self.roots_of_own):
+            of_camera = pixels[:, camera].reshape(STATIONS, -1, 1)
+            pixels[:, camera] = (root @ of_camera).reshape(pixels[:, camera].shape)
         root = np.zeros_like(self.lin.leg_weight)
         on = self.lin.inliers.legs
         root[on] = np.linalg.cholesky(self.lin.leg_weight[on])
@@ -253,21 +264,24 @@ class TestImages:
         assert apart.information[:, apart.traced] == pytest.approx(apart.rows, rel=1e-9, abs=1e-3)
         assert apart.information == pytest.approx(apart.information.mT, rel=1e-9, abs=1e-3)
 
-    def test_noise_and_own_delays(self, both):
+    def test_noise(self, both):
         for change in (
             lambda images: images.scaled(np.full(STATIONS, 3.0)),
-            lambda images: images.with_own_delays(NOISE.pair_s**2, 4e-4),
-            lambda images: images.with_own_delays(NOISE.pair_s**2, 0.0),
+            lambda images: images.with_own(replace(NOISE, pair_s=0.02, shift_px=0.02), NOISE),
+            lambda images: images.with_own(replace(NOISE, pair_s=0.0, shift_px=0.0), NOISE),
         ):
             self.same(*map(change, both))
 
-    def test_own_delays_return(self, case, both):
-        """In motion; at rest they show nowhere."""
+    @pytest.mark.parametrize("more", [{"pair_s": 0.02}, {"shift_px": 1.0}])
+    def test_what_images_have_of_their_own_returns(self, case, both, more):
+        """Delays in motion; at rest they show nowhere."""
+        noise = replace(NOISE, **more)
         for images in both:
             scale = np.abs(images.direct).max()
-            there = images.with_own_delays(NOISE.pair_s**2, 4e-4)
-            assert (np.abs(there.direct - images.direct).max() > 1e-3 * scale) == case.data.moving.any()
-            back = there.with_own_delays(4e-4, NOISE.pair_s**2)
+            there = images.with_own(noise, NOISE)
+            shown = "shift_px" in more or case.data.moving.any()
+            assert (np.abs(there.direct - images.direct).max() > 1e-3 * scale) == shown
+            back = there.with_own(NOISE, noise)
             assert back.direct == pytest.approx(images.direct, rel=1e-6, abs=1e-9 * scale)
 
     def test_a_step_of_all(self, case, both):

@@ -124,8 +124,8 @@ def test_the_words_know_every_source():
 def test_the_recommendation_is_about_the_figure_closest_to_its_limit():
     solution, _ = drawn()
     worst = max(uses(solution, {}), key=lambda use: use.share)
-    found = worst_error(with_share(solution, "pixel_px", 0.62), {})
-    assert found.limiting == f"Corner noise limits the {worst.figure.meaning}: 62 % of its variance."
+    found = worst_error(with_share(solution, "joint_rad", 0.62), {})
+    assert found.limiting == f"Joint reading noise limits the {worst.figure.meaning}: 62 % of its variance."
 
 
 def test_more_stations_do_not_help_against_stated_values():

@@ -164,7 +164,7 @@ def test_other_cameras_have_priors_of_a_drawing():
             "Aside camera: rotation about the front camera's y differs by +7.9",
             marks=pytest.mark.long,
         ),
-        ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +59.9"),
+        ("shift_beside_z", 0.06, "Beside camera: position along the front camera's z differs by +60.1"),
     ],
 )
 def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):

@@ -89,11 +89,44 @@ def test_cameras_with_a_common_trigger_lose_little_by_it():
     assert np.all(free.std < 1.05 * known.std)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("robot", "motion", "shift_px"),
+    [
+        ("pan-tilt", "standard", 0.5),
+        ("pan-tilt", "moving", 0.1),
+        ("pair on the base", "standard", 0.5),
+        ("three cameras", "standard", 0.5),
+    ],
+)
+def test_images_that_shift_are_no_change_of_a_camera(robot, motion, shift_px):
+    """Each by itself: "the right camera moved" before, and standard deviations that were up to twice as large."""
+    still = imperfect.Case(robot, motion=motion, images=40).drawn()
+    shifting = replace(still, noise=replace(still.noise, shift_px=shift_px))
+    extraction = shifting.extraction(2)
+    solution, exact = solve(extraction), solve(still.extraction(2))
+    found = solution.uncertainty.noise
+    assert found.shift_px == pytest.approx(shift_px, rel=0.25)
+    assert found.pixel_px == pytest.approx(0.1, rel=0.05)
+    assert not solution.jumps
+    run = imperfect.judged(
+        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, still.route(2))
+    )
+    assert run.level == "PASS"
+    assert np.abs(run.error / run.std).max() < 3.5
+    wider = solution.uncertainty.std / exact.uncertainty.std
+    assert wider.max() < 2
+    assert np.exp(np.mean(np.log(wider))) < 1.2
+    assert solution.point_rms_m < 1.2 * exact.point_rms_m  # each image counts where it would not be shifted
+
+
 @pytest.mark.parametrize(
     "case", [imperfect.Case("camera on pan-tilt", motion="moving", images=16), imperfect.Case(stations=8)]
 )
 def test_one_camera_and_stops_have_no_such_time(case):
-    assert "pair_s" not in solve(case.extraction(0)).uncertainty.noise.estimated
+    estimated = solve(case.extraction(0)).uncertainty.noise.estimated
+    assert "pair_s" not in estimated
+    assert ("shift_px" in estimated) == (case.robot == "pan-tilt")
 
 
 @pytest.mark.long
