@@ -200,7 +200,9 @@ def test_a_camera_that_shakes_has_to_move_further(whole):
     random, shaken = np.random.default_rng(3), []
     for o in whole.observations:
         pixels = o.views[1].pixels
-        turned = (pixels - pixels.mean(axis=0)) @ (0.002 * random.normal() * np.array([[0.0, -1.0], [1.0, 0.0]]))
+        turned = (pixels - pixels.mean(axis=0)) @ (
+            0.002 * random.normal() * np.array([[0.0, -1.0], [1.0, 0.0]])
+        )
         shaken.append(with_views(o, right=replace(o.views[1], pixels=pixels + turned)))
     inference = Inference.of(replace(whole, observations=tuple(shaken)), Constraints())
     fit = robust_fit(inference)
