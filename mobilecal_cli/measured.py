@@ -102,7 +102,7 @@ def from_poses(
     if not all(math.isfinite(value) and value > 0 for value in wheels_m):
         raise ConfigError(f"wheels_m {wheels_m}: not positive", "give radii and separation in m")
     if T_h_c is not None:
-        _require_rigid("T_h_c", T_h_c)
+        T_h_c = _rigid("T_h_c", T_h_c)
     chain = chain or HeadChain("base", "base", ())
     observations, tracks = [], []
     for log, drive in enumerate(drives):
@@ -201,7 +201,12 @@ def _wheels(where: str, drive: Drive) -> WheelTrack:
     return WheelTrack.at_same_times(np.round(time_s * 1e9).astype(np.int64), right, left)
 
 
-def _require_rigid(where: str, T: FloatArray) -> None:
+def _rigid(where: str, T: FloatArray) -> FloatArray:
+    """(4, 4) the rigid transform that is nearest to one whose digits were rounded.
+
+    Raises:
+        ConfigError: it is none.
+    """
     T = np.asarray(T, dtype=np.float64)
     rigid = T.shape == (4, 4) and bool(np.isfinite(T).all())
     if not rigid:
@@ -219,6 +224,8 @@ def _require_rigid(where: str, T: FloatArray) -> None:
         raise ConfigError(
             f"{where}: a translation of {far_m:.0f} m (limit {_FARTHEST_M:g} m)", "give translations in m"
         )
+    U, _, Vt = np.linalg.svd(R)
+    return se3.transform(U @ Vt, T[:3, 3])
 
 
 def _require_positive(where: str, covariance: FloatArray, size: int, hint: str) -> None:
@@ -232,7 +239,7 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
     missing = [name for name in chain.joints if name not in pose.joints]
     if missing:
         raise ConfigError(f"{where}: no reading of {', '.join(missing)}", "give all joints of the chain")
-    _require_rigid(where, pose.T_c_k)
+    T_c_k = _rigid(where, pose.T_c_k)
     unread = [name for name in chain.joints if not math.isfinite(pose.joints[name])]
     if unread:
         raise ConfigError(
@@ -249,7 +256,7 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
     points = _TARGET.grid() * _TARGET.square_m
     joints = np.array([pose.joints[name] for name in chain.joints])
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
-    points_c = se3.act(np.asarray(pose.T_c_k, dtype=np.float64)[None], points)[0]
+    points_c = se3.act(T_c_k[None], points)[0]
     of_points = covariance.copy()  # what was not measured counts as exact
     of_points[wide], of_points[:, wide] = 0.0, 0.0
     return Observation(
@@ -262,7 +269,7 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
         views=(nowhere,),
         points_c=points_c,
         points_cov=_points_cov(points_c, of_points),
-        T_c_k=pose.T_c_k,
+        T_c_k=T_c_k,
         T_c_k_cov=covariance,
         square_m=_TARGET.square_m,
         reprojection_px=0.0,

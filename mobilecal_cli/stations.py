@@ -297,6 +297,8 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     end_ns = min(int(c.track.time_ns[-1]) for c in channels)
     edges = np.unique([*taken[(taken > begin_ns) & (taken < end_ns)], begin_ns, end_ns])
     breaks = np.diff(edges)
+    if not len(breaks):
+        return
     *others, longest = np.argsort(breaks, kind="stable").tolist()
     usual_ns = max((int(breaks[k]) for k in others), default=0)
     since, until = (int(at) for at in edges[longest : longest + 2])

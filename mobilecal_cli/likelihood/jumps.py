@@ -209,9 +209,19 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
 
 
-def left_by_first_order(jump: Jump) -> float:
+def turning(data: Dataset, jump: Jump) -> BoolArray:
+    """(m,) which numbers of a step are a rotation about the axes of its part, rad."""
+    poses = _poses(data)
+    if jump.part in poses:
+        effects = (data.layout.direct[k][2] for k in poses[jump.part])
+        return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
+    slides = jump.part.removeprefix("joint ") in data.chain.prismatic
+    return np.arange(len(jump.value)) < (0 if slides or jump.part in (*WHEELS, SHAPE) else 3)
+
+
+def left_by_first_order(lin: Posterior, jump: Jump) -> float:
     """Chi-squared of what is left of a step that was taken out to first order: of a turn by t, t / 2 of its effect."""
-    turn = np.zeros(0) if jump.part in WHEELS or jump.part == SHAPE else jump.value[:3]
+    turn = jump.value[turning(lin.data, jump)]
     return jump.chi2 * float(turn @ turn) / 4
 
 
@@ -249,17 +259,20 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
     if jump.part == "head mount":
         return _in_sigmas(size, variance[:6])
     if jump.part.startswith("joint"):
-        return _in_sigmas(size, variance[:3].min(keepdims=True))
+        slides = jump.part.removeprefix("joint ") in lin.data.chain.prismatic
+        return _in_sigmas(size, variance[3:6] if slides else variance[:3])
     if jump.part in WHEELS:  # alone: all three may have a common scale that hardly shows
         known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
         return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))
     if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
-        return _in_sigmas(size[:3], lin.priors.scales[lin.views.columns[poses[jump.part][:3]]] ** 2)
+        turns = turning(lin.data, jump)
+        columns = lin.views.columns[np.array(poses[jump.part])[turns]]
+        return _in_sigmas(size[turns], lin.priors.scales[columns] ** 2)
     return 0.0
 
 
 def _in_sigmas(step: FloatArray, variance: FloatArray) -> float:
-    return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf))))
+    return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf)), initial=0.0))
 
 
 def cause(lin: Posterior, first: int) -> str:
@@ -359,8 +372,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])
         if every > 1:
-            near = moments[::every][np.argmax(_rank(tests.chi2, tests.dof, tried(moments[::every])))]
-            moments = moments[np.abs(moments - near) < every]
+            near = every * int(np.argmax(_rank(tests.chi2, tests.dof, tried(moments[::every]))))
+            moments = moments[max(near - every + 1, 0) : near + every]
             tests = _scores(lin, part, moments)
         rank = _rank(tests.chi2, tests.dof, tried(moments))
         if np.isfinite(rank).any():

@@ -167,6 +167,16 @@ def _of_sensor(state: State, motions: SensorMotions) -> tuple[FloatArray, ...]:
     return residual, by_start, by_end, by_shared
 
 
+def wheels_minus_sensor(state: State, legs: Legs) -> FloatArray:
+    """(L, 3) motion of the base by its wheels minus that by a planar sensor: x, y (m) and heading (rad)."""
+    motions = state.data.motions
+    assert motions is not None
+    T_v_c = state.T_v_h[state.data.legs[:, 0]] @ state.parameters.T_h_c
+    by_sensor = T_v_c @ planar_pose(motions.motion) @ se3.inverse(T_v_c)
+    by_wheels = base_legs(state) + legs.residual[:, :3]
+    return _wrapped(by_wheels - np.column_stack([by_sensor[:, :2, 3], heading_of(by_sensor)]))
+
+
 def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     """Noise level → its share of the covariance of the legs' residuals, (L, K, K), for known ends; see `Legs`."""
     data = state.data

@@ -17,7 +17,7 @@ from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import Images, summed
-from mobilecal_cli.model import FloatArray, IntArray
+from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
@@ -283,7 +283,7 @@ def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArr
     off[i[:, None], at, at] -= rho * weight[j]
     b[:, ERRORS] += pull
     b[i, ERRORS] -= rho * pull[j]
-    D[np.ix_(first, gauge, gauge)] += np.eye(3)
+    D[np.ix_(first, gauge, gauge)] += np.eye(3) / EXACT**2
     lost = ~inliers.views
     lost[data.legs[~inliers.legs].ravel()] = True
     D[np.ix_(lost & ~first, gauge, gauge)] += np.eye(3) / _FREE_BASE**2

@@ -102,8 +102,10 @@ class ResidualTests:
 
     @cached_property
     def small_readings(self) -> BoolArray:
-        """(N, J) joint readings that are right to `SMALL_RAD`."""
-        return np.asarray(np.abs(self._lin.state.own[:, JOINTS]) < SMALL_RAD * self._lin.data.joint_units)
+        """(N, J) joint readings that are right to `SMALL_RAD`, or `SMALL_M` of a prismatic joint."""
+        chain = self._lin.data.chain
+        small = [SMALL_M if name in chain.prismatic else SMALL_RAD for name in chain.joints]
+        return np.asarray(np.abs(self._lin.state.own[:, JOINTS]) < small)
 
 
 def _small(turn_rad: FloatArray, shift_m: FloatArray) -> BoolArray:

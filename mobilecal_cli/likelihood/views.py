@@ -88,7 +88,9 @@ class Images:
         cost = self.cost + np.sum(traced * (2 * (self.pull + of_direct) + change), axis=1)
         further = self.direct @ along
         if along.any():
-            added = np.sum(along * (2 * self.gradient + further), axis=1) / np.bincount(self.group)
+            added = np.sum(along * (2 * self.gradient + further), axis=1) / np.maximum(
+                np.bincount(self.group), 1
+            )
             cost = cost + added[self.group]
         moved = self._summed(traced[..., None], self.rows[:, :, 6:])[:, 0]
         gradient = self.gradient + further + moved

@@ -12,6 +12,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.likelihood import jumps
 from mobilecal_cli.likelihood.between import weigh_logs
 from mobilecal_cli.likelihood.evidence import evidence
+from mobilecal_cli.likelihood.legs import wheels_minus_sensor
 from mobilecal_cli.likelihood.nuisance import PATTERNS, kind
 from mobilecal_cli.likelihood.residual_tests import SMALL_M, SMALL_RAD
 from mobilecal_cli.model import (
@@ -24,6 +25,7 @@ from mobilecal_cli.model import (
     Jump,
     Outlier,
     ScaleCheck,
+    camera_words,
 )
 from mobilecal_cli.solvers.fit import Fit
 from mobilecal_cli.solvers.outliers import longest_stretch, moved_before
@@ -92,17 +94,16 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
     if jump is None:
         stretch = longest_stretch(fit)
         return () if stretch is None else (_unexplained(extraction, fit, stretch),)
-    value = jump.value
-    rolls = jump.part in jumps.WHEELS
-    turns = jump.part not in ("", jumps.SHAPE) and not rolls
-    slides = jump.part.removeprefix("joint ") in fit.data.chain.prismatic
-    turn = float(np.linalg.norm(value[:3])) if turns and not slides else 0.0
-    move = float(np.linalg.norm(value[3:])) if turns and len(value) == 6 else 0.0
-    move = float(value[np.argmax(np.abs(value))]) if slides or rolls else move
-    if jump.shift_sigmas < MATERIAL_SIGMAS and turns and not slides and turn < SMALL_RAD:
+    turns, value, cameras = jumps.turning(fit.data, jump), jump.value, fit.data.cameras
+    turn, others = float(np.linalg.norm(value[turns])), value[~turns]
+    of_pair = cameras.calibrated and jump.part == camera_words(cameras.names[1])
+    move = 0.0 if of_pair or jump.part == jumps.SHAPE else float(np.linalg.norm(others))
+    if jump.part in jumps.WHEELS or jump.part.removeprefix("joint ") in fit.data.chain.prismatic:
+        move = float(value[np.argmax(np.abs(value))])
+    if jump.shift_sigmas < MATERIAL_SIGMAS and turns.any() and turn < SMALL_RAD:
         # The direction of a baseline is an angle: its length makes it a displacement.
-        baseline_m = 1.0 if len(value) == 6 else float(np.linalg.norm(fit.data.cameras.T_c_each[-1][:3, 3]))
-        if np.linalg.norm(value[3:]) * baseline_m < SMALL_M:
+        baseline_m = float(np.linalg.norm(cameras.T_c_each[1][:3, 3])) if of_pair else 1.0
+        if np.linalg.norm(others) * baseline_m < SMALL_M:
             return ()
     o = extraction.observations[jump.station]
     sizes = jump.sigmas, jump.shift_sigmas, turn, move
@@ -165,12 +166,19 @@ def outliers_of(extraction: Extraction, fit: Fit) -> tuple[Outlier, ...]:
         last = observations[stations[-1]]
         outliers.append(Outlier(kind, last.log, stations, last.time_ns, text))
 
+    apart, what, sensors = fit.lin.legs.residual[:, :3], "Wheel slip or moved board", "cameras"
+    if extraction.motions:
+        apart, what, sensors = (
+            wheels_minus_sensor(state, fit.lin.legs),
+            "Wheel slip, or a wrong motion,",
+            "the sensor",
+        )
     for leg in np.flatnonzero(~inliers.legs).tolist():
         i, j = fit.data.legs[leg].tolist()
-        x, y, psi = fit.lin.legs.residual[leg, :3]
+        x, y, psi = apart[leg]
         by = f"{math.hypot(x, y) * 1e3:.0f} mm and {abs(math.degrees(psi)):.1f} degrees"
         text = (
-            f"Wheel slip or moved board between stations {name(i)} and {name(j)}, {clock(j)}: wheels and cameras "
+            f"{what} between stations {name(i)} and {name(j)}, {clock(j)}: wheels and {sensors} "
             f"differ by {by}. The odometry of this leg is excluded."
         )
         add("slip", (i, j), text)

@@ -299,7 +299,7 @@ class Inference:
             jump, without = further
             if jump.shift_sigmas >= MATERIAL_SIGMAS:
                 return jump
-            found, left = found or jump, left + jumps.left_by_first_order(jump)
+            found, left = found or jump, left + jumps.left_by_first_order(fit.lin, jump)
         return found
 
     def beside(self, fit: Fit, jump: jumps.Jump) -> Fit:

@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.nuisance import FAMILIES, family
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import LENGTHS
-from mobilecal_cli.model import EXACT, NINE, FloatArray, Noise
+from mobilecal_cli.model import EXACT, NINE, BoolArray, FloatArray, Noise
 
 _LEAST, _MOST = Noise.limits("least"), Noise.limits("most")
 #: A guessed correlation length is right within this factor (one sigma of its logarithm).
@@ -66,8 +66,9 @@ def components(lin: Posterior) -> dict[str, Component]:
     sums = defaultdict[str, FloatArray](lambda: np.zeros(2))
 
     def add(level: str, squares: FloatArray, left: FloatArray) -> None:
-        """Squares of whitened residuals of a level, and how much of them is redundant."""
-        sums[level] += squares.sum(), left.sum()
+        """Squares of whitened residuals of a level, if there are any, and how much of them is redundant."""
+        if np.size(squares):
+            sums[level] += np.sum(squares), np.sum(left)
 
     measured = np.sum(np.diagonal(lin.data.pose_weight, axis1=1, axis2=2) > 0, axis=1)
     corners = 2 * lin.inliers.used_corners.sum(axis=(1, 2))
@@ -80,7 +81,7 @@ def components(lin: Posterior) -> dict[str, Component]:
         squares, left = squares - own, left - free
     add(lin.data.images_level, squares, left.sum() - lin.marginals.leverage(views))
 
-    means = int(lin.data.log.max())
+    means = max(int(_driven(lin).sum()) - 1, 0)
     for each in of_errors(lin, _within(lin)):
         for level in each.parts:
             squares, free = each.shown(level)
@@ -96,17 +97,25 @@ def components(lin: Posterior) -> dict[str, Component]:
 def _within(lin: Posterior) -> FloatArray:
     """(N, K) errors of the base blocks, processes without their mean in each recording, where there are several.
 
-    Means that differ say how the recordings differ, not how a process varies along the way.
+    Means that differ say how the recordings differ, not how a process varies along the way. A recording without a leg
+    has none.
     """
     processes, errors, log = lin.processes, lin.state.base[:, ERRORS], lin.data.log
-    if not log.max():
+    driven = _driven(lin)
+    if driven.sum() < 2:
         return errors
     ones = processes.innovations(np.ones_like(errors))
     sums = np.zeros((2, int(log.max()) + 1, errors.shape[1]))
     np.add.at(sums[0], log, ones / processes.variance * processes.innovations(errors))
     np.add.at(sums[1], log, ones / processes.variance * ones)
-    along = [level in LENGTHS for level in processes.levels]
-    return np.where(along, errors - (sums[0] / sums[1])[log], errors)
+    along = np.outer(driven[log], [level in LENGTHS for level in processes.levels])
+    means = sums[0] / np.where(driven[:, None], sums[1], 1.0)
+    return np.where(along, errors - means[log], errors)
+
+
+def _driven(lin: Posterior) -> BoolArray:
+    """(logs,) recordings with a leg."""
+    return np.isin(np.arange(lin.data.log.max() + 1), lin.data.log[lin.data.legs[:, 0]])
 
 
 class Slope(NamedTuple):

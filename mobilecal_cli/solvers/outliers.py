@@ -207,7 +207,7 @@ def moved_before(fit: Fit, stretch: IntArray) -> int:
 def known_by(fit: Fit, kind: str) -> float:
     """Number of residuals that the noise rests on that a kind is judged by: very many where a level is given."""
     levels = [level for level in _JUDGED_BY[kind] if level in fit.components]
-    if levels[0] in fit.given:
+    if not levels or levels[0] in fit.given:
         return _MANY
     redundancy = sum(fit.components[level].redundancy for level in levels)
     return redundancy + guess_worth(redundancy)

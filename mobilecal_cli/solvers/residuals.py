@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_resi
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
 from mobilecal_cli.likelihood.legs import leg_covariances
-from mobilecal_cli.likelihood.measurements import MotionPairs, in_each_camera
+from mobilecal_cli.likelihood.measurements import STAMP, MotionPairs, in_each_camera
 from mobilecal_cli.likelihood.nuisance import PATTERNS, clocks_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
@@ -83,11 +83,14 @@ def at_state(
     if T_c_k is None:
         T_c_k = board_poses(state, data.seen if corners is None else corners)
     points_c, covariance = triangulated_again(state, pixels, se3.act(T_c_k, state.points_k))
+    base = state.base.copy()
+    base[:, STAMP:] = 0.0
+    as_read = replace(state, base=base, own=np.zeros_like(state.own))
     pairs = replace(
         data.pairs,
         points_c=points_c,
         T_c_k=T_c_k,
-        T_v_h=replace(state, own=np.zeros_like(state.own)).T_v_h,
+        T_v_h=as_read.T_v_h,
         steps=data.steps(state.clock_s("wheels")),
     )
     return Shown(state.cameras, pixels, data.seen, factor**2 * covariance, pairs)
@@ -291,9 +294,6 @@ def _wheel_covariance(data: Dataset, wheels: WheelGeometry, residuals: Residuals
     """(L, 3, 3) covariance of odometry's (x, y, heading) on each leg of the residuals."""
     every = sum(leg_covariances(data.steps(), wheels, noise).values())
     covariance = np.asarray(every)[np.isin(data.legs[:, 1], residuals.legs[:, 1])]
-    if noise.encoder_rad:
-        steps = data.encoder_step_rad
-        path_m = noise.encoder_rad * steps / max(steps.max(), 1e-12) * wheels.vector[:2]
-        square = 2 * float(np.sum(path_m**2))  # a reading at both ends
-        covariance = covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2])
-    return covariance
+    path_m = noise.encoder_rad * data.encoder_shares * wheels.vector[:2]
+    square = 2 * float(np.sum(path_m**2))  # a reading at both ends
+    return np.asarray(covariance + np.diag([square / 4, 0.0, square / wheels.separation_m**2]))
