@@ -86,25 +86,30 @@ def _aimed(state: State, ways: FloatArray, rays_c: FloatArray) -> tuple[FloatArr
     return ways, joints
 
 
+def _in_view(state: State, T_c_k: FloatArray) -> BoolArray:
+    """(C, K) cameras that show the whole board, at poses of it in the first one, (C, 4, 4)."""
+    rig, points_c = state.cameras, se3.act(T_c_k, state.data.points_k)
+    shown = []
+    for camera, T_c_camera in zip(rig.each, rig.T_c_each, strict=True):
+        points = se3.act(se3.inverse(T_c_camera), points_c)
+        ahead = np.all(points[..., 2] > LEAST_DEPTH_M, axis=1)
+        at = project(camera, np.where(ahead[:, None, None], points, [0.0, 0.0, 1.0]))
+        edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
+        shown.append(ahead & np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2)))
+    return np.stack(shown, axis=1)
+
+
 def _seen_whole(state: State, T_c_k: FloatArray) -> BoolArray:
-    """(C,) whether the cameras that usually show the board see all of it well."""
-    data, rig = state.data, state.cameras
+    """(C,) whether as many cameras as usual see all of the board well."""
+    data = state.data
     distances = np.linalg.norm(state.T_c_k[:, :3, 3], axis=1)
     points_c = se3.act(T_c_k, data.points_k)
     reach = np.linalg.norm(T_c_k[:, :3, 3], axis=1)
     middle = points_c.mean(axis=1)
     facing = np.abs(np.einsum("ca,ca->c", T_c_k[:, :3, 2], middle)) / np.linalg.norm(middle, axis=1)
     fine = (reach > distances.min() / _ROOM) & (reach < distances.max() * _ROOM) & (facing > _NEAREST)
-    usual = data.seen.any(axis=2).mean(axis=0)
-    for camera, T_c_camera, share in zip(rig.each, rig.T_c_each, usual, strict=True):
-        if share < usual.max() / 2:
-            continue
-        points = se3.act(se3.inverse(T_c_camera), points_c)
-        fine &= np.all(points[..., 2] > LEAST_DEPTH_M, axis=1)
-        at = project(camera, np.where(fine[:, None, None], points, [0.0, 0.0, 1.0]))
-        edge, size = _MARGIN * camera.width, np.array([camera.width, camera.height])
-        fine &= np.all((at >= edge) & (at <= size - 1 - edge), axis=(1, 2))
-    return np.asarray(fine)
+    usual = np.median(data.seen.any(axis=2).sum(axis=1))
+    return np.asarray(fine & (_in_view(state, T_c_k).sum(axis=1) >= usual))
 
 
 def _reachable(state: State) -> tuple[FloatArray, FloatArray]:
@@ -145,7 +150,8 @@ def _with_stops(lin: Posterior, ways: FloatArray, joints: FloatArray) -> Posteri
     copies.update((name, np.zeros_like(copies[name])) for name in zero)
     copies["joints"][2:] = joints
     copies["times_ns"] = 3 * _PIECES * np.arange(count)
-    copies["seen"] = np.ones_like(copies["seen"])
+    T_v_c = head_pose(data.chain, joints) @ state.parameters.T_h_c
+    copies["seen"][2:] = _in_view(state, se3.inverse(T_v_c) @ _boards(state, ways))[..., None]
     copies["whitening"] = np.broadcast_to(np.eye(2), copies["whitening"].shape)
     tracks = (WheelTrack.at_same_times(np.arange(len(right)), right, left),) * (last + 1)
     wide = replace(

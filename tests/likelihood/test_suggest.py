@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.steps import fitted
 from mobilecal_cli.kinematics import head_pose
+from mobilecal_cli.likelihood import suggest
 from mobilecal_cli.model import NINE
 from mobilecal_cli.report.findings import suggestion_sentences
 from mobilecal_cli.simulate.robot import paper_robot, pixels
 from mobilecal_cli.solvers import Constraints, solve
+from mobilecal_cli.solvers.inference import Inference
+from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.extractions import Noise, in_view, simulated
 from tests.robots import CONFIGURATIONS, chain_of, true_nominal
 
@@ -61,6 +65,25 @@ def test_stops_are_suggested_for_cameras_that_no_joint_pans_or_tilts(configurati
         T_w_c = T @ head_pose(chain_of(robot), suggestion.joints) @ robot.T_h_c
         points = se3.act(se3.inverse(T_w_c) @ solution.residuals.T_w_k[-1], extraction.board.grid() * 0.08)
         assert in_view(robot.rig_cameras.first, pixels(robot.rig_cameras.first, points))
+
+
+def test_a_camera_that_does_not_show_the_board_tells_nothing():
+    """One looks aside: as if it saw the board behind it, "the measurements do not determine all parameters"."""
+    extraction = simulated("standard", NOISE, CONFIGURATIONS[3, "pan-tilt"](), 8, 1)
+    lin = robust_fit(Inference.of(extraction, Constraints())).lin
+    cameras = lin.state.cameras
+    away = se3.transform(Rotation.from_euler("y", 75, degrees=True).as_matrix(), np.zeros(3))
+    turned = replace(cameras, T_c_each=np.concatenate([cameras.T_c_each[:2], away[None]]))
+    seen = lin.data.seen.copy()
+    seen[:, 2] = False
+    state = replace(lin.state, data=replace(lin.data, cameras=turned, seen=seen))
+    ways, joints = suggest._reachable(state)
+    stops = suggest._with_stops(replace(lin, state=state), ways, joints)
+    assert len(ways) > 3
+    assert stops.data.seen[2:, :2].all()
+    assert not stops.data.seen[2:, 2].any()
+    for A in suggest._shown(stops):
+        assert np.abs(A).max() < 1e12
 
 
 def test_a_stop_that_the_base_turns_far_for_is_among_the_suggested():
