@@ -28,6 +28,7 @@ from mobilecal_cli.model import FloatArray, Noise, WheelGeometry
 
 SLIP_M_PER_SQRT_M = 1e-4  # sideways and along, of a wheel that rolls on a firm floor
 _STANDSTILL_M, _STANDSTILL_RAD = 2e-5, 2e-5  # no leg is known better than this, not even one without motion
+_STOP_M, _STOP_RAD = 2e-4, 2e-4  # that a base gives way at two stops: play of gears, tires
 # Share of the change of a step's rates: a change at once, in the middle of the step, is 1 / 4, a steady one 1 / 16.
 _UNSTEADY = 1 / 8
 #: Share of the legs' covariance that is no level: what is supposed of every leg.
@@ -181,6 +182,8 @@ def all_covariances(state: State, noise: Noise) -> Mapping[str, FloatArray]:
     """Noise level → its share of the covariance of the legs' residuals, (L, K, K), for known ends; see `Legs`."""
     data = state.data
     of_wheels = leg_covariances(data.steps(), state.parameters.wheels, noise, ends_known=True)
+    stops = ~data.moving[data.legs].any(axis=1)
+    of_wheels[SUPPOSED][stops] += np.diag([_STOP_M**2, _STOP_M**2, _STOP_RAD**2])
     if data.motions is None:
         return of_wheels
     wide = {name: np.zeros((len(data.legs), 6, 6)) for name in (*of_wheels, "pose_scale")}

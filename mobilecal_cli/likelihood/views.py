@@ -20,6 +20,7 @@ from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
+_ROUNDING = 1e-12
 #: Attribute of `CameraChange` of which each image has its own value, with several cameras → level of that noise.
 _OWN = {"delay_s": "pair_s", "principal": "shift_px"}
 
@@ -144,7 +145,7 @@ class Images:
                 images,
                 rows=images.rows - u[:, self.traced, None] * weighted,
                 pull=images.pull - pull[:, None] * weighted[:, 0, self.traced],
-                cost=images.cost - weight * pull**2,
+                cost=np.maximum(images.cost - weight * pull**2, _ROUNDING * images.cost),  # far off
                 direct=images.direct - self._summed(weighted[..., 6:], u[:, None, 6:]),
                 gradient=images.gradient - self._summed(weighted[..., 6:], pull[:, None, None])[..., 0],
             )

@@ -51,6 +51,7 @@ _OBSERVABILITY_ROUNDS = 8
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
+_UNEXPLAINED = 0.1  # share of their misfit that a jump may leave
 #: Noise levels that a jump may make large: those of the processes, and others.
 _CONCEALING = (*LENGTHS, "joint_rad", "shift_px", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
@@ -357,8 +358,8 @@ class Inference:
         """The jump with which most outliers of a recording, several, fit the others.
 
         All measurements on one side of a large one look like outliers: of a wheel, all legs look like slips. Without
-        the legs beside outlier stations, the images agree better; the jump then explains these measurements. It
-        explains few of those that are scattered over the recording.
+        the legs beside outlier stations, the images agree better; the jump then explains these measurements, and what
+        misfit they bring. It explains few of those that are scattered over the recording.
         """
         was = fit.inliers
         images = replace(
@@ -376,7 +377,10 @@ class Inference:
             ranked = jumps.likeliest(lin)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
+            misfit = lin.cost - fit.lin.cost
             lin = to_first_order(jumps.without(lin, ranked[0]))
+            if outliers.longest_stretch(fit) is None and lin.cost - fit.lin.cost > _UNEXPLAINED * misfit:
+                return None
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
             return None  # the images alone do not fit, or do not determine all parameters

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
 
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.likelihood.corners import FEWEST_CORNERS, corner_residuals, fitted_poses, whitened
 from mobilecal_cli.likelihood.dataset import DEGREES, Inliers
 from mobilecal_cli.likelihood.linearization import FREE_JOINT, solvable
 from mobilecal_cli.likelihood.measurements import JOINTS
@@ -49,15 +50,15 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
     Args:
         starts: with the corners and images that may be used, and supposed noise levels. The limit of a kind is larger
             where most of its measurements are farther off than these explain.
-        near: starts of which some may be near the minimum, tried while no minimum is sure. What is very far off there
-            has no say.
+        near: starts of which some may be near the minimum, tried until two starts lead to the least one, and it is
+            sure. What is very far off there has no say.
 
     Raises:
         SolveError: no start leads to a minimum.
     """
     minima = list(_minima(starts, np.inf))
     further = _minima(near, _NEAR_WIDTH)
-    while not (minima and _least(minima).sure) and (minimum := next(further, None)) is not None:
+    while not _settled(minima) and (minimum := next(further, None)) is not None:
         minima.append(minimum)
     if not minima:
         raise SolveError(
@@ -111,9 +112,18 @@ class _Minimum:
         agree = min(float(np.mean(used)) for used in (self.used["views"], self.used["legs"]) if used.size)
         return agree >= 1 - _MANY and max(self.usual.values()) < _MUCH
 
+    def alike(self, other: _Minimum) -> bool:
+        """Whether the same stations and legs agree at both."""
+        return all(np.array_equal(self.used[kind], other.used[kind]) for kind in ("views", "legs"))
+
 
 def _least(minima: Iterable[_Minimum]) -> _Minimum:
     return min(minima, key=lambda minimum: minimum.cost)
+
+
+def _settled(minima: Sequence[_Minimum]) -> bool:
+    """Whether the least one is sure, and more than one start leads to it."""
+    return bool(minima) and _least(minima).sure and sum(_least(minima).alike(other) for other in minima) > 1
 
 
 def _minima(starts: Iterable[Posterior], width: float) -> Iterator[_Minimum]:
@@ -157,14 +167,21 @@ def _minimum(lin: Posterior, width: float) -> _Minimum:
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
     cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
     cost += sum(_LIMIT[kind] * float(np.sum(~of)) for kind, of in used.items())
-    return _Minimum(lin, used, usual, cost + float(_own_misfit(lin)[~used["views"]].sum()))
+    return _Minimum(lin, used, usual, cost + _own_misfit(lin, np.flatnonzero(~used["views"])))
 
 
-def _own_misfit(lin: Posterior) -> FloatArray:
-    """(N,) sum of squares of each station's corners around the board that fits them best: no pose removes it."""
-    G, g = lin.views.rows[:, :6, :6], lin.views.pull[:, :6]
-    explained = np.einsum("na,nab,nb->n", g, np.linalg.pinv(G, hermitian=True), g)
-    return np.asarray(lin.views.cost - explained, dtype=np.float64)
+def _own_misfit(lin: Posterior, stations: IntArray) -> float:
+    """Sum of squares of some stations' corners around the board that fits each best: no pose removes it."""
+    data, state, every = lin.data, lin.state, lin.inliers.used_corners
+    stations = stations[every[stations].sum(axis=(1, 2)) >= FEWEST_CORNERS]
+    corners, rates = every[stations], lin.rates[:, stations]
+    if not len(stations):
+        return 0.0
+    T_c_k = fitted_poses(state, data.T_c_k[stations], stations, corners, rates)
+    off = whitened(
+        data.whitening[stations], corner_residuals(state, T_c_k, stations, rates, by_constants=False)[0]
+    )
+    return float(np.sum(off[corners] ** 2)) / lin.noise.pixel_px**2
 
 
 def _beyond_limits(lin: Posterior, of_readings: FloatArray) -> dict[str, FloatArray]:
