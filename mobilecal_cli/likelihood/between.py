@@ -14,7 +14,7 @@ _SHOWN = 1.0  # a recording shows a direction that it knows better than its scal
 _SHARE = 0.1  # largest share of a shown parameter in directions that are not shown
 _TWO_SIGMA = 0.97725  # probability below two standard deviations
 #: What changes between recordings does so together: the mount, or the wheels. These differ where chance alone would
-#: make as much in fewer cases.
+#: make as much in fewer cases, and the spread counts the more the fewer these are: nothing hangs on the limit.
 _CHANGE_TOGETHER, _CHANCE = (slice(6), slice(6, 9)), 0.005
 _NO_VARIANCE = 1e-14  # in scaled units, of a direction that a recording does not show
 
@@ -62,7 +62,7 @@ def between_variance(values: FloatArray, std: FloatArray) -> float:
 
 
 def few_logs_factor(values: FloatArray, std: FloatArray, variance: float) -> float:
-    """What the standard deviation of a mean of few recordings is multiplied by, so that two of it hold 95.4 %.
+    """What the spread between few recordings is multiplied by, so that two standard deviations of a mean hold 95.4 %.
 
     Knapp and Hartung's variance (Statistics in Medicine 22, 2003; at least the usual one), and Student's t in place of
     the normal distribution: the spread between n recordings is known from n - 1 differences.
@@ -85,8 +85,8 @@ def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
 
     Where chance explains how far the recordings are apart (a chi-squared test of the head-eye transform, and one of the
     wheels) there is no spread. Else each recording's information W = (A^-1 + T)^-1 = (I + A T)^-1 A allows for the
-    spread T, so that many stations of one recording do not count for more than one robot's worth of evidence. What they
-    say is then wider by `few_logs_factor`.
+    spread T, so that many stations of one recording do not count for more than one robot's worth of evidence. In the
+    covariance, the standard deviations of T are larger by `few_logs_factor`.
 
     Args:
         lin: the optimum of all measurements.
@@ -107,24 +107,25 @@ def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
     variance, factor = np.zeros(size), np.ones(size)
     for of, distance, rank in zip(_CHANGE_TOGETHER, distances.T, ranks.T, strict=True):
         spare = int(rank.sum()) - int(np.linalg.matrix_rank(own_basis[of]))
-        differ = spare > 0 and chdtrc(spare, distance.sum()) < _CHANCE
-        for k in range(len(NINE))[of] if differ else ():
+        chance = float(chdtrc(spare, distance.sum())) if spare > 0 else 1.0
+        for k in range(len(NINE))[of] if chance < _CHANCE else ():
             of_shown = step[shown[:, k], k], std[shown[:, k], k]
-            variance[k] = between_variance(*of_shown)
+            variance[k] = (1 - chance / _CHANCE) * between_variance(*of_shown)
             factor[k] = few_logs_factor(*of_shown, variance[k])
-    T = basis.T @ (variance[:, None] * basis)
-    data, right = np.zeros((basis.shape[1],) * 2), np.zeros(basis.shape[1])
-    for A, a in parts:
-        shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
-        data += shrink @ A
-        right += shrink @ a
-    right += basis.T @ (lin.priors.gradient(lin.state) * scales)
-    prior = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
-    pooled = -basis @ np.linalg.solve(data + prior, right) if variance.any() else np.zeros(size)
-    # The factor widens the standard deviation of what the recordings say, not the priors.
-    narrow = basis.T @ (basis / factor[:, None])
-    total = narrow @ data @ narrow + prior
-    inverse = np.linalg.inv((total + total.T) / 2)
+    own_prior = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
+
+    def pooled_with(spread: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Information of all recordings and priors, and its gradient, with (P,) variances between recordings."""
+        T = basis.T @ (spread[:, None] * basis)
+        total, right = own_prior.copy(), basis.T @ (lin.priors.gradient(lin.state) * scales)
+        for A, a in parts:
+            shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
+            total += shrink @ A
+            right += shrink @ a
+        return (total + total.T) / 2, right
+
+    pooled = -basis @ np.linalg.solve(*pooled_with(variance)) if variance.any() else np.zeros(size)
+    inverse = np.linalg.inv(pooled_with(factor**2 * variance)[0])
     between = BetweenLogs(
         np.where(shown, step - pooled[nine], 0.0) * scales[nine],
         std * scales[nine],

@@ -377,9 +377,14 @@ class Inference:
             ranked = jumps.likeliest(lin)
             if not ranked or not jumps.lasts(lin, ranked[0]):
                 return None
-            misfit = lin.cost - fit.lin.cost
+            corners, legs = (
+                getattr(lin.inliers, kind).sum() - getattr(was, kind).sum()
+                for kind in ("used_corners", "legs")
+            )
+            good = fit.lin.cost + 2 * int(corners) + 3 * int(legs)
+            misfit = lin.cost - good
             lin = to_first_order(jumps.without(lin, ranked[0]))
-            if outliers.longest_stretch(fit) is None and lin.cost - fit.lin.cost > _UNEXPLAINED * misfit:
+            if outliers.longest_stretch(fit) is None and lin.cost - good > _UNEXPLAINED * misfit:
                 return None
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):
