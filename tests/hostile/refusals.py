@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -190,6 +191,12 @@ def fifo(folder: Path) -> None:
     os.mkfifo(folder / "fifo.mcap")
 
 
+def zipped(folder: Path) -> None:
+    """A zip archive of a recording."""
+    with zipfile.ZipFile(folder / "log.zip", "w") as archive:
+        archive.writestr("log.mcap", b"\x89MCAP0\r\n")
+
+
 def tall_jpeg() -> bytes:
     """A JPEG of 1 x 65500 pixels."""
     return bytes(cv2.imencode(".jpg", np.zeros((65500, 1), np.uint8))[1])
@@ -282,8 +289,16 @@ CASES = (
     Case("camera_info: image size 0", READ, 2, "the image size is 0 x 0 pixels", infos(width=lambda _: 0, height=lambda _: 0)),
     Case("a named pipe as the recording", ("calibrate", "fifo.mcap"), 3, "fifo.mcap: not a regular file", fifo),
     Case("a named pipe as the URDF", ("init", LOG, "--urdf", "fifo.mcap"), 2, "fifo.mcap: cannot be read: not a regular file", fifo),
-    Case("a directory as the configuration", ("calibrate", LOG, "--config", "."), 2, ".: cannot be read: not a regular file"),
-    Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": larger than 131072 bytes"),
+    Case("a directory as the configuration", ("calibrate", LOG, "--config", "."), 2, ".: a directory, not a rig.yaml"),
+    Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": a recording, not a rig.yaml"),
+    Case("`evaluate` with swapped arguments", ("evaluate", "params.yaml", LOG), 2, ": a recording, not a params.yaml"),
+    Case("`compare` with a recording", ("compare", LOG, LOG), 2, ": a recording, not a params.yaml"),
+    Case("`export` of a directory", ("export", ".", "--to", "json"), 2, ".: a directory, not a params.yaml"),
+    Case("`export` of report.json", ("export", "report.json", "--to", "json"), 2, "report.json: larger than 131072 bytes, so not a params.yaml", text("report.json", " " * 200_000)),
+    Case("`batch` with a recording", ("batch", LOG, "-o", "out"), 2, ": a recording, not a manifest"),
+    Case("`batch` with a rig.yaml", ("batch", "rig.yaml", "-o", "out"), 2, "rig.yaml: not a manifest: it has no key robots", text("rig.yaml", "wheels: {}")),
+    Case("a zipped recording", ("calibrate", "log.zip"), 3, "log.zip: a zip archive, but not an extraction", zipped),
+    Case("a directory with an extraction alone", ("calibrate", "."), 3, ".: a directory without a recording", lambda folder: (folder / "extraction.npz").write_bytes(b"PK") and None),
     Case("an image as the URDF", ("init", LOG, "--urdf", "a.urdf"), 2, "a.urdf: not UTF-8 text (byte 0)", lambda folder: Path(folder, "a.urdf").write_bytes(b"\x89PNG") and None),
     Case("a web page as the URDF", ("calibrate", LOG, "--set", "head.urdf=a.urdf"), 2, "URDF: not valid XML: it has a document type; it begins with '<!DOCTYPE html>", lambda folder: Path(folder, "a.urdf").write_text("<!DOCTYPE html><html>\n") and None),
     Case("a setting without a value", ("calibrate", LOG, "--set", "board.columns="), 2, "--set board.columns=: not KEY=VALUE"),
