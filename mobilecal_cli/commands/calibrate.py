@@ -28,7 +28,7 @@ def calibrate(
     prior: Annotated[list[str] | None, Option(metavar="NAME=VALUE±SIGMA")] = None,
     estimate: Annotated[list[str] | None, Option(metavar="NAME,...")] = None,
     gate: options.Gates = None,
-    hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
+    hold_out: float | None = None,
     last: Path | None = None,
     open_report: bool = False,
     as_json: bool = False,
@@ -65,6 +65,7 @@ def calibrate(
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
     from mobilecal_cli.export.outputs import append_text, check_appendable
+    from mobilecal_cli.ranges import HOLD_OUT
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.rig.config import load_rig, parse_settings
@@ -83,6 +84,8 @@ def calibrate(
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
         given = {"board.square_m": square_m, "stations": stations}
         flags |= {key: value for key, value in given.items() if value is not None}
+        if hold_out:
+            HOLD_OUT.check("--hold-out", hold_out, "give a share, such as 0.25 for 25 %")
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         rig = load_rig(config, flags)
         with progress_bar(quiet, verbose) as progress:

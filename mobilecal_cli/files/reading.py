@@ -126,7 +126,8 @@ def problem_of(item: ErrorDetails) -> str:
     )
     for words, plain in _WORDS.items():
         said = said.replace(words, plain)
-    got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
+    value = reprlib.repr(item["input"])
+    got = "" if isinstance(item["input"], Mapping) or value in said else f" (got {value})"
     return f"{key}: {said}{got}"
 
 
