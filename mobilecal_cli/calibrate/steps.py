@@ -428,7 +428,7 @@ def calibrate(
         MobilecalError: see `errors`; nothing is written then.
     """
     check_options(method, constraints or Constraints(), hold_out, config.flags)
-    check_output(output, force)
+    check_output(output, force, [*logs, config.path, last])
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)

@@ -16,6 +16,7 @@ from PIL import Image
 from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
@@ -64,6 +65,13 @@ def _extraction() -> bytes:
 def extraction(folder: Path) -> None:
     """extraction.npz of a simulated robot."""
     (folder / "e.npz").write_bytes(_extraction())
+
+
+def result(folder: Path) -> None:
+    """What is left of an output directory of mobilecal."""
+    (folder / "out").mkdir()
+    (folder / "out" / "extraction.npz").write_bytes(_extraction())
+    (folder / "out" / "params.yaml").write_text(FIRST_LINE)
 
 
 def text(name: str, content: str) -> Make:
@@ -313,6 +321,7 @@ CASES = (
     Case("one recording twice, `inspect`", ("inspect", LOG, LOG), 2, "have the same content"),
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
     Case("the output exists", (*SOLVE,), 7, "out: already exists", lambda folder: (extraction(folder), (folder / "out").mkdir(), None)[-1]),
+    Case("the output is the directory that is read", ("calibrate", "out/extraction.npz", "-o", "out", "--force"), 7, "out: this command reads out/extraction.npz", result),
     Case("the directory of the JUnit file does not exist", (*SOLVE, "--junit", "no/j.xml"), 7, "no is not a directory", extraction),
     Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside --output out", extraction),
     Case("one file for JUnit and the summary", (*SOLVE, "--junit", "j.xml", "--summary", "./j.xml"), 7, "--junit j.xml: also the path of --summary", extraction),
