@@ -65,7 +65,6 @@ def calibrate(
     from mobilecal_cli.calibrate import steps
     from mobilecal_cli.commands.terminal import open_page, progress_bar
     from mobilecal_cli.export.outputs import append_text, check_appendable
-    from mobilecal_cli.ranges import HOLD_OUT
     from mobilecal_cli.report.junit import junit_xml
     from mobilecal_cli.report.text import summary_text
     from mobilecal_cli.rig.config import load_rig, parse_settings
@@ -84,8 +83,6 @@ def calibrate(
             flags["board.columns"], flags["board.rows"] = options.counts_of("--board", board)
         given = {"board.square_m": square_m, "stations": stations}
         flags |= {key: value for key, value in given.items() if value is not None}
-        if hold_out:
-            HOLD_OUT.check("--hold-out", hold_out, "give a share, such as 0.25 for 25 %")
         constraints = constraints_of(fix or [], prior or [], estimate or [])
         rig = load_rig(config, flags)
         with progress_bar(quiet, verbose) as progress:

@@ -38,7 +38,7 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        said = error.problem or error.context or "not understood"
+        said = (error.problem or error.context or "not understood").partition(" with value ")[0]
         raise ValueError(f"{where}{' '.join(said.split())}") from error
     except RecursionError as error:
         raise ValueError(f"nested deeper than {_DEEPEST} levels") from error
