@@ -47,9 +47,6 @@ def main() -> None:
             sys.exit(_BROKEN_PIPE)
         raise
     except OSError as error:
-        usage = getattr(error.__context__, "exit_code", None)
-        if usage is not None:  # the command line is wrong, and standard error cannot say so
-            sys.exit(usage)
         if error.filename is not None or error.errno not in (errno.EPIPE, errno.ENOSPC):
             raise
         sys.stdout = open(os.devnull, "w")  # noqa: PTH123, SIM115 - Python would try to flush it again

@@ -110,7 +110,7 @@ LEVEL = Range(0.0, 1e3)
 #: The difference of a constant of the robot description from its stated value: rad, m, s or a share.
 DIFFERENCE = Range(-100.0, 100.0)
 #: Share of the stations that are held out.
-HOLD_OUT = Range(1e-4, 0.8)
+HOLD_OUT = Range(1e-4, 0.8, "of the stations")
 TICKS = Range(1.0, 1e9)
 FOCAL_LENGTH = Range(1.0, 1e6, "px")
 #: A reading of a joint, a counter or an odometry, rad or m.

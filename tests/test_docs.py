@@ -51,11 +51,12 @@ def test_the_overview_of_the_commands_is_up_to_date():
     assert HELP.read_text(encoding="utf-8") == generator_of("options").overview(), "run: make docs"
 
 
-def test_the_table_of_formats_is_up_to_date():
+def test_the_tables_of_formats_and_robots_are_up_to_date():
     options = generator_of("options")
     page = options.COMMANDS.read_text(encoding="utf-8")
-    assert page == options.with_formats(page), "run: make docs"
+    assert page == options.with_tables(page), "run: make docs"
     assert all(f"| `{name}` |" in page for name in ("urdf", "json"))
+    assert "`--robot paper\\|tick\\|" in page
 
 
 def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():

@@ -1,7 +1,8 @@
-"""From the code: `docs/generate/options.py` writes help.txt, docs/reference/options.md and the formats of cli.md."""
+"""From the code: `docs/generate/options.py` writes help.txt, options.md, and two tables of cli.md."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import typer
 from mobilecal_cli.__main__ import HELP, HELP_COLUMNS
 from mobilecal_cli.commands import app
 from mobilecal_cli.export.formats import format_of
-from mobilecal_cli.targets import Target
+from mobilecal_cli.targets import ROBOTS, Target
 
 TARGET = Path(__file__).resolve().parents[1] / "reference" / "options.md"
 COMMANDS = TARGET.with_name("cli.md")
@@ -63,16 +64,20 @@ def _help(item: Any) -> str:  # noqa: ANN401
     return text
 
 
-def with_formats(page: str) -> str:
-    """A page with the table of export formats between its marks."""
+def with_tables(page: str) -> str:
+    """A page with the table of export formats between its marks, and the robots in the row of `--robot`."""
     texts = {name: " ".join((format_of(name).__doc__ or "").split()) for name in Target}
     rows = [f"| `{name}` | {text.rstrip('.')} |" for name, text in texts.items()]
     table = "\n".join(["| format | content |", "| --- | --- |", *rows, ""])
-    return page[: page.index(BEGIN) + len(BEGIN)] + table + page[page.index(END) :]
+    page = page[: page.index(BEGIN) + len(BEGIN)] + table + page[page.index(END) :]
+    choices = r"\|".join(ROBOTS)
+    robots = "; ".join(f"`{name}`: {meaning}" for name, meaning in ROBOTS.items())
+    row = f"| `--robot {choices}` | {robots} |"
+    return re.sub(r"^\| `--robot .*$", lambda _: row, page, flags=re.MULTILINE)
 
 
 if __name__ == "__main__":
     TARGET.write_text(page(), encoding="utf-8")
-    COMMANDS.write_text(with_formats(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
+    COMMANDS.write_text(with_tables(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
     HELP.write_text(overview(), encoding="utf-8")
     print(f"written: {TARGET.relative_to(TARGET.parents[2])}")

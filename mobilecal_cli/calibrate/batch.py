@@ -188,9 +188,13 @@ def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
 
 
 def _of_manifest(path: Path) -> Sequence[_Robot]:
-    hint = "robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
+    hint = "give a directory of recordings, or a file with robots: [{name: NAME, logs: [FILE], config: rig.yaml}, ...]"
     try:
-        stated = mapping_of(read_text(path, LARGEST_BYTES), str(path), hint)
+        stated = mapping_of(read_text(path, LARGEST_BYTES, hint, "manifest"), str(path), hint)
+        if "robots" not in stated:
+            raise ConfigError(
+                f"{path}: not a manifest: it has no key robots", f"{hint}; a rig.yaml is given with --config"
+            )
         return _Manifest.model_validate(stated, context=path.parent).robots
     except ValidationError as error:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error

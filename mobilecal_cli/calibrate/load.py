@@ -18,6 +18,7 @@ from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.files.reading import LARGEST_BYTES, read_text
 from mobilecal_cli.likelihood.nuisance import camera_change, table
 from mobilecal_cli.model import SIDES, CalibratedRobot, Extraction, Parameters, Snapshot
+from mobilecal_cli.readers import looks_recorded
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
 
@@ -53,6 +54,9 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
     """
     archive = next((path for path in logs if path.is_file() and _is_archive(path)), None)
     if archive is None:
+        for path in logs:
+            if (inside := path / "extraction.npz").is_file() and not looks_recorded(path):
+                raise RecordingError(f"{path}: a directory without a recording", f"give {inside}")
         return Data(*extract(logs, config, progress, jobs), config.gates)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(
@@ -104,7 +108,8 @@ def read_params(params: AnyPath) -> CalibratedRobot:
         TypeError: not a path.
     """
     path = path_of("params", params)
-    text = read_text(path, LARGEST_BYTES, "give a params.yaml that mobilecal wrote")
+    hint = "give a params.yaml that mobilecal wrote; for evaluate it comes last, after the recordings"
+    text = read_text(path, LARGEST_BYTES, hint, "params.yaml")
     return parameters_from_yaml(text, str(path))
 
 

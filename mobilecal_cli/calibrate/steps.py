@@ -22,6 +22,7 @@ from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, write_outputs
 from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
+from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
     CLOCK_STEPS,
     FEW_READINGS,
@@ -185,7 +186,7 @@ def check_options(
     if not isinstance(method, str) or method not in methods:
         raise ConfigError(f"method {method!r}: no such method", f"methods: {', '.join(methods)}")
     if hold_out is not None:
-        HOLD_OUT.check("hold_out", hold_out)
+        HOLD_OUT.check("--hold-out", hold_out, "give a share, such as 0.25 for 25 %")
     if method != "ml":
         unused = [*constraints.given]
         unused += [f"--set {key}" for key in settings if key.partition(".")[0] in _ONLY_ML]
@@ -363,7 +364,7 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
     """A recording without the last share of each log's stations, and these held-out stations.
 
     Raises:
-        ObservationError: too few stations of one recording would be held out.
+        ObservationError: too few stations of one recording would be held out, or be left.
     """
     kept, tried = [], []
     for log in range(len(extraction.wheels)):
@@ -380,7 +381,14 @@ def held_out(extraction: Extraction, share: float) -> tuple[Extraction, Extracti
         )
     searched = extraction.counts.get("stations", 0)
     counts = {**extraction.counts, "stations": searched - len(tried)} if searched else extraction.counts
-    return replace(extraction, observations=tuple(kept), counts=counts), rest
+    used = replace(extraction, observations=tuple(kept), counts=counts)
+    if used.legs < FEWEST_LEGS <= extraction.legs:
+        raise ObservationError(
+            f"--hold-out {share:g} leaves {len(kept)} of {len(extraction.observations)} stations, with {used.legs} "
+            f"legs between them; at least {FEWEST_LEGS} legs are needed",
+            "hold out a smaller share, or record more stops",
+        )
+    return used, rest
 
 
 def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent) -> Advice:
@@ -428,7 +436,7 @@ def calibrate(
         MobilecalError: see `errors`; nothing is written then.
     """
     check_options(method, constraints or Constraints(), hold_out, config.flags)
-    check_output(output, force)
+    check_output(output, force, [*logs, config.path, last])
     limits = gates_of(gates, config.gates, hold_out=hold_out is not None)
     if last is not None:
         read_params(last)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from contextlib import suppress
 from importlib import import_module
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
 from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import source_date
 from mobilecal_cli.commands.options import add_command
-from mobilecal_cli.errors import MobilecalError, OutputError, RecordingError, ResourceError
+from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
 #: In the order of `mobilecal --help`.
@@ -20,6 +20,8 @@ EVERYDAY = ("calibrate", "init", "check", "inspect", "suggest", "evaluate", "com
 FURTHER = ("export", "batch", "board", "simulate")
 #: Error code of OpenCV where memory cannot be allocated.
 _OPENCV_NO_MEMORY = -4
+#: A wrong command line: the class of the command-line library that has all of them, and that it does not export.
+_UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="mobilecal",
@@ -58,9 +60,12 @@ def main() -> None:
     try:
         with naming_interruptions():
             source_date()  # before libraries are imported that read it too
-            app()
+            code = app(standalone_mode=False)
+        sys.exit(code)
     except MobilecalError as error:
         _fail(error)
+    except _UsageError as error:
+        _fail(_usage_error(error))
     except PermissionError as error:  # of a directory on the way to a file
         hint = "check the permissions of the file and of its directories"
         _fail(RecordingError(f"{error.filename}: cannot be read: {error.strerror}", hint))
@@ -74,6 +79,26 @@ def main() -> None:
             raise
         less = "use --jobs 1, a shorter recording, or a machine with more memory"
         _fail(ResourceError("out of memory", less))
+
+
+def _usage_error(error: Any) -> ConfigError:  # noqa: ANN401 - see `_UsageError`
+    """A wrong command line in the words of this tool; without arguments, the overview is the message."""
+    from pydantic import ValidationError
+
+    from mobilecal_cli.files.reading import problem_of
+
+    message = error.format_message()
+    if not sys.argv[1:]:
+        with suppress(OSError):
+            print(message, file=sys.stderr)
+        sys.exit(error.exit_code)
+    message = message[:1].lower() + message[1:]
+    if isinstance(error.__cause__, ValidationError):
+        item = error.__cause__.errors()[0]
+        item["loc"] = (max(error.param.opts, key=len),)
+        message = problem_of(item)
+    command = "mobilecal" if error.ctx is None else error.ctx.command_path
+    return ConfigError(message.removesuffix("."), f"see {command} --help")
 
 
 def _fail(error: MobilecalError) -> NoReturn:

@@ -48,14 +48,13 @@ def batch(
     from mobilecal_cli.calibrate.batch import batch as calibrate_each
     from mobilecal_cli.commands.terminal import progress_bar
     from mobilecal_cli.report.fleet import failed_text, fleet_json, fleet_text, robots_of
-    from mobilecal_cli.report.junit import is_junit, junit_fleet_xml
+    from mobilecal_cli.report.junit import junit_fleet_xml
     from mobilecal_cli.rig.config import parse_settings
 
     local = partial(in_processes, count=jobs or os.cpu_count() or 1)
     run = partial(on_cluster, address=scheduler) if scheduler else local
-    replace = force or (junit is not None and is_junit(junit))
     summaries = {name: output / name for name in SUMMARIES}
-    with options.junit_file(junit, [source], replace, [config], summaries) as write_junit:
+    with options.junit_file(junit, [source], force, [config], summaries) as write_junit:
         with progress_bar(quiet) as progress:
             rows = calibrate_each(
                 source,

@@ -51,7 +51,6 @@ def board(
 
     if output.suffix.lower() not in ("", ".pdf"):
         raise ConfigError(f"--output {output}: a board is written as PDF", "use a name that ends with .pdf")
-    check_file(output, force)
     columns, rows = counts_of("--corners", corners)
     flags: dict[str, object] = {
         "board.kind": "charuco" if charuco else "checkerboard",
@@ -68,6 +67,7 @@ def board(
         raise ConfigError("--dictionary and --marker-share apply only to ChArUco boards", "add --charuco")
     stated = load_rig(None, flags).board.stated
     assert stated is not None
+    check_file(output, force)
     made = board_pdf(stated, paper)
     write_file(output, made.content, force)
     typer.echo(made.config)

@@ -28,7 +28,7 @@ def calibrate(
     prior: Annotated[list[str] | None, Option(metavar="NAME=VALUE±SIGMA")] = None,
     estimate: Annotated[list[str] | None, Option(metavar="NAME,...")] = None,
     gate: options.Gates = None,
-    hold_out: Annotated[float | None, Option(min=0.0, max=0.8)] = None,
+    hold_out: float | None = None,
     last: Path | None = None,
     open_report: bool = False,
     as_json: bool = False,

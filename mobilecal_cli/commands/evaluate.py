@@ -35,7 +35,7 @@ def evaluate(
     Args:
         files: Recordings of one robot, and last the params.yaml of the calibration to test.
         before: params.yaml with the wheels to compare drift with. [default: the nominal wheels]
-        force: Replace an existing JUnit file.
+        force: Replace also a file at --junit that mobilecal did not write.
         quiet: Print no progress.
     """
     from mobilecal_cli.calibrate.evaluate import evaluate as evaluated

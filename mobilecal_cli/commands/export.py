@@ -15,7 +15,7 @@ from mobilecal_cli.targets import Target
 
 def export(
     params: Path,
-    to: Annotated[Target, Option()],
+    to: Annotated[list[Target], Option()],
     urdf: Path | None = None,
     camera: Annotated[str | None, Option(metavar="NAME")] = None,
     left_joint: str | None = None,
@@ -54,21 +54,23 @@ def export(
     from mobilecal_cli.export.outputs import check_file, write_file
     from mobilecal_cli.model.text import visible
 
-    output = None if str(output) == "-" else output
+    if len(to) > 1:
+        raise ConfigError(f"--to {' --to '.join(to)}: more than one format", "export one format at a time")
+    target, output = to[0], None if str(output) == "-" else output
     inputs, paths = [params, urdf, *(log or [])], []
     if output is not None:
         check_file(output, force, inputs)
         paths.append(output)
-    if to == Target("foxglove"):
+    if target == Target("foxglove"):
         if output is None:
-            raise ConfigError(f"--to {to} writes two files", "name the first with --output scene.mcap")
+            raise ConfigError(f"--to {target} writes two files", "name the first with --output scene.mcap")
         paths.append(output.with_suffix(".layout.json"))
         check_file(paths[1], force, inputs)
     given = {"left": left_joint, "right": right_joint}
     joints = {side: name for side, name in given.items() if name is not None}
     made = exported(
         params,
-        to,
+        target,
         urdf=urdf,
         camera=camera,
         wheel_joints=joints,  # type: ignore[arg-type]

@@ -4,7 +4,7 @@ Args:
     logs: Recordings of one robot: MCAP, rosbag2, .db3 or ROS 1 .bag.
     config: Configuration (rig.yaml); `mobilecal init` drafts one.
     setting: Override rig.yaml, for example wheels.left.sign=-1. Repeatable.
-    gate: Exit with code 6 if the figure exceeds the limit. Repeatable.
+    gate: Exit with code 6 if the figure is outside its limit, an upper or a lower one. Repeatable.
     as_json: Print JSON instead of text.
     junit: Also write every criterion to this file as JUnit XML.
     force: Replace existing output.
@@ -122,15 +122,16 @@ def junit_file(
     Args:
         junit: this file.
         logs: inputs of the command.
-        force: whether an existing file may be replaced.
+        force: whether an existing file may be replaced; one that mobilecal wrote always is.
         others: more inputs.
         outputs: option or name → path of each other output of the command.
     """
     from mobilecal_cli.export.outputs import check_apart, check_file, write_file
-    from mobilecal_cli.report.junit import junit_error_xml
+    from mobilecal_cli.report.junit import is_junit, junit_error_xml
 
     check_apart({"--junit": junit, **(outputs or {})})
     if junit is not None:
+        force = force or is_junit(junit)
         check_file(junit, force, [*logs, *others])
 
     def write(content: bytes) -> None:

@@ -12,7 +12,7 @@ from mobilecal_cli.commands.options import written_line
 from mobilecal_cli.targets import ROBOTS, BoardKind, Container, Motion, Pictures, Robot
 
 _PAPER = Robot("paper")
-_BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag"}
+_BY_SUFFIX: dict[str, Container] = {".mcap": "mcap", ".bag": "bag", "": "rosbag2"}
 
 
 def simulate(
@@ -49,15 +49,21 @@ def simulate(
         camera_late: Delay of the camera clock, s.
     """
     from mobilecal_cli.commands.terminal import progress_bar
+    from mobilecal_cli.errors import ConfigError
     from mobilecal_cli.simulate.record import simulate as record
     from mobilecal_cli.simulate.scenario import Scenario
 
+    if container is None and out.suffix not in _BY_SUFFIX:
+        raise ConfigError(
+            f"{out}: {out.suffix} is not the suffix of a recording",
+            "use .mcap, .bag, or a directory name without a suffix (rosbag2), or add --container",
+        )
     scenario = Scenario(
         robot=robot.value,
         motion=motion,
         seed=seed,
         stations=stations,
-        container=container or _BY_SUFFIX.get(out.suffix, "rosbag2"),
+        container=container or _BY_SUFFIX[out.suffix],
         pictures=pictures,
         kind=board,
         exact=exact,

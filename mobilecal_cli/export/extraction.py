@@ -161,11 +161,14 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
         raise RecordingError(f"{name}: not an extraction ({len(data)} bytes, no .npz)", _HINT)
     try:
         arrays = _arrays(data)
-        header = json.loads(arrays["header"].tobytes()) if "header" in arrays else None
+        header = json.loads(arrays["header"].tobytes()) if arrays else None
     except Exception as error:  # a damaged zip or array may raise any exception
         raise RecordingError(f"{name}: damaged: {_said(error)}", _HINT) from error
     if not isinstance(header, dict) or header.get("format") != _FORMAT:
-        raise RecordingError(f"{name}: an .npz file, but not an extraction", _HINT)
+        raise RecordingError(
+            f"{name}: a zip archive, but not an extraction",
+            f"unpack it if it contains a recording, or {_HINT}",
+        )
     version = header.get("schema_version")
     if version not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
         raise RecordingError(
@@ -185,7 +188,10 @@ def _said(error: Exception) -> str:
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    """Name → array; none of an archive without the header of an extraction."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        if "header.npy" not in archive.namelist():
+            return {}
         stated = sum(member.file_size for member in archive.infolist())
         if stated > LARGEST_BYTES:
             raise ValueError(f"{len(data)} bytes unpack to {stated} bytes (limit {LARGEST_BYTES})")

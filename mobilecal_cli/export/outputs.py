@@ -32,8 +32,9 @@ def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> N
 def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
     if os.path.lexists(path):
         real = path.resolve()
-        if any(real.is_relative_to(given.resolve()) for given in inputs if given is not None):
-            raise OutputError(f"{path}: this command reads this file", _ANOTHER)
+        for given in filter(None, inputs):
+            if real.is_relative_to(given.resolve()) or given.resolve().is_relative_to(real):
+                raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
 
 
 def check_replaceable(path: Path, recognize: Recognize, force: bool) -> None:
@@ -176,17 +177,19 @@ def recognized_file(path: Path) -> tuple[str, ...]:
 OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
 
 
-def check_output(directory: Path, force: bool) -> None:
+def check_output(directory: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
     """Check before the calibration whether `write_outputs` can write.
 
     Args:
         directory: the directory to create.
         force: whether an existing output directory of mobilecal may be replaced.
+        inputs: files and directories that the command reads.
 
     Raises:
-        OutputError: the directory exists and may not be replaced, or cannot be created.
+        OutputError: the directory exists and may not be replaced, also because an input is in it, or cannot be created.
     """
     check_replaceable(directory, recognized_output, force)
+    _check_no_input(directory, inputs)
     if os.path.lexists(directory) and not os.access(directory, os.W_OK | os.X_OK):
         raise OutputError(f"{directory}: no permission to replace it", _ANOTHER)
 

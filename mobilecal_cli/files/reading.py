@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: More than any configuration or metadata.yaml needs; the parser takes seconds for it.
 LARGEST_BYTES = 2**17
+#: First bytes of a recording: MCAP, ROS 1 bag, SQLite, or any of them compressed.
+RECORDED = (b"\x89MCAP0\r\n", b"#ROSBAG V", b"SQLite format 3\0", b"\x28\xb5\x2f\xfd")
 _MOST_VALUES = 100_000
 _DEEPEST = 100
 
@@ -36,7 +38,7 @@ def load_yaml(text: str) -> Any:  # noqa: ANN401 - what a file holds is known wh
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = "" if mark is None else f"line {mark.line + 1}, column {mark.column + 1}: "
-        said = error.problem or error.context or "not understood"
+        said = (error.problem or error.context or "not understood").partition(" with value ")[0]
         raise ValueError(f"{where}{' '.join(said.split())}") from error
     except RecursionError as error:
         raise ValueError(f"nested deeper than {_DEEPEST} levels") from error
@@ -61,13 +63,23 @@ def mapping_of(text: str, name: str, hint: str) -> dict[str, Any]:
     return data or {}
 
 
-def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> bytes:
+def read_bytes(
+    path: Path, largest_bytes: int, hint: str = "check the path", kind: str = "text file"
+) -> bytes:
     """Contents of a small file.
 
+    Args:
+        kind: what is expected; a file of this name in or beside the path is what the hint of a wrong file names.
+
     Raises:
-        ConfigError: it cannot be read, is not a regular file (a directory, a device, a pipe), or is too long.
+        ConfigError: it cannot be read, is not a regular file (a directory, a device, a pipe), is a recording, or is too
+            long.
     """
     try:
+        near = next((p for p in (path / kind, path.parent / kind) if p != path and p.is_file()), None)
+        instead = hint if near is None else f"give {near}"
+        if path.is_dir():
+            raise ConfigError(f"{path}: a directory, not a {kind}", instead)
         if not path.is_file():
             path.stat()  # raises if nothing exists there
             raise OSError(errno.EINVAL, "not a regular file")
@@ -78,25 +90,32 @@ def read_bytes(path: Path, largest_bytes: int, hint: str = "check the path") -> 
         raise ConfigError(
             f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}", cure
         ) from error
+    if data.startswith(RECORDED):
+        raise ConfigError(f"{path}: a recording, not a {kind}", hint)
     if len(data) > largest_bytes:
-        raise ConfigError(f"{path}: larger than {largest_bytes} bytes", hint)
+        raise ConfigError(f"{path}: larger than {largest_bytes} bytes, so not a {kind}", instead)
     return data
 
 
-def read_text(path: Path, largest_bytes: int, hint: str = "check the path") -> str:
+def read_text(path: Path, largest_bytes: int, hint: str = "check the path", kind: str = "text file") -> str:
     """Contents of a text file.
 
     Raises:
         ConfigError: see `read_bytes`, or not UTF-8.
     """
     try:
-        return read_bytes(path, largest_bytes, hint).decode("utf-8")
+        return read_bytes(path, largest_bytes, hint, kind).decode("utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not UTF-8 text (byte {error.start})", hint) from error
 
 
 #: Words of pydantic → those of this tool; reasons behind a comma repeat the value.
-_WORDS = {"Value error, ": "", "Input should be": "must be", "Field required": "missing"}
+_WORDS = {
+    "Value error, ": "",
+    "Input should be": "must be",
+    "Field required": "missing",
+    "Extra inputs are not permitted": "unknown key",
+}
 
 
 def problem_of(item: ErrorDetails) -> str:
@@ -107,7 +126,8 @@ def problem_of(item: ErrorDetails) -> str:
     )
     for words, plain in _WORDS.items():
         said = said.replace(words, plain)
-    got = "" if isinstance(item["input"], Mapping) else f" (got {reprlib.repr(item['input'])})"
+    value = reprlib.repr(item["input"])
+    got = "" if isinstance(item["input"], Mapping) or value in said else f" (got {value})"
     return f"{key}: {said}{got}"
 
 

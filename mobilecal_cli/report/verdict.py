@@ -112,9 +112,8 @@ def gates_of(
         except ValueError:
             limits[name] = math.nan
         if not math.isfinite(limits[name]):
-            raise ConfigError(
-                f"--gate {text}: not of the form NAME=LIMIT", "for example --gate reprojection_rms_px=0.5"
-            )
+            wrong = f"{stated!r} is not a finite number" if stated else "not of the form NAME=LIMIT"
+            raise ConfigError(f"--gate {text}: {wrong}", "for example --gate reprojection_rms_px=0.5")
     tested = next((name for name in limits if name.startswith("hold_out.")), None)
     if tested is not None and not hold_out:
         raise ConfigError(
@@ -127,9 +126,9 @@ def gates_of(
 
 
 def _unknown(where: str, name: str, known: Sequence[str]) -> ConfigError:
-    near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-    return ConfigError(f"{where}: unknown figure", hint)
+    near = difflib.get_close_matches(name, known, cutoff=0.4)
+    question = f"did you mean {' or '.join(near)}? " if near else ""
+    return ConfigError(f"{where}: unknown figure", f"{question}docs/how-to/use-in-ci.md lists all figures")
 
 
 def figures_of(case: Case) -> dict[str, float | None]:
@@ -178,12 +177,15 @@ def gate_checks(
         if name in _USE_GATES and value is not None:
             continue
         metric, measured = metrics[name], "unknown" if value is None else _rounded(value, limit)
-        yield replace(metric, name=f"{GATE}{name}", section="checks").check(
-            value, limit, f"gate {name}", cure(name, limit) or "Record again, or change the limit.",
+        check = replace(metric, name=f"{GATE}{name}", section="checks").check(
+            value,
+            limit,
+            f"gate {name}",
+            cure(name, limit) or "Record again, or change the limit.",
             measured=f"{measured} {metric.unit}".rstrip(),
-            why=f"{name} = {measured} (limit {limit:g}).",
             beyond="fail",
-        )  # fmt: skip
+        )
+        yield check if check.met else replace(check, why=f"{name} = {measured} ({check.limit_text}).")
 
 
 def _rounded(value: float, limit: float) -> str:

@@ -498,7 +498,8 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     """
     data: dict[str, Any] = {}
     if path is not None:
-        text = read_text(path, LARGEST_BYTES, "check the path of the configuration")
+        hint = "check the path of the configuration; for check it comes first, before the recordings"
+        text = read_text(path, LARGEST_BYTES, hint, "rig.yaml")
         data = mapping_of(text, str(path), "compare with the draft that mobilecal init LOG writes")
     given = {key: value for key, value in (flags or {}).items() if value is not None}
     for key, value in given.items():
@@ -597,7 +598,9 @@ def read_urdf(config: RigConfig) -> str | None:
         ConfigError: the file cannot be read.
     """
     urdf = config.head.urdf
-    return None if urdf is None else read_text(urdf, LARGEST_URDF_BYTES, "check the path of head.urdf")
+    return (
+        None if urdf is None else read_text(urdf, LARGEST_URDF_BYTES, "check the path of head.urdf", "URDF")
+    )
 
 
 def _assign(data: dict[str, Any], keys: list[str], value: object) -> None:

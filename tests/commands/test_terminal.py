@@ -44,11 +44,11 @@ def test_the_verdict_stands_once(sample_logs, tmp_path):
     assert shown.out.count("NOT ENOUGH: The wheel separation is not determined") == 1
     assert shown.out.count("Next: Record again") == 1
     assert "± 0.10 m not determined" in " ".join(shown.out.split())
-    again = ("calibrate", tmp_path / "out/extraction.npz", "-o", "out", "--force")
+    again = ("calibrate", tmp_path / "out/extraction.npz", "-o", "again", "--force")
     quiet = run(*again, "--quiet", cwd=tmp_path)
     assert (quiet.code, quiet.out) == (6, "")
     assert quiet.err.startswith("NOT ENOUGH: The wheel separation is not determined")
-    assert "Written: out/params.yaml, out/report.html" in quiet.err
+    assert "Written: again/params.yaml, again/report.html" in quiet.err
     program = run(*again, "--json", cwd=tmp_path)
     assert program.code == 6
     assert json.loads(program.out)["verdict"]["level"] == "NOT ENOUGH"

@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -15,6 +16,7 @@ from PIL import Image
 from rosbags.rosbag2 import Writer
 
 from mobilecal_cli.export.extraction import extraction_to_npz
+from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.model import LogSource
 from tests.commands.edited import STORE, edited
 from tests.conftest import REPOSITORY
@@ -63,6 +65,13 @@ def _extraction() -> bytes:
 def extraction(folder: Path) -> None:
     """extraction.npz of a simulated robot."""
     (folder / "e.npz").write_bytes(_extraction())
+
+
+def result(folder: Path) -> None:
+    """What is left of an output directory of mobilecal."""
+    (folder / "out").mkdir()
+    (folder / "out" / "extraction.npz").write_bytes(_extraction())
+    (folder / "out" / "params.yaml").write_text(FIRST_LINE)
 
 
 def text(name: str, content: str) -> Make:
@@ -190,6 +199,12 @@ def fifo(folder: Path) -> None:
     os.mkfifo(folder / "fifo.mcap")
 
 
+def zipped(folder: Path) -> None:
+    """A zip archive of a recording."""
+    with zipfile.ZipFile(folder / "log.zip", "w") as archive:
+        archive.writestr("log.mcap", b"\x89MCAP0\r\n")
+
+
 def tall_jpeg() -> bytes:
     """A JPEG of 1 x 65500 pixels."""
     return bytes(cv2.imencode(".jpg", np.zeros((65500, 1), np.uint8))[1])
@@ -282,8 +297,22 @@ CASES = (
     Case("camera_info: image size 0", READ, 2, "the image size is 0 x 0 pixels", infos(width=lambda _: 0, height=lambda _: 0)),
     Case("a named pipe as the recording", ("calibrate", "fifo.mcap"), 3, "fifo.mcap: not a regular file", fifo),
     Case("a named pipe as the URDF", ("init", LOG, "--urdf", "fifo.mcap"), 2, "fifo.mcap: cannot be read: not a regular file", fifo),
-    Case("a directory as the configuration", ("calibrate", LOG, "--config", "."), 2, ".: cannot be read: not a regular file"),
-    Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": larger than 131072 bytes"),
+    Case("a directory as the configuration", ("calibrate", LOG, "--config", "."), 2, ".: a directory, not a rig.yaml"),
+    Case("`--hold-out 25`, percent", (*SOLVE, "--hold-out", "25"), 2, "--hold-out: 25 of the stations is not possible (range 0.0001 to 0.8 of the stations)", extraction),
+    Case("`--square-m abc`", ("calibrate", LOG, "--square-m", "abc"), 2, "error: --square-m: must be a valid number (got 'abc')"),
+    Case("an unknown format", ("export", "params.yaml", "--to", "csv"), 2, "error: --to: 'csv' is not one of 'camchain', 'camera_info',"),
+    Case("an unknown option", ("calibrate", LOG, "--foo"), 2, "error: no such option: --foo"),
+    Case("an unknown command", ("calibrat", LOG), 2, "error: no such command 'calibrat'. Did you mean 'calibrate'?"),
+    Case("no recording", ("calibrate",), 2, "error: missing argument 'logs'"),
+    Case("a recording as the configuration", ("calibrate", LOG, "--config", LOG), 2, ": a recording, not a rig.yaml"),
+    Case("`evaluate` with swapped arguments", ("evaluate", "params.yaml", LOG), 2, ": a recording, not a params.yaml"),
+    Case("`compare` with a recording", ("compare", LOG, LOG), 2, ": a recording, not a params.yaml"),
+    Case("`export` of a directory", ("export", ".", "--to", "json"), 2, ".: a directory, not a params.yaml"),
+    Case("`export` of report.json", ("export", "report.json", "--to", "json"), 2, "report.json: larger than 131072 bytes, so not a params.yaml", text("report.json", " " * 200_000)),
+    Case("`batch` with a recording", ("batch", LOG, "-o", "out"), 2, ": a recording, not a manifest"),
+    Case("`batch` with a rig.yaml", ("batch", "rig.yaml", "-o", "out"), 2, "rig.yaml: not a manifest: it has no key robots", text("rig.yaml", "wheels: {}")),
+    Case("a zipped recording", ("calibrate", "log.zip"), 3, "log.zip: a zip archive, but not an extraction", zipped),
+    Case("a directory with an extraction alone", ("calibrate", "."), 3, ".: a directory without a recording", lambda folder: (folder / "extraction.npz").write_bytes(b"PK") and None),
     Case("an image as the URDF", ("init", LOG, "--urdf", "a.urdf"), 2, "a.urdf: not UTF-8 text (byte 0)", lambda folder: Path(folder, "a.urdf").write_bytes(b"\x89PNG") and None),
     Case("a web page as the URDF", ("calibrate", LOG, "--set", "head.urdf=a.urdf"), 2, "URDF: not valid XML: it has a document type; it begins with '<!DOCTYPE html>", lambda folder: Path(folder, "a.urdf").write_text("<!DOCTYPE html><html>\n") and None),
     Case("a setting without a value", ("calibrate", LOG, "--set", "board.columns="), 2, "--set board.columns=: not KEY=VALUE"),
@@ -291,7 +320,13 @@ CASES = (
     Case("one recording twice", ("calibrate", LOG, LOG), 2, "have the same content"),
     Case("one recording twice, `inspect`", ("inspect", LOG, LOG), 2, "have the same content"),
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
+    Case("`--hold-out 0.7` of 12 stations", (*SOLVE, "--hold-out", "0.7"), 4, "--hold-out 0.7 leaves 3 of 12 stations, with 2 legs between them; at least 3 legs are needed", extraction),
+    Case("a key twice in rig.yaml", RIG, 2, "line 2, column 1: found duplicate key \"board\"", text("rig.yaml", "board: {}\nboard: {}\n")),
+    Case("the side of a square in millimeters, and the board exists", ("board", "--corners", "8x5", "--square", "80"), 2, "80 looks like millimeters: 0.08 m", text("board.pdf", "")),
+    Case("a simulated recording with another suffix", ("simulate", "foo.txt"), 2, "foo.txt: .txt is not the suffix of a recording"),
+    Case("`export` of two formats", ("export", "params.yaml", "--to", "xacro", "--to", "json"), 2, "--to xacro --to json: more than one format"),
     Case("the output exists", (*SOLVE,), 7, "out: already exists", lambda folder: (extraction(folder), (folder / "out").mkdir(), None)[-1]),
+    Case("the output is the directory that is read", ("calibrate", "out/extraction.npz", "-o", "out", "--force"), 7, "out: this command reads out/extraction.npz", result),
     Case("the directory of the JUnit file does not exist", (*SOLVE, "--junit", "no/j.xml"), 7, "no is not a directory", extraction),
     Case("the JUnit file is inside the output", (*SOLVE, "--junit", "out/j.xml"), 7, "--junit out/j.xml: inside --output out", extraction),
     Case("one file for JUnit and the summary", (*SOLVE, "--junit", "j.xml", "--summary", "./j.xml"), 7, "--junit j.xml: also the path of --summary", extraction),

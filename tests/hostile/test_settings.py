@@ -59,10 +59,10 @@ def test_params_yaml():
 def test_a_configuration_that_is_no_file(tmp_path):
     os.mkfifo(tmp_path / "pipe.yaml")
     for path in (Path("/dev/zero"), tmp_path / "pipe.yaml", tmp_path):
-        with bounded(), pytest.raises(ConfigError, match="cannot be read: not a regular file"):
+        with bounded(), pytest.raises(ConfigError, match=r"not a (regular file|rig\.yaml|URDF)"):
             load_rig(path, {})
         (tmp_path / "rig.yaml").write_text(f"head: {{urdf: {path}}}")
-        with bounded(), pytest.raises(ConfigError, match="cannot be read: not a regular file"):
+        with bounded(), pytest.raises(ConfigError, match=r"not a (regular file|rig\.yaml|URDF)"):
             read_urdf(load_rig(tmp_path / "rig.yaml", {}))
 
 

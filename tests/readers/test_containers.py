@@ -7,12 +7,14 @@ import pytest
 import zstandard
 
 from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.files.reading import RECORDED
 from mobilecal_cli.readers import (
     join_splits,
     open_recording,
     read_description,
     sha256_of,
 )
+from mobilecal_cli.readers.containers import CONTAINERS, ZSTD_MAGIC
 from mobilecal_cli.readers.containers.blocks import Reindex
 
 from . import recordings as r
@@ -173,3 +175,7 @@ def test_hash_of_file_and_directory(tmp_path):
     assert sha256_of(tmp_path / "whole").startswith("ba7816bf")
     with pytest.raises(RecordingError, match="none: no such file"):
         sha256_of(tmp_path / "none")
+
+
+def test_every_container_is_told_from_text():
+    assert all(magic.startswith(RECORDED) for magic in (*CONTAINERS, ZSTD_MAGIC))

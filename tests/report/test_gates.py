@@ -52,8 +52,9 @@ def test_flags_lie_over_the_configuration():
         (["reprojection_px=1"], {}, "--gate reprojection_px=1: unknown figure", "reprojection_rms_px"),
         ([], {"std.wheels.seperation_m": 1}, "gates.std.wheels.seperation_m", "std.wheels.separation_m"),
         (["stations"], {}, "not of the form NAME=LIMIT", "for example"),
-        (["stations=many"], {}, "not of the form NAME=LIMIT", "for example"),
-        (["stations=nan"], {}, "not of the form NAME=LIMIT", "for example"),
+        (["stations=many"], {}, "'many' is not a finite number", "for example"),
+        (["stations=nan"], {}, "'nan' is not a finite number", "for example"),
+        (["xyz=3"], {}, "--gate xyz=3: unknown figure", "docs/how-to/use-in-ci.md lists all figures"),
     ],
 )
 def test_bad_gates(flags, config, says, hint):
@@ -97,8 +98,8 @@ def test_each_side_of_a_limit():
     gates = dict(zip(names, (3, 3, 7, 4.0, 100), strict=True))
     checks = list(gate_checks(gates, evaluated_figures(EVALUATION)))
     assert [check.outcome for check in checks] == ["pass", "fail", "fail", "pass", "fail"]
-    assert checks[1].why == "legs = 2 (limit 3)."
-    assert "unknown (limit 100)" in checks[4].why
+    assert checks[1].why == "legs = 2 (at least 3)."
+    assert "unknown (at most 100 deg)" in checks[4].why
 
 
 def test_the_default_method_gives_figures_that_others_do_not(extraction, report):
@@ -113,9 +114,9 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
     figures = {"stations": 1234.0, "point_rms_mm": 2.84886, "reprojection_rms_px": 0.5000012}
     gates = dict(zip(figures, (2000, 0.5, 0.5), strict=True))
     assert [check.why for check in gate_checks(gates, figures)] == [
-        "stations = 1234 (limit 2000).",
-        "point_rms_mm = 2.85 (limit 0.5).",
-        "reprojection_rms_px = 0.500001 (limit 0.5).",
+        "stations = 1234 (at least 2000).",
+        "point_rms_mm = 2.85 (at most 0.5 mm).",
+        "reprojection_rms_px = 0.500001 (at most 0.5 px).",
     ]
 
 

@@ -72,7 +72,10 @@ def test_a_gate_replaces_a_default_limit(limit, level):
 def test_a_gate_on_an_unknown_expected_error_fails():
     extraction = make_extraction()
     verdict = judge(make_solution(extraction), extraction, {"predicted.camera_mm": 10.0})
-    assert (verdict.level, verdict.reason) == ("GATE FAILED", "predicted.camera_mm = unknown (limit 10).")
+    assert (verdict.level, verdict.reason) == (
+        "GATE FAILED",
+        "predicted.camera_mm = unknown (at most 10 mm).",
+    )
 
 
 def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():

@@ -54,7 +54,7 @@ def export(
         chain = improved_chain(of.measurements().rig, robot.constants)
     if urdf is None:
         raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
-    content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf")
+    content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf", "URDF")
     patched = patched_urdf(content, robot, joints, chain)
     notes = patched.notes
     if chain is None and robot.constants:
