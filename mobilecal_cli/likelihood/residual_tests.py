@@ -24,7 +24,7 @@ _NO_REDUNDANCY = 0.02
 
 def limit(stations: int, dof: float, redundancy: float) -> float:
     """Largest statistic of a good measurement: Fisher's distribution, as the noise level is itself estimated."""
-    chance = _FALSE_ALARM / max(1, stations // 50)
+    chance = _FALSE_ALARM / max(1.0, stations / 50)
     return float(dof * fdtri(dof, max(redundancy, 4.0), 1 - chance))
 
 

@@ -226,10 +226,10 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
 def _widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
     """Factor on the standard deviation of each of the nine parameters, (9,).
 
-    The jackknife's, where it is larger than its own scatter explains: the residuals then vary more than their noise
+    The jackknife's, as far as it is larger than its own scatter explains: the residuals then vary more than their noise
     levels say, or are not independent.
     """
     std = np.sqrt(np.diag(fit.covariance)[:9])
     ratio = jackknife / np.where(std > 0, std, np.inf)
     usual = 1 + _JACKKNIFE_SCATTER / math.sqrt(max(int(fit.inliers.legs.sum()), 1))
-    return np.where(ratio > usual, ratio, 1.0)
+    return np.asarray(np.sqrt(1 + np.maximum(ratio**2 - usual**2, 0.0)))
