@@ -55,6 +55,7 @@ from mobilecal_cli.report.use import (
     motion_cure,
     next_step_of,
     small_motion,
+    too_little,
     uses,
 )
 
@@ -331,9 +332,7 @@ def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
         )
     lacking = missing_motion(motion, missing)
-    because = " and ".join(
-        extent.too_small.format(extent.text(motion[key])) for key, extent in lacking.items()
-    )
+    because = " and ".join(too_little(motion, key) for key in lacking)
     shows_head = "tilt_range_deg" if unseen_height(case.extraction.rig.chain) is None else "turned_deg"
     cures = [MOTION[shows_head].cure] if head and shows_head not in lacking else []
     cures += [extent.cure for extent in lacking.values()]
