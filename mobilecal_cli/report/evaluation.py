@@ -22,7 +22,7 @@ from mobilecal_cli.model import (
     Parameters,
     Solution,
 )
-from mobilecal_cli.model.text import capitalized, visible
+from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
@@ -306,12 +306,12 @@ def evaluation_tables(evaluation: EvaluationData) -> tuple[Table, Table]:
 def evaluation_text(result: Evaluated) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     data = like(EvaluationData, result.evaluation)
-    lines = [f"Note: {visible(note)}" for note in result.notes]
+    lines = [line for note in result.notes for line in wrapped(note, "Note: ")]
     motion = f"driven {data.driven_m:.2f} m, turned {data.turned_deg:.0f} deg"
     lines.append(f"{data.stations} stations, {data.legs} legs; {motion}")
     if data.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in data.clock_offsets_s.items())
-        lines.append(f"Clock offsets: {offsets}")
+        lines += wrapped(f"Clock offsets: {offsets}", "", "  ")
     for table in evaluation_tables(data):
         lines += ["", *table.lines()]
     return "\n".join([*lines, "", "Calibration against this recording", *result.verdict.checks.lines]) + "\n"
