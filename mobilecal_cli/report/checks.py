@@ -40,6 +40,7 @@ from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
+    percent_text,
     plain_names,
     reference_std,
     rejection_counts,
@@ -992,8 +993,8 @@ def change(case: Case, metric: Metric) -> Iterator[Check]:
         100 * difference.p_value, 100 * unlikely, "change since the last calibration",
         "Check that both calibrations are of this robot, and look for a loose camera and worn tires. If you find no "
         "cause, record and calibrate again.",
-        measured=f"largest: {moved}",
-        at_limit=f"probability by chance at least {100 * unlikely:g} %",
+        measured=f"probability by chance {percent_text(difference.p_value)}; largest {moved}",
+        at_limit=f"at least {100 * unlikely:g} %",
         why=f"The robot has changed since {visible(difference.against)}: {moved}.",
         beyond="warning",
     )  # fmt: skip
