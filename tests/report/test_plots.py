@@ -127,4 +127,4 @@ def test_the_bar_of_what_limits_is_full():
         "7",
         "8",
     ]
-    assert drawn.title == "What limits the camera position (72 mm, limit 5 mm)"
+    assert drawn.title == "What limits the camera position (72 mm, limit 5)"
