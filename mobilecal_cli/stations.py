@@ -28,6 +28,7 @@ from mobilecal_cli.model import (
     camera_words,
     shots_words,
 )
+from mobilecal_cli.model.text import capitalized
 
 PAIR_AT_REST_S = 0.1  # nothing moves, so the two images need not be simultaneous
 PAIR_MOVING_S = 0.005
@@ -511,11 +512,14 @@ def plan_stations(
         because = "all images are used" if everything else "too few"
         if everything and picked < moving:
             because = f"all images are asked for; of those in motion, {MOST_IN_MOTION}, evenly spread, fit into memory"
-        notes.append(
-            f"The robot rests {rests} time{'s' * (rests != 1)} with images ({because}). {picked} of {moving} images "
-            "taken in motion are also used. Constant clock offsets are corrected (not by the methods linear, paper "
-            "and lm)."
+        stops = f"{capitalized(because)}. " if everything else ""
+        if rests:
+            stops = f"The robot rests {rests} time{'s' * (rests != 1)} with images ({because}). "
+        used = (
+            f"{picked} of {moving} images taken in motion are {'also ' * bool(stops)}used. " if moving else ""
         )
+        corrected = "Constant clock offsets are corrected (not by the methods linear, paper and lm)."
+        notes.append(f"{stops}{used}{corrected}")
         split = sum(log.split for log in paired)
         if split:
             notes.append(

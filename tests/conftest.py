@@ -74,7 +74,7 @@ def each_image_is_searched_once():
         return found
 
     with pytest.MonkeyPatch.context() as patched:
-        for name in ("detect", "_size_in"):
+        for name in ("detect", "_sizes_in"):
             patched.setattr(detection, name, remembered(getattr(detection, name)))
         yield
 
@@ -114,7 +114,7 @@ def fresh_search(monkeypatch):
     from mobilecal_cli.solvers import solve
     from mobilecal_cli.vision import detection
 
-    for name in ("detect", "_size_in"):
+    for name in ("detect", "_sizes_in"):
         monkeypatch.setattr(detection, name, getattr(detection, name).__wrapped__)
     for name in SOLVED:
         monkeypatch.setattr(name, solve)

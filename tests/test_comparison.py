@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_no_conclusion_about_an_unobservable_parameter():
     assert found.unobservable.tolist() == [False] * 8 + [True]
     assert np.isnan(found.sigmas[8])
     assert found.chi2 == 0
-    text = " ".join(comparison_text(Comparison(("one", "other"), (), (found,), None)).split())
+    text = " ".join(comparison_text(Comparison(("one", "other"), (robot(), robot()), (found,), None)).split())
     assert text.startswith("Unchanged: from one to other")
     assert "No conclusion about separation: at least one calibration does not determine it." in text
 
@@ -109,11 +110,24 @@ def test_nominal_values_have_no_sigma():
 
 def test_the_text_has_digits_that_match_the_sigma():
     moved = se3.transform(np.eye(3), np.array([0.00123, 0.0, 0.0]))
-    text = comparison_text(Comparison(("a", "b"), (), (difference(robot(), robot(moved, log="b")),), None))
+    text = comparison_text(
+        Comparison(("a", "b"), (robot(), robot()), (difference(robot(), robot(moved, log="b")),), None)
+    )
     row = next(line.split() for line in text.splitlines() if line.startswith("  t_x"))
     assert row == ["t_x", "+1.2", "2.8", "+0.4", "mm"]
     assert "Change from a to b" in text
-    assert "Probability by chance 100 %" in text
+    assert "Probability by chance 100 %" in " ".join(text.split())
+
+
+def test_other_head_joints_are_another_robot():
+    first, other = (
+        replace(robot(log=joints[0]), head_joints=joints) for joints in (("pan", "tilt"), ("neck",))
+    )
+    text = comparison_text(Comparison(("a", "b"), (first, other), (difference(first, other),), None))
+    assert "Note: These are two robots: the head joints differ (pan, tilt in a, neck in b)." in text
+    assert "Note" not in comparison_text(
+        Comparison(("a", "b"), (first, first), (difference(first, other),), None)
+    )
 
 
 NOTHING_SHARED = "have no parameter that both determine with a standard deviation"
@@ -122,8 +136,8 @@ NOTHING_SHARED = "have no parameter that both determine with a standard deviatio
 @pytest.mark.parametrize(
     ("t_x", "std", "said", "value"),
     [
-        (2.8, STD, "Changed: from a to b, at most 989.9 sigma (t_x).", True),
-        (0.003, STD, "Unchanged: from a to b, at most 1.1 sigma (t_x).", False),
+        (2.8, STD, "Changed: from a to b, largest change 989.9 sigma (t_x).", True),
+        (0.003, STD, "Unchanged: from a to b, largest change 1.1 sigma (t_x).", False),
         (2.8, None, f"Unknown: a and b {NOTHING_SHARED}.", None),
     ],
 )

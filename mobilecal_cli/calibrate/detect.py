@@ -15,7 +15,7 @@ import cv2
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.workers import FAILED, processes, resources
-from mobilecal_cli.errors import RecordingError
+from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import (
     Board,
     CameraInfo,
@@ -27,6 +27,7 @@ from mobilecal_cli.model import (
     Shot,
     Station,
 )
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.readers import Recording, open_recording, read_images, read_signals
 from mobilecal_cli.stations import Plan, images_of, plan_stations, spread
 from mobilecal_cli.vision import (
@@ -34,6 +35,7 @@ from mobilecal_cli.vision import (
     Detection,
     Measured,
     Miss,
+    SizeVote,
     identify_size,
     measure,
     snapshot_jpeg,
@@ -156,6 +158,7 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
 
     Raises:
         RecordingError: none of them can be decoded, or one has another size than stated.
+        ObservationError: they show boards of several sizes, none of them in most.
     """
     rejections: list[Rejection] = []
     count = sum(len(plan.stations) for plan in plans)
@@ -178,7 +181,18 @@ def board_size(recording: Recording, rig: Rig, plans: Sequence[Plan]) -> tuple[i
             break
     if not vote.pictures and rejections:
         raise undecodable(rejections)
+    if vote.size is None and vote.votes:
+        raise several_sizes(vote)
     return vote.size
+
+
+def several_sizes(vote: SizeVote) -> ObservationError:
+    """The error for images that show boards of several sizes, none of them in most."""
+    sizes = [(f"{columns}x{rows}", votes) for (columns, rows), votes in sorted(vote.votes.items())]
+    return ObservationError(
+        f"the images show boards of several sizes: {listed(f'{size} in {n} images' for size, n in sizes)}",
+        f"state the inner corners of the calibration board: --board {' or --board '.join(s for s, _ in sizes[-2:])}",
+    )
 
 
 def undecodable(rejections: Sequence[Rejection]) -> RecordingError:

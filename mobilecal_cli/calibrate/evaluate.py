@@ -11,6 +11,7 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
+from mobilecal_cli.model.text import listed
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
@@ -83,8 +84,16 @@ def _for_recording(robot: CalibratedRobot, extraction: Extraction, params: Path)
     """A calibration of odometry for the assumed wheels of a recording.
 
     Raises:
-        ConfigError: only one of them has wheels.
+        ConfigError: only one of them has wheels, or their heads have other joints.
     """
+    sources, chain = extraction.rig.sources, extraction.rig.chain
+    joints = tuple(name for name in chain.joints if name not in sources.elsewhere)
+    if robot.head_joints and joints and set(robot.head_joints) != set(joints):
+        raise ConfigError(
+            f"{params} is a calibration of another robot: its head has the joints {listed(robot.head_joints)}, "
+            f"that of the recording {listed(joints)}",
+            "give the calibration of this robot",
+        )
     assumed = extraction.rig.sources.assumed_wheels
     if (robot.odometry is None) != (assumed is None):
         has, lacks = ("wheels", "odometry alone") if robot.odometry is None else ("odometry alone", "wheels")

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from mobilecal_cli.calibrate.detect import check_picture
+from mobilecal_cli.calibrate.detect import check_picture, several_sizes
 from mobilecal_cli.calibrate.extract import OF_MARKERS, other_size
 from mobilecal_cli.errors import ObservationError, QualityError, RecordingError
 from mobilecal_cli.model import Board, BoardView, CameraRig, GrayImage, Rejection, Sources, Station
@@ -74,7 +74,10 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
             elif set(vote.size) != {board.columns, board.rows}:
                 findings.append(Finding.of("board", other_size(board, vote.size)))
         board = None if vote.size is None else Board(*vote.size)
-        others = sum(count for size, count in vote.votes.items() if not _part_of(size, vote.size))
+        others = vote.beside + sum(n for size, n in vote.votes.items() if not _part_of(size, vote.size))
+        if board is None and vote.votes:
+            findings.append(Finding.of("board", several_sizes(vote)))
+            return BoardView(len(readable), 0, None, other_sizes=others), findings
     if board is None:
         plain = stated is None or stated.markers is None
         what = "a whole checkerboard" if plain else "the configured board"

@@ -25,7 +25,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 app = typer.Typer(
     name="mobilecal",
-    help="Calibrate the stereo head and the wheels of a differential-drive robot.",
+    help="Calibrate the cameras and the wheels of a differential-drive robot.",
     no_args_is_help=True,
     add_completion=True,
     pretty_exceptions_enable=False,
@@ -45,7 +45,7 @@ def common(
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Calibrate the stereo head and the wheels of a differential-drive robot from a recording of a checkerboard.
+    """Calibrate the cameras and the wheels of a differential-drive robot from a recording of a checkerboard.
 
     Example: mobilecal calibrate log.mcap
     """

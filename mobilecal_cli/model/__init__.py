@@ -81,6 +81,7 @@ from mobilecal_cli.model.signals import (
 )
 from mobilecal_cli.model.solution import (
     EXACT,
+    MOST_ERROR_PX,
     Drift,
     ErrorPart,
     Evaluation,

@@ -399,6 +399,10 @@ class Drift:
         return None if self.rad_per_rad is None else self.rad_per_rad * 360
 
 
+#: A larger corner error of an evaluation counts as this, px, as does a corner predicted behind the camera.
+MOST_ERROR_PX = 1000.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation(ReadOnly):
     """Errors of a calibration on a recording.
@@ -408,7 +412,7 @@ class Evaluation(ReadOnly):
     Attributes:
         stations: number of stations with the board in both cameras.
         legs: (L, 3) log, first and second station of each leg.
-        reprojection_px: (L,) rms distance of transferred to detected corners, both cameras.
+        reprojection_px: (L,) rms distance of transferred to detected corners, both cameras; `MOST_ERROR_PX` at most.
         rotation_rad: (L,) angle between predicted and measured camera rotation.
         translation_m: (L,) distance between predicted and measured camera position.
         driven_m, turned_rad: path length and absolute rotation, summed over the legs.

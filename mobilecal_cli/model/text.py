@@ -39,21 +39,25 @@ def listed(names: Iterable[str], most: int = MOST_LISTED) -> str:
     return f"{', '.join(shown)}{more}" if every else "none"
 
 
-def wrapped(text: str, start: str = "  ", indent: str = "", width: int = 96) -> list[str]:
+_WIDTH = 80  # of paragraphs on the terminal
+
+
+def wrapped(text: str, start: str = "  ", indent: str = "") -> list[str]:
     """The lines of a paragraph for the terminal, escaped.
 
     Args:
         text: the paragraph.
         start: in front of the first line.
         indent: in front of the others; by default as wide as `start`, or two more for a short one.
-        width: of the lines.
     """
     indent = indent or " " * (len(start) + 2 if start.isspace() else len(start))
-    return textwrap.wrap(visible(text), width, initial_indent=visible(start), subsequent_indent=indent)
+    # Names and options stay whole: they are copied.
+    whole = textwrap.TextWrapper(
+        _WIDTH, visible(start), indent, break_on_hyphens=False, break_long_words=False
+    )
+    return whole.wrap(visible(text))
 
 
 def verdict_lines(level: str, reason: str, next_step: str) -> list[str]:
     """A verdict and the next step as lines for the terminal, escaped."""
-    return [
-        line for text in (f"{level}: {reason}", f"Next: {next_step}") for line in wrapped(text, "", "", 80)
-    ]
+    return [line for text in (f"{level}: {reason}", f"Next: {next_step}") for line in wrapped(text, "")]

@@ -40,6 +40,7 @@ from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
+    percent_text,
     plain_names,
     reference_std,
     rejection_counts,
@@ -55,6 +56,7 @@ from mobilecal_cli.report.use import (
     motion_cure,
     next_step_of,
     small_motion,
+    too_little,
     uses,
 )
 
@@ -331,9 +333,7 @@ def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
         )
     lacking = missing_motion(motion, missing)
-    because = " and ".join(
-        extent.too_small.format(extent.text(motion[key])) for key, extent in lacking.items()
-    )
+    because = " and ".join(too_little(motion, key) for key in lacking)
     shows_head = "tilt_range_deg" if unseen_height(case.extraction.rig.chain) is None else "turned_deg"
     cures = [MOTION[shows_head].cure] if head and shows_head not in lacking else []
     cures += [extent.cure for extent in lacking.values()]
@@ -993,8 +993,8 @@ def change(case: Case, metric: Metric) -> Iterator[Check]:
         100 * difference.p_value, 100 * unlikely, "change since the last calibration",
         "Check that both calibrations are of this robot, and look for a loose camera and worn tires. If you find no "
         "cause, record and calibrate again.",
-        measured=f"largest: {moved}",
-        at_limit=f"probability by chance at least {100 * unlikely:g} %",
+        measured=f"probability by chance {percent_text(difference.p_value)}; largest {moved}",
+        at_limit=f"at least {100 * unlikely:g} %",
         why=f"The robot has changed since {visible(difference.against)}: {moved}.",
         beyond="warning",
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from mobilecal_cli.comparison import Difference, History, difference, nine_apart
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, CalibratedRobot, FloatArray, Nominal
-from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.model.text import listed, visible, wrapped
 from mobilecal_cli.report.formats import NumberRow, Table, json_text
 from mobilecal_cli.report.numbers import PARAMETERS, decimals_of, parameters_of, percent_text, std_text
 from mobilecal_cli.report.svg import Axes, Canvas, Scale, standalone
@@ -100,6 +100,11 @@ def comparison_text(comparison: Comparison) -> str:
     first, *others = (visible(name) for name in comparison.names)
     pairs = list(zip(others, comparison.differences, strict=True))
     lines = [line for other, each in pairs for line in wrapped(conclusion(each, first, other), "", "  ")]
+    for other, robot in zip(others, comparison.robots[1:], strict=True):
+        joints = [each.head_joints for each in (comparison.robots[0], robot)]
+        if all(joints) and set(joints[0]) != set(joints[1]):
+            of_each = f"{listed(joints[0])} in {first}, {listed(joints[1])} in {other}"
+            lines += wrapped(f"These are two robots: the head joints differ ({of_each}).", "Note: ", "  ")
     for other, each in pairs:
         rows = []
         for k, parameter in enumerate(parameters_of(each.assumed)):
@@ -174,8 +179,8 @@ def conclusion(difference: Difference, first: str, second: str) -> str:
     worst = int(np.argmax(sigmas))
     weak = " They share a recording, so this test is weak." if difference.shared else ""
     return (
-        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second}, at most "
-        f"{sigmas[worst]:.1f} sigma ({NINE[worst]}). Probability by chance {percent_text(difference.chance)} "
+        f"{'Changed' if changed(difference) else 'Unchanged'}: from {first} to {second}, largest "
+        f"change {sigmas[worst]:.1f} sigma ({NINE[worst]}). Probability by chance {percent_text(difference.chance)} "
         f"(chi-squared {difference.chi2:.1f} for {int(difference.known.sum())} parameters).{weak}{note}"
     )
 

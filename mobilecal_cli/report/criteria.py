@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Literal, NamedTuple
 
 from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
-from mobilecal_cli.model.text import capitalized, visible, wrapped
+from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.use import uses
 
@@ -177,10 +177,9 @@ class Checks(tuple[Check, ...]):
         """All criteria for the terminal, escaped, with what to do where one is not met."""
         lines = []
         for check in self:
-            lines.append(
-                visible(f"  {check.label:<11} {check.name}: {check.measured_text} ({check.limit_text})")
-            )
-            lines += wrapped(f"{check.why} {check.next_step}", " " * 14, " " * 14) if check.why else []
+            start, indent = f"  {check.label:<11} ", " " * 14
+            lines += wrapped(f"{check.name}: {check.measured_text} ({check.limit_text})", start, indent)
+            lines += wrapped(f"{check.why} {check.next_step}", indent, indent) if check.why else []
         return lines
 
 

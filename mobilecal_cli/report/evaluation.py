@@ -6,14 +6,23 @@ limit and by more than the uncertainty of both explains, so noise alone does not
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import CalibratedRobot, Evaluation, Extraction, FloatArray, Parameters, Solution
-from mobilecal_cli.model.text import capitalized, visible
+from mobilecal_cli.model import (
+    MOST_ERROR_PX,
+    CalibratedRobot,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Solution,
+)
+from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
@@ -124,7 +133,7 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
     return _CORNER_ERROR.check(
         px, limit, name,
         "Check that params.yaml is of this robot, in meters. If tires, load or a mount changed, calibrate again.",
-        measured=f"{px:.2f} px{best}",
+        measured=f"{_shown(px, 2, MOST_ERROR_PX)} px{best}",
         at_limit=f"at most {limit:.1f} px",
     )  # fmt: skip
 
@@ -264,16 +273,21 @@ def evaluation_json(result: Evaluated) -> str:
     )
 
 
+def _shown(value: float, digits: int, most: float) -> str:
+    """An error, or that it is beyond the largest one that is counted."""
+    return f"{value:.{digits}f}" if value < most else f"> {most:g}"
+
+
 def evaluation_tables(evaluation: EvaluationData) -> tuple[Table, Table]:
     """The errors on the legs, and the drift of dead reckoning."""
     errors = (
-        ("station-to-station corner error", evaluation.reprojection_px, 2, "px"),
-        ("camera rotation error", evaluation.rotation_deg, 3, "deg"),
-        ("camera position error", evaluation.translation_mm, 2, "mm"),
+        ("station-to-station corner error", evaluation.reprojection_px, 2, MOST_ERROR_PX, "px"),
+        ("camera rotation error", evaluation.rotation_deg, 3, math.inf, "deg"),
+        ("camera position error", evaluation.translation_mm, 2, math.inf, "mm"),
     )
     rows = [
-        (name, *(f"{value:.{digits}f}" for value in (spread.rms, spread.median, spread.worst)), unit)
-        for name, spread, digits, unit in errors
+        (name, *(_shown(value, digits, most) for value in (spread.rms, spread.median, spread.worst)), unit)
+        for name, spread, digits, most, unit in errors
     ]
     before, after = evaluation.drift_before, evaluation.drift_after
     drifts = (
@@ -292,12 +306,12 @@ def evaluation_tables(evaluation: EvaluationData) -> tuple[Table, Table]:
 def evaluation_text(result: Evaluated) -> str:
     """An evaluation and the checks of its verdict for the terminal."""
     data = like(EvaluationData, result.evaluation)
-    lines = [f"Note: {visible(note)}" for note in result.notes]
+    lines = [line for note in result.notes for line in wrapped(note, "Note: ")]
     motion = f"driven {data.driven_m:.2f} m, turned {data.turned_deg:.0f} deg"
     lines.append(f"{data.stations} stations, {data.legs} legs; {motion}")
     if data.clock_offsets_s:
         offsets = ", ".join(f"{name} {s * 1e3:+.1f} ms" for name, s in data.clock_offsets_s.items())
-        lines.append(f"Clock offsets: {offsets}")
+        lines += wrapped(f"Clock offsets: {offsets}", "", "  ")
     for table in evaluation_tables(data):
         lines += ["", *table.lines()]
     return "\n".join([*lines, "", "Calibration against this recording", *result.verdict.checks.lines]) + "\n"

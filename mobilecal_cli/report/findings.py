@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, Evidence, Extraction, Outlier, Solution, Suggestion
 from mobilecal_cli.model.text import capitalized, visible
-from mobilecal_cli.report.numbers import parameters_of, station_names, std_text, value_text
+from mobilecal_cli.report.numbers import decimals_of, parameters_of, station_names, std_text, value_text
 from mobilecal_cli.report.use import STATED
 
 #: Further constants of a group are named if they are so many standard deviations off.
@@ -137,16 +137,17 @@ def suggestion_sentences(solution: Solution, extraction: Extraction) -> tuple[st
             f"{name} to {f'{at * 1e3:.0f} mm' if name in prismatic else f'{round(math.degrees(at))}°'}"
             for name, at in zip(names, suggestion.joints, strict=True)
         )
-        now, then = (std_text(s * shown.per_unit) for s in (suggestion.std_now, suggestion.std_then))
+        now, then = suggestion.std_now * shown.per_unit, suggestion.std_then * shown.per_unit
         unit = f" {shown.unit}".rstrip()
         path, worst = _path(suggestion), suggestion.worst
         if solution.uncertainty is not None and solution.uncertainty.observable[NINE.index(worst)]:
+            digits = decimals_of(then) + 1  # which show a change of a few percent
             gain = (
-                f"the standard deviation of {shown.name} falls from {now} to {then}{unit}, and the least certain "
-                f"parameter improves by {100 * suggestion.gain:.0f} %"
+                f"the standard deviation of {shown.name}, the least certain parameter, falls by "
+                f"{100 * (1 - then / now):.0f} %, from {now:.{digits}f} to {then:.{digits}f}{unit}"
             )
         else:
-            gain = f"{shown.name}, now unobservable, gets a standard deviation of {then}{unit}"
+            gain = f"{shown.name}, now unobservable, gets a standard deviation of {std_text(then)}{unit}"
         board_in_view = f"{extraction.rig.cameras.cameras_words} the whole board"
         stop = f"Set {head}, so that {board_in_view}, and stop." if head else f"Stop where {board_in_view}."
         sentences.append(f"{capitalized(path)}. {stop} Expected result: {gain}.")

@@ -134,12 +134,15 @@ class Table(JsonValue):
         return replace(self, heads=tuple(self.heads[k] for k in shown), rows=rows)
 
     def lines(self) -> list[str]:
-        """The table for the terminal, escaped: each column as wide as its cells, numbers to the right."""
+        """The table for the terminal, escaped: each column as wide as its cells, numbers with their points aligned."""
         rows = [[visible(cell) for cell in row] for row in ([label for label, _ in self.heads], *self.rows)]
         lines = [""] * len(rows)
         for k, (_, kind) in enumerate(self.heads):
-            wide, side = max(len(row[k]) for row in rows), ">" if kind == "number" else "<"
-            lines = [f"{line}  {row[k]:{side}{wide}}" for line, row in zip(lines, rows, strict=True)]
+            column, side = [row[k] for row in rows], "<"
+            if kind in ("number", "strong"):
+                column, side = [column[0], *_points_aligned(column[1:])], ">"
+            wide = max(map(len, column))
+            lines = [f"{line}  {cell:{side}{wide}}" for line, cell in zip(lines, column, strict=True)]
         return [line.rstrip() for line in lines if line.strip()]
 
     def markdown(self) -> list[str]:
@@ -147,6 +150,13 @@ class Table(JsonValue):
         heads = tuple(label for label, _ in self.heads)
         first, *others = (f"| {' | '.join(map(markdown, row))} |" for row in (heads, *self.rows))
         return [first, f"|{' --- |' * len(heads)}", *others]
+
+
+def _points_aligned(numbers: Sequence[str]) -> list[str]:
+    """Texts of numbers with spaces after them, so that their decimal points are aligned if their ends are."""
+    decimals = [len(point + after) for _, point, after in (number.partition(".") for number in numbers)]
+    most = max(decimals, default=0)
+    return [number + " " * (most - own) for number, own in zip(numbers, decimals, strict=True)]
 
 
 def markdown(text: str) -> str:

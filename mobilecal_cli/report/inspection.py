@@ -353,7 +353,7 @@ def _criteria(inspection: Inspection) -> list[str]:
         indent = " " * len(start)
         text += wrapped(line.what, start, indent)
         text += wrapped(f"hint: {line.cure}", indent, indent) if line.cure else []
-    return text + [f"note     {visible(note)}" for note in inspection.notes]
+    return text + [line for note in inspection.notes for line in wrapped(note, "note     ")]
 
 
 def checklist_text(inspection: Inspection) -> str:

@@ -144,7 +144,7 @@ def path_picture(solution: Solution, extraction: Extraction, log: int | None = N
         entries.append(("line red dots", "nominal"))
         apart = float(np.linalg.norm(without[-1] - path[-1]))
         if apart >= _VISIBLE_M:
-            caption = f"Nominal wheels: {apart:.2f} m elsewhere."
+            caption = f"With the nominal wheels, the path ends {apart:.2f} m from here."
     names, size = station_names(extraction), 0.07 * float(max(np.ptp(everything, axis=0)))
     for k, i in enumerate(picked):
         tip, at, eye, z_axis = f"station {names[i]}", T_w_v[k, :2, 3], T_w_c[k, :2, 3], T_w_c[k, :2, 2]
@@ -404,13 +404,16 @@ def error_budget(solution: Solution, _: Extraction) -> Iterator[Drawn]:
 
 def budget_bar(error: Error) -> Drawn:
     """What the variance of one expected error consists of."""
-    used = [(share, name) for share, name in family_shares(error.shares)[:4] if share > _LABELED_SHARE / 2]
+    largest = [(share, name) for share, name in family_shares(error.shares) if name != "other"][:3]
+    used = [(share, name) for share, name in largest if share > _LABELED_SHARE / 2]
+    rest = 1 - sum(share for share, _ in used)
+    used += [(rest, "other")] * (rest > _LEAST_SHARE)
     canvas = Canvas(WIDE, 46.0, f"error budget of the {error.figure.meaning}")
     _stack(canvas, (0.0, 0.0, WIDE, 24.0), used, labels=False)
     canvas.legend(
         [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
     )
-    value = f"{std_text(error.value)} of {error.limit:g} {error.figure.unit}"
+    value = f"{std_text(error.value)} {error.figure.unit}, limit {error.limit:g}"
     return Drawn(canvas.svg, title=f"What limits the {error.figure.short} ({value})")
 
 

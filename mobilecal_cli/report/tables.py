@@ -58,7 +58,7 @@ def change(case: Case) -> Iterator[Table]:
         for p, std, value, sigmas, percent in zip(parameters, stds, *columns, strict=True)
         if np.isfinite(value)
     ]
-    over = "; in sigma: over its standard deviation" if np.isfinite(difference.sigmas).any() else ""
+    over = ", also in standard deviations of the difference" if np.isfinite(difference.sigmas).any() else ""
     note = f"Difference from {difference.against}{over}."
     if difference.p_value is not None:
         chance = percent_text(difference.p_value)

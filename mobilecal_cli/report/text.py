@@ -12,7 +12,7 @@ from mobilecal_cli.report.page import style_of, template
 from mobilecal_cli.report.svg import standalone
 from mobilecal_cli.report.values import ReportData
 
-_wrapped = functools.partial(wrapped, indent="  ", width=80)
+_wrapped = functools.partial(wrapped, indent="  ")
 _MOST_NOTES = 3  # on the terminal without --verbose
 _COLORS = {"pass": "#14875a", "short": "#a05f00", "fail": "#c4312b"}
 

@@ -171,6 +171,16 @@ def missing_motion(motion: Mapping[str, float], names: Sequence[str]) -> dict[st
     return small
 
 
+def too_little(motion: Mapping[str, float], key: str) -> str:
+    """What was too little: below its limit, or beside what the base did instead."""
+    extent = MOTION[key]
+    if motion[key] < extent.least:
+        return extent.too_small.format(extent.text(motion[key]))
+    mostly = "turned in place" if key == "driven_m" else "drove straight"
+    driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
+    return f"the base mostly {mostly} (it drove {driven} and turned by {turned})"
+
+
 #: A cure that improves the least certain expected error by less is not worth a sentence.
 LEAST_GAIN = 0.05
 #: Stated values are taken to be measured this many times better, if the user measures them again.

@@ -29,6 +29,7 @@ from mobilecal_cli.model import (
     Solution,
     Uncertainty,
 )
+from mobilecal_cli.model.text import wrapped
 from mobilecal_cli.report.comparison import Change
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.evaluation import EvaluationData
@@ -573,13 +574,15 @@ class Advice(JsonValue):
     stops: tuple[SuggestionData, ...]
 
     @property
-    def lines(self) -> tuple[str, ...]:
-        """For the terminal."""
-        stops: tuple[str, ...] = ("No further stop near the last one improves a parameter by 5 % or more.",)
-        if self.stops:
-            texts = (f"{number}. {stop.text}" for number, stop in enumerate(self.stops, 1))
-            stops = ("Additional stop at the end of this recording, most useful first:", *texts)
-        return (*filter(None, [self.limiting]), *self.cures, *stops)
+    def lines(self) -> list[str]:
+        """For the terminal, escaped."""
+        about = "Additional stop at the end of this recording, most useful first:"
+        if not self.stops:
+            about = "No further stop near the last one improves a parameter by 5 % or more."
+        lines = [line for text in (self.limiting, *self.cures, about) for line in wrapped(text, "", "  ")]
+        for number, stop in enumerate(self.stops, 1):
+            lines += wrapped(stop.text, f"{number}. ")
+        return lines
 
 
 def advice_on(solution: Solution, extraction: Extraction, limits: Mapping[str, float]) -> Advice:

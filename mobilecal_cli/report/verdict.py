@@ -13,12 +13,13 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import Evaluation
+from mobilecal_cli.model import NINE, Evaluation
+from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
 from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Checks, Metric
 from mobilecal_cli.report.formats import json_as
-from mobilecal_cli.report.numbers import PARAMETERS, reference_std
+from mobilecal_cli.report.numbers import PARAMETERS, plain_names, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
 Level = Literal["PASS", "FAIL", "NOT ENOUGH", "GATE FAILED"]
@@ -55,6 +56,10 @@ def verdict_of(case: Case) -> Verdict:
         next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
         reason = use_sentence(solution.uncertainty.at_work, case.gates)
+        described = [name for name, of in zip(NINE, solution.uncertainty.described, strict=True) if of]
+        if described:
+            shown = capitalized(plain_names(described, case.extraction))
+            reason += f" {shown} from the robot description: no motion shows it, and these errors do not include it."
         next_step = "Use params.yaml on the robot."
     return Verdict("PASS", reason, next_step + _first(checks), checks)
 

@@ -119,6 +119,8 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         if config.board.square_m is None or not of_rgbd:
             return {side: pair[side] for side in SIDES}
     if single is not None:
+        if config.board.square_m is None:
+            _check_other_side(single, description)
         return {SINGLE: single}
     raise RecordingError(
         "no camera: no two image topics have names that differ only in left and right, and there is not one "
@@ -126,6 +128,18 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
         f"set cameras.left.image and cameras.right.image, or cameras.{SINGLE}.image for one camera; "
         f"topics present: {recorded}",
     )
+
+
+def _check_other_side(image: str, description: RobotDescription) -> None:
+    """Refuse one camera of a stereo pair whose other camera has a camera info, and no images."""
+    namespace = image.removesuffix("/compressed").rsplit("/", 1)[0]
+    for topic in description.infos:
+        other, _, name = topic.rpartition("/")
+        if name == "camera_info" and other != namespace and mirrored(other) == mirrored(namespace):
+            raise RecordingError(
+                f"the stereo pair has images of one camera only: {topic} was recorded without images",
+                f"record {other}{image.removeprefix(namespace)} too; to use {image} alone, state board.square_m",
+            )
 
 
 #: Name of a camera that was found alone.

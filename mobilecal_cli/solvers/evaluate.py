@@ -9,7 +9,16 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of
 from mobilecal_cli.likelihood.processes import path_m
-from mobilecal_cli.model import Drift, Evaluation, Extraction, FloatArray, Parameters, Solution, WheelGeometry
+from mobilecal_cli.model import (
+    MOST_ERROR_PX,
+    Drift,
+    Evaluation,
+    Extraction,
+    FloatArray,
+    Parameters,
+    Solution,
+    WheelGeometry,
+)
 from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
 from mobilecal_cli.solvers.transfer import camera_motion
 
@@ -56,13 +65,16 @@ def evaluate(
     pairs, (i, j) = shown.pairs, shown.pairs.legs.T
     o = extraction.observations
     T_ci_cj = pairs.T_c_k[i] @ se3.inverse(pairs.T_c_k[j])
-    apart = se3.inverse(T_ci_cj) @ camera_motion(pairs, parameters)
+    motion = camera_motion(pairs, parameters)
+    apart = se3.inverse(T_ci_cj) @ motion
+    behind = np.any(se3.act(motion, pairs.points_c[j])[..., 2] <= 0, axis=-1) & shown.seen[i].any(axis=(1, 2))
+    px = np.where(behind, MOST_ERROR_PX, residuals_of(shown, parameters).leg_reprojection_px)
     T_k_v = se3.inverse(pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k)
     covered = _seen(pairs, T_k_v) if reference is None else _covered(pairs, reference)
     return Evaluation(
         stations=len(o),
         legs=np.array([(o[a].log, o[a].station, o[b].station) for a, b in pairs.legs.tolist()]),
-        reprojection_px=residuals_of(shown, parameters).leg_reprojection_px,
+        reprojection_px=np.minimum(px, MOST_ERROR_PX),
         rotation_rad=np.linalg.norm(se3.log_so3(apart[:, :3, :3]), axis=-1),
         translation_m=np.linalg.norm(apart[:, :3, 3], axis=-1),
         driven_m=float(covered[0].sum()),

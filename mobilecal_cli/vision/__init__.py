@@ -10,7 +10,7 @@ from mobilecal_cli.vision.agreement import (
     square_cure,
     square_error,
 )
-from mobilecal_cli.vision.detection import detect, find_board, identify_size
+from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.markers import readable_words
 from mobilecal_cli.vision.numbering import resolve_numbering

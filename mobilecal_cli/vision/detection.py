@@ -36,6 +36,7 @@ _FINAL = ("squares too small", "board extends beyond the grid", "blurred")
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
 # Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
 _ENOUGH = (1, 10_000)
+_SMALLEST_BOARD = 12  # corners: 4 x 3
 
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
@@ -122,17 +123,25 @@ def detect(
 
 def _second(image: GrayImage, first: Detection, columns: int, rows: int) -> FloatArray | None:
     """Corners of a second board of the same size, (M, 2) px; None if there is none."""
-    grid_map = fit_grid(first.pixels.reshape(rows, columns, 2), image.shape)
-    low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
-    hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
-    painted = np.array(image)
-    cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
-    if not may_show_board(painted, columns * rows, least_response(image, columns * rows)):
+    painted = _painted_over(image, first, columns, rows, columns * rows)
+    if painted is None:
         return None
     other = _classic(painted, columns, rows, 0, 0.5 if image.shape[1] >= LARGE_PX else 1.0)
     if other is None or not isinstance(_judge(painted, other), Detection):
         return None
     return other.reshape(-1, 2)
+
+
+def _painted_over(
+    image: GrayImage, first: Detection, columns: int, rows: int, least: int
+) -> GrayImage | None:
+    """The image without a board; None if it cannot show another one, of `least` corners."""
+    grid_map = fit_grid(first.pixels.reshape(rows, columns, 2), image.shape)
+    low, right, bottom = -_PAINTED, columns - 1 + _PAINTED, rows - 1 + _PAINTED
+    hull = grid_map(np.array([[low, low], [right, low], [right, bottom], [low, bottom]]))
+    painted = np.array(image)
+    cv2.fillConvexPoly(painted, np.round(hull).astype(np.int32), float(np.mean(image)))
+    return painted if may_show_board(painted, least, least_response(image, columns * rows)) else None
 
 
 def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> Detection | Miss:
@@ -184,10 +193,12 @@ class SizeVote:
     Attributes:
         votes: size → number of images that show a whole board of this size.
         pictures: number of images examined.
+        beside: number of images that show a second whole board, of another size.
     """
 
     votes: Counter[tuple[int, int]]
     pictures: int
+    beside: int = 0
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -207,17 +218,29 @@ def identify_size(images: Iterable[GrayImage]) -> SizeVote:
     Args:
         images: (height, width) gray images, some of which show the board.
     """
-    sizes = [_size_in(image) for image in images]
-    return SizeVote(Counter(size for size in sizes if size is not None), len(sizes))
+    sizes = [_sizes_in(image) for image in images]
+    votes = Counter(size for some in sizes for size in some)
+    return SizeVote(votes, len(sizes), sum(len(some) > 1 for some in sizes))
 
 
-def _size_in(image: GrayImage) -> tuple[int, int] | None:
-    """(columns, rows) of the whole board in an image, None if there is none."""
+def _sizes_in(image: GrayImage) -> list[tuple[int, int]]:
+    """(columns, rows) of the whole boards in an image, of at most two."""
+    if (first := _whole_board(image)) is None:
+        return []
+    columns, rows, detection = first
+    others = _painted_over(image, detection, columns, rows, _SMALLEST_BOARD)
+    second = None if others is None else _whole_board(others)
+    return [(columns, rows), *([] if second is None else [second[:2]])]
+
+
+def _whole_board(image: GrayImage) -> tuple[int, int, Detection] | None:
+    """Columns, rows and corners of a whole board in an image, None if there is none."""
     for enough in _ENOUGH:
         grown = grow_any(image, enough)
         if grown is None:
             return None
         rows, columns = sorted(grown.grid.shape[:2])
-        if isinstance(detect(image, columns, rows), Detection):
-            return columns, rows
+        found = detect(image, columns, rows)
+        if isinstance(found, Detection):
+            return columns, rows, found
     return None

@@ -172,6 +172,7 @@ def test_three_cameras_from_a_recording(tmp_path):
 def test_samples_of_other_robots(name, robot, tmp_path):
     report = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)
     assert report.verdict.level == "PASS"
+    assert "The camera's height is from the robot description" in report.verdict.reason
     assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
     assumed = report.data.extraction.rig.sources.assumed_odometry
     if assumed is None:

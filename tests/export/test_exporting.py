@@ -3,6 +3,7 @@
 import io
 import json
 import math
+import re
 import shutil
 from dataclasses import replace
 
@@ -21,7 +22,8 @@ from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
 from mobilecal_cli.export.formats.urdf import patched_urdf
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.kinematics.urdf import parse_urdf
-from mobilecal_cli.model import CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
+from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
+from mobilecal_cli.model import AssumedOdometry, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from mobilecal_cli.targets import Target
 from tests.command import run, succeeded
@@ -295,6 +297,24 @@ def test_the_urdf_of_another_robot_is_refused(robot, joints, said):
         return
     with pytest.raises(ConfigError, match=said):
         patched_urdf(URDF, robot, joints)
+
+
+def test_odometry_of_another_separation_than_that_of_the_urdf_is_refused():
+    urdf = re.sub(rb'joint name="(left|right)"', rb'joint name="wheel_\1_joint"', URDF)
+    of_urdf = AssumedOdometry("/odom", WheelGeometry(0.1, 0.1, 0.23), WHEEL_SIGMA)
+    with pytest.raises(
+        ConfigError, match=r"the wheels are 0.4 m apart; in the calibration 0.23 m are assumed"
+    ):
+        patched_urdf(urdf, replace(partly([]), odometry=of_urdf), {})
+    unknown = replace(of_urdf, separation_share=0.5)
+    assert patched_urdf(urdf, replace(partly([]), odometry=unknown), {}).notes
+
+
+def test_the_file_of_a_wrong_urdf_is_named(straight, tmp_path):
+    wrong = tmp_path / "robot.yaml"
+    wrong.write_text("board: {}", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"^\S+/robot.yaml: not valid XML"):
+        mc.export_to(straight, "urdf", urdf=wrong, allow_failed=True)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate.evaluate import evaluate
+from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.params import params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
@@ -70,6 +71,24 @@ def test_a_wrong_calibration_fails(tmp_path, monkeypatch, change, says):
     found = verdict(tmp_path, change(solution), made, calibrated(1)[1])
     assert found.level == "FAIL"
     assert any(name in found.reason for name in says.split("|")), found.reason
+
+
+def test_corners_predicted_behind_the_camera_are_a_thousand_pixels_off(tmp_path, monkeypatch):
+    solution, made = calibrated(0)
+    monkeypatch.setattr("mobilecal_cli.calibrate.evaluate.solve", lambda _: calibrated(1)[0])
+    found = verdict(tmp_path, with_wheels(solution, right=10), made, calibrated(1)[1])
+    assert found.reason.startswith("Median station-to-station corner error: > 1000 px;")
+
+
+def test_a_calibration_of_another_head_is_refused(tmp_path):
+    solution, made = calibrated(0)
+    params = tmp_path / "params.yaml"
+    head = {"chain": [{"joint": "neck", "axis": [0, 0, 1]}]}
+    provenance = Provenance("1", "2026-01-01T00:00:00Z", "ml", made.logs, {"head": head})
+    params.write_text(params_yaml(solution, made, provenance), encoding="utf-8")
+    (tmp_path / "log.npz").write_bytes(extraction_to_npz(extraction(1)))
+    with pytest.raises(ConfigError, match="another robot: its head has the joints"):
+        evaluate([tmp_path / "log.npz"], params)
 
 
 def test_a_short_recording_is_not_enough(tmp_path):

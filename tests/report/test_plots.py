@@ -1,12 +1,14 @@
 """Plots, and images with marks."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from mobilecal_cli.model import HeadChain, JointLink, Outlier, Rejection, Snapshot
-from mobilecal_cli.report.plots import leg_views, thumbnails, trail
+from mobilecal_cli.report.plots import budget_bar, leg_views, thumbnails, trail
+from mobilecal_cli.report.use import FIGURES, Error
 from tests.pairs import with_views
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
 
@@ -109,3 +111,20 @@ def test_a_camera_without_corners(extraction, blind):
     for view in leg_views(solution, half, pictures):
         marks = [len(overlay.marks) for overlay in view.pictures]
         assert marks == [54, 0 if view.observation in blind else 54]
+
+
+def test_the_bar_of_what_limits_is_full():
+    shares = (
+        (0.6, "pixel_px"),
+        (0.25, "joint_rad"),
+        (0.03, "floor_rad"),
+        (0.07, "wheel_share"),
+        (0.05, "board"),
+    )
+    drawn = budget_bar(Error(FIGURES[0], 72.0, 5.0, shares))
+    assert [re.findall(rf"{name} (\d+) %", drawn.svg)[0] for name in ("corners", "wheels", "other")] == [
+        "60",
+        "7",
+        "8",
+    ]
+    assert drawn.title == "What limits the camera position (72 mm, limit 5)"

@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.model import Nominal, Rejection
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
+from mobilecal_cli.report.formats import Table
 from mobilecal_cli.rig.settings import settings_of
 from tests.report.example import WHEELS, Page, made, make_solution, page_of, robot, rows_of
 
@@ -51,3 +52,10 @@ def test_many_rejections_are_cut_and_counted(solution, extraction):
     assert "report.json lists 5 more" in text
     assert "n99" in text
     assert "n100" not in text
+
+
+def test_decimal_points_are_aligned_on_the_terminal():
+    rows = [("height", "-1.5", "± 0.25"), ("radius", "0.1234", "± 0.0012"), ("turns", "12", "")]
+    lines = Table.of(("", "strong:value", "number:1 sigma"), rows).lines()
+    assert {line.index(".") for line in lines[1:3]} == {lines[3].index("12") + 2}
+    assert {line.index("±") for line in lines[1:3]} == {lines[1].index("±")}

@@ -16,6 +16,7 @@ from mobilecal_cli.report.use import (
     missing_motion,
     next_step_of,
     shares_of,
+    too_little,
     uses,
     worst_error,
 )
@@ -97,9 +98,11 @@ def test_a_base_at_rest_is_not_enough_for_the_wheels():
 @pytest.mark.parametrize(
     ("motion", "unknown", "keys", "said"),
     [
-        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["driven_m"], "the base drove 0.37 m only"),
+        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["driven_m"],
+         "the base mostly turned in place (it drove 0.37 m and turned by 318.0 degrees)"),
         ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 2.1 degrees only"),
-        ({"turned_deg": 25.0, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 25.0 degrees only"),
+        ({"turned_deg": 25.0, "driven_m": 3.3}, NINE[8:], ["turned_deg"],
+         "the base mostly drove straight (it drove 3.30 m and turned by 25.0 degrees)"),
         ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turned_deg", "driven_m"], "the base turned by 0.0 degrees only"),
         ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], [], None),
     ],
@@ -108,9 +111,7 @@ def test_the_missing_motion_of_the_base_is_named(motion, unknown, keys, said):
     """Turning alone shows radii over separation; where both motions were there, the one that is missing is little."""
     found = missing_motion(motion, unknown)
     assert list(found) == keys
-    assert [extent.too_small.format(extent.text(motion[key])) for key, extent in found.items()][:1] == [
-        said
-    ] * bool(said)
+    assert [too_little(motion, key) for key in found][:1] == [said] * bool(said)
 
 
 def test_the_words_know_every_source():

@@ -99,6 +99,17 @@ def test_a_log_tells_everything():
     assert not rig.cameras.rectified
 
 
+def test_a_stereo_pair_with_the_images_of_one_camera():
+    log = description(images=("/stereo/left/image_raw",))
+    with pytest.raises(
+        RecordingError, match="/stereo/right/camera_info was recorded without images"
+    ) as error:
+        resolve_rig(RigConfig(), log)
+    assert error.value.hint.startswith("record /stereo/right/image_raw too;")
+    alone, _ = resolve_rig(config(board={"square_m": 0.08}), log)
+    assert alone.cameras.names == ("camera",)
+
+
 def test_raw_stereo_geometry_is_what_rectification_says():
     cameras = resolve_rig(RigConfig(), description())[0].cameras
     # A point, by hand: turn into the right rectified frame, where it is 0.12 m further left.
@@ -367,7 +378,12 @@ def test_explicit_chain_needs_no_urdf():
 @pytest.mark.parametrize(
     ("sections", "changes", "error", "words_"),
     [
-        ({}, {"images": ("/stereo/left/image", "/depth/image")}, ConfigError, "one camera does not show"),
+        (
+            {},
+            {"images": ("/camera/image", "/depth/image"), "infos": {"/camera/camera_info": info()}},
+            ConfigError,
+            "one camera does not show",
+        ),
         ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
         ({}, {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
         ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.calibrate.detect import several_sizes
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import Detection, Miss, detect, identify_size
 from mobilecal_cli.vision.grid import smallest_edge_px
@@ -240,6 +241,16 @@ class TestSize:
         vote = identify_size(images)
         assert vote.size == (columns, rows)
         assert vote.votes == {(columns, rows): 3}
+
+    def test_two_boards_beside_each_other(self) -> None:
+        other, aside = Board(6, 5), pose(0.2, 0.1, 0.95, (0.1, -0.2, 0.3), Board(6, 5), 0.03)
+        near = pose(-0.18, -0.05, 0.9, (0.1, 0.2, 0.0), BOARD, 0.03)
+        image = render(CAMERA, aside, other, 0.03, picture=render(CAMERA, near, BOARD, 0.03, blur_px=0.7))
+        vote = identify_size([image])
+        assert vote.votes == {(9, 6): 1, (6, 5): 1}
+        assert (vote.size, vote.beside) == (None, 1)
+        hint = several_sizes(vote).hint
+        assert hint == "state the inner corners of the calibration board: --board 6x5 or --board 9x6"
 
     def test_pictures_that_do_not_agree(self) -> None:
         images = []

@@ -16,8 +16,10 @@ from mobilecal_cli.export.improved import ImprovedChain, improved_chain, joint_o
 from mobilecal_cli.export.text import attribute, comment
 from mobilecal_cli.files.reading import read_bytes
 from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
+from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
 from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
+from mobilecal_cli.rig.wheels import wheel_distance_m
 
 #: Sizes of a URDF that differ more from the nominal and the calibrated ones are those of another robot.
 _OTHER_ROBOT = 0.1
@@ -55,7 +57,10 @@ def export(
     if urdf is None:
         raise ConfigError("--to urdf changes an existing file", "give the URDF of the robot with --urdf")
     content = read_bytes(urdf, LARGEST_URDF_BYTES, "check the path after --urdf", "URDF")
-    patched = patched_urdf(content, robot, joints, chain)
+    try:
+        patched = patched_urdf(content, robot, joints, chain)
+    except ConfigError as error:
+        raise ConfigError(f"{urdf}: {error.message.removeprefix('URDF: ')}", error.hint) from error
     notes = patched.notes
     if chain is None and robot.constants:
         notes += (
@@ -153,7 +158,7 @@ def patched_urdf(
         tags = file.places.get(("link", link, "wheel"), [])
         for tag in tags:
             file.change(tag, {"radius": f"{radius_m:.12g}"})
-        radii = f"radius of {len(tags)} shapes: {radius_m:.6g} m"
+        radii = f"radius of {len(tags)} shape{'s' * (len(tags) != 1)}: {radius_m:.6g} m"
         changes.append(f"link {link!r}: {radii if tags else 'no cylinder or sphere, no radius set'}")
     return Exported(file.changed(), tuple(changes))
 
@@ -222,7 +227,8 @@ def _with_chain(file: _File, urdf: Urdf, chain: ImprovedChain) -> list[str]:
         file.set(name, "origin", _origin(T_parent_child))
         file.set(name, "axis", {"xyz": _numbers(axis)})
         zero = chain.zeros.get(name, 0.0)
-        with_zero = f", with the zero offset {zero:+.6g}" if zero else ""
+        unit = "m" if urdf.joints[name].kind == "prismatic" else "rad"
+        with_zero = f", with the zero offset {zero:+.6g} {unit}" if zero else ""
         notes.append(f"joint {name!r}: estimated origin and axis{with_zero}")
     if chain.others:
         notes.append(
@@ -294,6 +300,14 @@ def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side,
             raise ConfigError(
                 f"URDF: joint {wheel_joints[side]!r} is on the other side of the robot than the {side} wheel",
                 "exchange --left-joint and --right-joint",
+            )
+    odometry = robot.odometry
+    if odometry is not None and odometry.separation_share == WHEEL_SIGMA:  # the separation is that of a URDF
+        drawn_m, assumed_m = wheel_distance_m(urdf, {}, urdf.root), odometry.wheels.separation_m
+        if drawn_m is not None and abs(drawn_m / assumed_m - 1) > _OTHER_ROBOT:
+            raise ConfigError(
+                f"URDF: the wheels are {drawn_m:.6g} m apart; in the calibration {assumed_m:.6g} m are assumed",
+                "give the URDF of the robot that was calibrated",
             )
     for name, drawn_m in sizes.items():
         if not drawn_m or robot.nominal_wheels is None:
