@@ -54,7 +54,7 @@ def verdict_of(case: Case) -> Verdict:
         reason = f"{error} The method {solution.method} {unknown}."
         next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
-        reason = use_sentence(solution.uncertainty.at_work, case.gates)
+        reason = use_sentence(solution, case.gates)
         next_step = "Use params.yaml on the robot."
     return Verdict("PASS", reason, next_step + _first(checks), checks)
 
