@@ -214,6 +214,16 @@ def test_a_scale_that_squares_and_baseline_confirm_is_not_suspected():
         assert said in judge(replace(solution, scale=scale), stated).next_step
 
 
+def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
+    solution, extraction = drawn()
+    moved = replace(solution, jumps=(jump("head mount", extraction),))
+    stated = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(1.5 * WHEELS.vector))))
+    assert judge(moved, extraction).reason.startswith("At station 6")
+    assert judge(moved, stated).reason.startswith("Radii and separation of the wheels are all at least 33")
+    radii = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(WHEELS.vector * (1.5, 1.5, 1.3)))))
+    assert judge(moved, radii).reason.startswith("At station 6")
+
+
 def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     """A head chain without the tilt joint: "Record on a flat floor"."""
     parts = {"corners": ErrorPart(0.3, 0.001), "floor": ErrorPart(40.0, 0.2)}
