@@ -512,6 +512,23 @@ def wheel_difference(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
+@criterion(Metric("wheel_proportion"), gated=False)
+def wheel_proportion(case: Case, metric: Metric) -> Iterator[Check]:
+    """Separation over the smaller radius, usually 3 to 12, where no nominal wheels show a wrong unit."""
+    rig, wheels = case.extraction.rig, case.solution.parameters.wheels
+    radius_m = float(wheels.vector[:2].min())
+    times, limit = wheels.separation_m / radius_m, 40.0
+    if rig.nominal.wheels is None and rig.sources.assumed_wheels is None and times > limit:
+        yield metric.check(
+            times, limit, "wheel separation over the radius",
+            "Check the unit of the wheel readings (rad at the wheel, not degrees or turns of the motor) and "
+            "ticks_per_revolution, and state nominal.wheels in rig.yaml.",
+            why=f"A wheel radius of {1e3 * radius_m:.2g} mm is unusually small beside a separation of "
+            f"{1e3 * wheels.separation_m:.0f} mm.",
+            beyond="warning",
+        )  # fmt: skip
+
+
 #: An effective separation of a base that turns with slip is at least the geometric one, and at most so many times.
 _LEAST_EFFECTIVE, _MOST_EFFECTIVE = 0.95, 2.5
 

@@ -224,6 +224,17 @@ def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
     assert judge(moved, radii).reason.startswith("At station 6")
 
 
+@pytest.mark.parametrize(("times", "warned"), [(30.0, True), (3.0, False)])
+def test_tiny_radii_without_nominal_wheels_are_a_warning(times, warned):
+    """Wheel readings of the motor, before a gear of 30."""
+    solution, extraction = drawn()
+    wheels = WheelGeometry(*(solution.parameters.wheels.vector / (times, times, 1.0)))
+    tiny = replace(solution, parameters=replace(solution.parameters, wheels=wheels))
+    verdict = judge(tiny, with_nominal(extraction, Nominal()))
+    assert ("a separation of" in verdict.next_step) == warned
+    assert "wheel_proportion" not in [check.id for check in judge(tiny, extraction).checks]
+
+
 def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):
     """A head chain without the tilt joint: "Record on a flat floor"."""
     parts = {"corners": ErrorPart(0.3, 0.001), "floor": ErrorPart(40.0, 0.2)}
