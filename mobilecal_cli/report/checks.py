@@ -837,21 +837,26 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 
 
-def unexplained(solution: Solution, corners: int) -> ErrorPart:
+def unexplained(solution: Solution, extraction: Extraction) -> ErrorPart:
     """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
 
     Noise of corners, joints, floor and wheels has limits of its own. What lenses do beside their models, and turns that
     differ, are estimated. None of it is an error of the calibration. Each is counted with its largest mean square.
+    Depth is proportional to 1 / disparity: with a relative noise r, to first order, its mean square is r^2 (1 + 9 r^2).
+    That of a leg is the sum of two stations.
 
     Args:
         solution: with legs.
-        corners: number of the board's.
+        extraction: its recording.
     """
     legs = len(solution.residuals.legs)
     parts = solution.error_parts or {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m)}
     left = np.square([solution.reprojection_rms_px, solution.point_rms_m])
     for name, part in parts.items():
-        left -= np.square(part) * largest_mean_square(legs * corners if name == "corners" else legs)
+        count = legs * extraction.board.corners if name == "corners" else legs
+        left -= np.square(part) * largest_mean_square(count)
+        if name == "corners":
+            left[1] -= 9 / 2 * (part.m**2 / extraction.board_distance_m) ** 2
     return ErrorPart(*np.sqrt(np.maximum(left, 0.0)).tolist())
 
 
@@ -870,7 +875,7 @@ def errors(case: Case, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
     if not len(solution.residuals.legs):
         return
     error, error_px = solution.point_rms_m, solution.reprojection_rms_px
-    beyond = unexplained(solution, case.extraction.board.corners)
+    beyond = unexplained(solution, case.extraction)
     parts, without = solution.error_parts, "without corner noise, lenses and uneven floor"
     cause = max(parts, key=lambda name: parts[name].px, default="")
     limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])
