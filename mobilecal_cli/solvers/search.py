@@ -41,6 +41,7 @@ from mobilecal_cli.solvers.hypotheses import (
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, nominal_of, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
+from mobilecal_cli.solvers.residuals import dead_reckoned
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
@@ -56,6 +57,8 @@ _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+# Two boards by nominal values: how near to its place each is and how far apart they are, as shares; least changes
+_SAME_BOARD, _BOARDS_APART, _FEWEST_CHANGES = 0.3, 0.1, 3
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
 _UNITS = np.geomspace(1 / 64, 64, 33)  # times the nominal radii, to start from
@@ -153,7 +156,7 @@ class Search:
         if self._fits:
             return None
         last = self._free_part if self._readings.consistent else self._images
-        return self._from_a_station_on or self.frozen or last()
+        return _two_boards(self._readings) or self._from_a_station_on or self.frozen or last()
 
     @cached_property
     def interrupted(self) -> Diagnosis | None:
@@ -372,6 +375,35 @@ def _same_view(readings: Readings) -> Diagnosis | None:
     return Diagnosis(
         "all stations show the board at the same place, but the base or the head moves",
         "check that the images are not frozen, and that the board does not move with the robot",
+    )
+
+
+def _two_boards(readings: Readings) -> Diagnosis | None:
+    """A board that moves to and fro between two places by dead reckoning with nominal values: there are two."""
+    X, wheels = readings.nominal.T_h_c, readings.nominal.wheels
+    if X is None or wheels is None:
+        return None
+    pairs, center_k = readings.pairs, readings.corners_k.mean(axis=0)
+    T_w_k = dead_reckoned(pairs, wheels) @ pairs.T_v_h @ X @ readings.T_c_k
+    T_ki_kj = se3.inverse(T_w_k[pairs.legs[:, 0]]) @ T_w_k[pairs.legs[:, 1]]
+    moved_m = T_ki_kj[:, :3, :3] @ center_k + T_ki_kj[:, :3, 3] - center_k
+    size_m = np.linalg.norm(moved_m, axis=1)
+    side = np.sign(moved_m @ moved_m[np.argmax(size_m)]) * (size_m > size_m.max() / 2)
+    step_m = np.median((side[:, None] * moved_m)[side != 0], axis=0)
+    apart_m = float(np.linalg.norm(step_m))
+    fits = np.linalg.norm(moved_m - side[:, None] * step_m, axis=1) < _SAME_BOARD * apart_m
+    changes = side[fits & (side != 0)]
+    distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
+    if (
+        len(changes) < _FEWEST_CHANGES
+        or np.any(changes[1:] == changes[:-1])
+        or fits.mean() < _USED
+        or apart_m < _BOARDS_APART * distance_m
+    ):
+        return None
+    return Diagnosis(
+        f"two boards {apart_m:.1f} m apart are in view alternately, {len(changes)} times",
+        "cover one of them, and record again",
     )
 
 
