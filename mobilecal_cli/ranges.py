@@ -11,7 +11,7 @@ from mobilecal_cli.errors import ConfigError
 
 #: Unit → the smaller unit that it is often mistaken for, and how many of these it is.
 _SMALLER = {"m": ("millimeters", 1000.0), "rad": ("degrees", 180 / math.pi), "s": ("milliseconds", 1000.0)}
-#: Gate on an expected error in use (1 sigma) → default limit of the verdict.
+#: Gate on an expected error in use (1 sigma) → default limit of the verdict, for robots of usual size.
 ACCURACY = {
     "predicted.camera_mm": 20.0,
     "predicted.camera_deg": 1.0,
@@ -19,6 +19,8 @@ ACCURACY = {
     "predicted.heading_deg_per_m": 1.0,
     "predicted.heading_deg_per_turn": 5.0,
 }
+#: Wheel separations of robots of usual size, m.
+USUAL_SEPARATION = (0.2, 0.6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +78,21 @@ class Range:
             if self.high < abs(value) <= count * self.high:
                 return f"; {value:g} looks like {smaller}: {value / count:.4g} {self.unit}"
         return ""
+
+
+def accuracy(gate: str, separation_m: float) -> float | None:
+    """Default limit of an expected error for a robot of this wheel separation; None for no limit.
+
+    The same wheels turn a narrow base further on each meter, and the lengths of a wide one are larger. Larger limits
+    have two digits.
+    """
+    limit, (narrow_m, wide_m) = ACCURACY.get(gate), USUAL_SEPARATION
+    times = {
+        "predicted.heading_deg_per_m": narrow_m / separation_m,
+        "predicted.camera_mm": separation_m / wide_m,
+    }
+    larger = times.get(gate, 1.0)
+    return limit if limit is None or larger <= 1 else float(f"{limit * larger:.2g}")
 
 
 def number_of(name: str, value: object) -> float:

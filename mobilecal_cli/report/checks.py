@@ -207,6 +207,39 @@ def legs(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
+@criterion(Metric("nominal.scale", "%"), gated=False)
+def scale(case: Case, metric: Metric) -> Iterator[Check]:
+    """Whether all sizes of the wheels are off the nominal ones to the same side: contradictions and changes follow.
+
+    The scale of one camera is that of the stated squares, which nothing else in the images can contradict. With
+    several, this is a criterion where all sizes are off by one factor beyond the limit of each.
+    """
+    rig, wheels = case.extraction.rig, case.solution.parameters.wheels.vector
+    stated, square_m = rig.sources.assumed_wheels or rig.nominal.wheels, case.extraction.board.square_m
+    if stated is None or case.solution.uncertainty is None:
+        return
+    off = 100 * (wheels / stated.vector - 1)
+    common = float(off[np.argmin(np.abs(off))]) if abs(np.sign(off).sum()) == len(off) else 0.0
+    limit = 5.0
+    cure = (
+        f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m} m) gives the scale. "
+        "If it is as stated, correct the nominal wheels."
+    )
+    if case.extraction.measured:
+        cure = "Check the scale of the measured poses: it is that of the wheels."
+    if len(rig.cameras.each) > 1 or square_m is None:
+        ratios = dict(zip(NINE[6:], (1 + off / 100).tolist(), strict=True))
+        limit, cure = _SIZE_BAD, _nominal_cure("separation", ratios, case)
+        one_factor = abs(common) > limit and len(_alike(ratios, "separation")) == len(ratios)
+        if not one_factor or rig.sources.assumed_odometry is not None:
+            return
+    yield metric.check(
+        common, limit, "common factor of all sizes of the wheels", cure,
+        why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
+        f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
+    )  # fmt: skip
+
+
 _WHEEL_CHANGED = ("changed", "Check the tire, the load and the encoder of this wheel")
 #: Part of the robot → what it is called, the verb for its change, and what to do about it.
 _PARTS = {
@@ -479,6 +512,23 @@ def wheel_difference(case: Case, metric: Metric) -> Iterator[Check]:
     )  # fmt: skip
 
 
+@criterion(Metric("wheel_proportion"), gated=False)
+def wheel_proportion(case: Case, metric: Metric) -> Iterator[Check]:
+    """Separation over the smaller radius, usually 3 to 12, where no nominal wheels show a wrong unit."""
+    rig, wheels = case.extraction.rig, case.solution.parameters.wheels
+    radius_m = float(wheels.vector[:2].min())
+    times, limit = wheels.separation_m / radius_m, 40.0
+    if rig.nominal.wheels is None and rig.sources.assumed_wheels is None and times > limit:
+        yield metric.check(
+            times, limit, "wheel separation over the radius",
+            "Check the unit of the wheel readings (rad at the wheel, not degrees or turns of the motor) and "
+            "ticks_per_revolution, and state nominal.wheels in rig.yaml.",
+            why=f"A wheel radius of {1e3 * radius_m:.2g} mm is unusually small beside a separation of "
+            f"{1e3 * wheels.separation_m:.0f} mm.",
+            beyond="warning",
+        )  # fmt: skip
+
+
 #: An effective separation of a base that turns with slip is at least the geometric one, and at most so many times.
 _LEAST_EFFECTIVE, _MOST_EFFECTIVE = 0.95, 2.5
 
@@ -529,9 +579,14 @@ def nominal(case: Case, *metrics: Metric) -> Iterator[Check]:
         )  # fmt: skip
 
 
+def _alike(ratios: Mapping[str, float], name: str) -> list[str]:
+    """Sizes whose ratio to the nominal one is that of a size, nearly."""
+    return [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
+
+
 def _nominal_cure(name: str, ratios: Mapping[str, float], case: Case) -> str:
     """What to correct where a wheel's size is not the nominal one: only what its ratio to it can be."""
-    like = [other for other, ratio in ratios.items() if abs(ratio / ratios[name] - 1) < _ALIKE]
+    like = _alike(ratios, name)
     scale, pair = case.solution.scale, len(case.extraction.rig.cameras.each) > 1
     if len(like) == len(ratios) and scale is not None and not scale.apart:
         return (
@@ -577,30 +632,6 @@ def camera_frame(case: Case, metric: Metric) -> Iterator[Check]:
         why=f"The frame_id of the images, {frame}, is a body frame in the URDF (x forward), but the pose is that of "
         "the optical frame (z forward).",
         beyond="warning",
-    )  # fmt: skip
-
-
-@criterion(Metric("nominal.scale", "%"), gated=False)
-def scale_of_one_camera(case: Case, metric: Metric) -> Iterator[Check]:
-    """Whether all sizes of the wheels are off the nominal ones to the same side, where one camera alone measures.
-
-    Its scale is that of the stated squares, which nothing else in the images can contradict.
-    """
-    bad = 5.0
-    rig, wheels = case.extraction.rig, case.solution.parameters.wheels.vector
-    stated = rig.sources.assumed_wheels or rig.nominal.wheels
-    square_m = case.extraction.board.square_m
-    if len(rig.cameras.each) > 1 or stated is None or square_m is None or case.solution.uncertainty is None:
-        return
-    off = 100 * (wheels / stated.vector - 1)
-    common = float(off[np.argmin(np.abs(off))]) if abs(np.sign(off).sum()) == len(off) else 0.0
-    yield metric.check(
-        common, bad, "common factor of all sizes of the wheels",
-        "Check the scale of the measured poses: it is that of the wheels." if case.extraction.measured else
-        f"Measure ten squares with a ruler: with one camera, the size of the squares ({square_m:g} m) gives the scale. "
-        "If it is as stated, correct the nominal wheels.",
-        why=f"Radii and separation of the wheels are all at least {abs(common):.1f} % "
-        f"{'larger' if common > 0 else 'smaller'} than the nominal ones.",
     )  # fmt: skip
 
 
@@ -806,21 +837,26 @@ def leg_outlier(case: Case, *metrics: Metric) -> Iterator[Check]:
 _NO_NOISE = 3.0  # times its limit: a larger reprojection error is no noise
 
 
-def unexplained(solution: Solution, corners: int) -> ErrorPart:
+def unexplained(solution: Solution, extraction: Extraction) -> ErrorPart:
     """Reprojection error and point error beyond what the noise levels and the cameras' lenses explain.
 
     Noise of corners, joints, floor and wheels has limits of its own. What lenses do beside their models, and turns that
     differ, are estimated. None of it is an error of the calibration. Each is counted with its largest mean square.
+    Depth is proportional to 1 / disparity: with a relative noise r, to first order, its mean square is r^2 (1 + 9 r^2).
+    That of a leg is the sum of two stations.
 
     Args:
         solution: with legs.
-        corners: number of the board's.
+        extraction: its recording.
     """
     legs = len(solution.residuals.legs)
     parts = solution.error_parts or {"corners": ErrorPart(0.0, solution.residuals.corner_noise_m)}
     left = np.square([solution.reprojection_rms_px, solution.point_rms_m])
     for name, part in parts.items():
-        left -= np.square(part) * largest_mean_square(legs * corners if name == "corners" else legs)
+        count = legs * extraction.board.corners if name == "corners" else legs
+        left -= np.square(part) * largest_mean_square(count)
+        if name == "corners":
+            left[1] -= 9 / 2 * (part.m**2 / extraction.board_distance_m) ** 2
     return ErrorPart(*np.sqrt(np.maximum(left, 0.0)).tolist())
 
 
@@ -839,7 +875,7 @@ def errors(case: Case, of_points: Metric, of_pixels: Metric) -> Iterator[Check]:
     if not len(solution.residuals.legs):
         return
     error, error_px = solution.point_rms_m, solution.reprojection_rms_px
-    beyond = unexplained(solution, case.extraction.board.corners)
+    beyond = unexplained(solution, case.extraction)
     parts, without = solution.error_parts, "without corner noise, lenses and uneven floor"
     cause = max(parts, key=lambda name: parts[name].px, default="")
     limit = ERROR_BAD * float(solution.cameras.first.K[0, 0])

@@ -120,7 +120,7 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
     best_px, unexplained_px, best = limit_px, 0.0, ""
     if not isinstance(own, MobilecalError):
         best_px = float(np.median(own.residuals.leg_reprojection_px))
-        unexplained_px = unexplained(own, extraction.board.corners).px
+        unexplained_px = unexplained(own, extraction).px
         best = f"; the recording's own estimate leaves {best_px:.1f} px"
     limit, name = max(limit_px, _TIMES_OWN * best_px), "median station-to-station corner error"
     if min(best_px, unexplained_px) > limit_px:

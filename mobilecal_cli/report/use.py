@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import NINE, AtWork, Extraction, Solution
-from mobilecal_cli.ranges import ACCURACY
+from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
 
 
@@ -73,7 +73,7 @@ class Figure:
 
     @property
     def limit(self) -> float | None:
-        """Default limit in this unit; None for no limit."""
+        """Default limit in this unit, for robots of usual size; None for no limit."""
         return ACCURACY.get(self.name)
 
     @property
@@ -137,7 +137,8 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
     uncertainty = solution.uncertainty
     if uncertainty is None:
         return ()
-    pairs = [(figure, limits.get(figure.name, figure.limit)) for figure in FIGURES]
+    separation_m = solution.parameters.wheels.separation_m
+    pairs = [(figure, limits.get(figure.name, accuracy(figure.name, separation_m))) for figure in FIGURES]
     return tuple(
         Error(f, f.of(uncertainty.at_work), limit, shares_of(solution, f.field))
         for f, limit in pairs
@@ -269,20 +270,26 @@ def shares_of(solution: Solution, name: str) -> Sequence[tuple[float, str]]:
     return sorted(((share, source) for share, source in pairs if share > 0), reverse=True)
 
 
-def use_sentence(expected: AtWork, limits: Mapping[str, float]) -> str:
+def use_sentence(solution: Solution, limits: Mapping[str, float]) -> str:
     """The expected errors that have a limit, in one sentence, and whose limits they are."""
+    errors = uses(solution, limits)
     groups: dict[str, list[str]] = {"camera": [], "dead reckoning": []}
-    for figure in FIGURES:
-        if limits.get(figure.name, figure.limit) is not None and figure.of(expected):
-            group = "camera" if figure.of_camera else "dead reckoning"
-            turn = " per turn" if figure.name.endswith("_per_turn") else ""
-            groups[group].append(f"{std_text(figure.of(expected))} {figure.unit}{turn}")
+    for figure, value in ((error.figure, error.value) for error in errors if error.value):
+        group = "camera" if figure.of_camera else "dead reckoning"
+        turn = " per turn" if figure.name.endswith("_per_turn") else ""
+        groups[group].append(f"{std_text(value)} {figure.unit}{turn}")
     said = "; ".join(
         f"{group} {', '.join(values)}" if values else f"{group} fixed by the user"
         for group, values in groups.items()
     )
     whose = "your limits" if any(figure.name in limits for figure in FIGURES) else "the default limits"
-    return f"Expected errors (1 sigma): {said}. All are within {whose}."
+    larger = [
+        f"{error.limit:g} {error.figure.unit}"
+        for error in errors
+        if error.figure.name not in limits and error.limit != error.figure.limit
+    ]
+    size = f" of a robot of this size ({', '.join(larger)})" if larger else ""
+    return f"Expected errors (1 sigma): {said}. All are within {whose}{size}."
 
 
 @dataclass(frozen=True, slots=True)

@@ -55,7 +55,7 @@ def verdict_of(case: Case) -> Verdict:
         reason = f"{error} The method {solution.method} {unknown}."
         next_step = "Calibrate with --method ml (the default) for standard deviations and expected errors."
     else:
-        reason = use_sentence(solution.uncertainty.at_work, case.gates)
+        reason = use_sentence(solution, case.gates)
         described = [name for name, of in zip(NINE, solution.uncertainty.described, strict=True) if of]
         if described:
             shown = capitalized(plain_names(described, case.extraction))

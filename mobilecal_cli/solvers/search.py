@@ -39,8 +39,9 @@ from mobilecal_cli.solvers.hypotheses import (
     of_sides,
 )
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
-from mobilecal_cli.solvers.linear import Rounds, nominal_of, ratios_of
+from mobilecal_cli.solvers.linear import InitialPrior, Rounds, nominal_of, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
+from mobilecal_cli.solvers.residuals import dead_reckoned
 from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
@@ -56,8 +57,11 @@ _MOST_LEGS = 40  # that are scored, spread over the recording: the time does not
 _OUTLIERS_IN_PART = 2  # with so many stations of the other part, one may still fit
 _CHANGED_SCALE = 0.05  # of a wheel's readings: less is noise of the linear method on a few stations
 _SAME_VIEW = 0.01  # rad, and share of the distance: motion that moves the image by a few pixels
+# Two boards by nominal values: how near to its place each is and how far apart they are, as shares; least changes
+_SAME_BOARD, _BOARDS_APART, _FEWEST_CHANGES = 0.3, 0.1, 3
 _AROUND_RAD = 2.5  # from the nominal rotation: more than an optical frame from a body frame
 _OTHER_WHEELS = 3.0  # times the nominal radius: no tire differs by so much
+_UNITS = np.geomspace(1 / 64, 64, 33)  # times the nominal radii, to start from
 _ALIKE_SIZES = 0.2  # nominal sizes are a few percent off, each by itself
 _SAME_UNIT_M = 0.05  # from a radius of 1 m: far more than its uncertainty, and no other unit is so near
 # A focal length is another one if the images show it so many standard deviations and by such a factor away: the
@@ -99,7 +103,14 @@ class Search:
 
     @cached_property
     def _scores_as_is(self) -> list[_Score]:
-        return self._scores(self._readings)
+        readings = self._readings
+        scores, nominal = self._scores(readings, readings.nominal), readings.nominal
+        if not any(score.misfit < FITS for score in scores) and nominal.wheels is not None and readings.roams:
+            # Turns are seen modulo a full one: far from the readings' unit, the nominal wheels mislead.
+            for times in () if readings.distinguishes else _UNITS:
+                scaled = WheelGeometry.of(nominal.wheels.vector * [times, times, 1.0])
+                scores += self._scores(readings, replace(nominal, wheels=scaled))
+        return sorted(scores, key=lambda score: score.misfit)
 
     @property
     def _as_is(self) -> _Score | None:
@@ -120,12 +131,19 @@ class Search:
         least = min((score.misfit for score in self._scores_as_is), default=0.0)
         return least if least >= FITS else None
 
+    @property
+    def other_wheels(self) -> Diagnosis | None:
+        """Another unit of the wheels, with which all fits; None where the base does not drive and turn."""
+        if self._as_is is None or not self._fits or not self._readings.motion.shows_wheels:
+            return None
+        return other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
+
     @cached_property
     def of_whole(self) -> Diagnosis | None:
         """The mistake in all readings; None if they fit, or if none of the known ones explains them."""
         at_rest = _same_view(self._readings)
-        if at_rest is None and self._as_is is not None and self._fits:
-            return other_wheels(self._as_is.wheels, self._readings.rig.nominal.wheels)
+        if at_rest is None and self._fits:
+            return self.other_wheels
         return at_rest or self._named(self._readings, WHOLE) or other_focal_lengths(self.extraction)
 
     @cached_property
@@ -138,7 +156,7 @@ class Search:
         if self._fits:
             return None
         last = self._free_part if self._readings.consistent else self._images
-        return self._from_a_station_on or self.frozen or last()
+        return _two_boards(self._readings) or self._from_a_station_on or self.frozen or last()
 
     @cached_property
     def interrupted(self) -> Diagnosis | None:
@@ -202,14 +220,14 @@ class Search:
 
         Motion that does not show all parameters fits many mistakes: only the readings as they stand are scored there.
         """
-        return next((score for score in self._scores(readings) if score.possible), None)
+        return next((score for score in self._scores(readings, readings.nominal) if score.possible), None)
 
-    def _scores(self, readings: Readings) -> list[_Score]:
-        """A fit of some readings from each start, the best first."""
+    def _scores(self, readings: Readings, nominal: InitialPrior) -> list[_Score]:
+        """A fit of some readings from each start, or from nominal values, the best first."""
         full, shown = readings.distinguishes, readings.roams
         if not (shown or readings is self._readings):
             return []
-        pairs, nominal = _thinned(readings.pairs), readings.nominal
+        pairs = _thinned(readings.pairs)
         distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
         scores: list[_Score] = []
         for ratios in self._starts if full else [np.zeros(2)]:
@@ -360,6 +378,35 @@ def _same_view(readings: Readings) -> Diagnosis | None:
     )
 
 
+def _two_boards(readings: Readings) -> Diagnosis | None:
+    """A board that moves to and fro between two places by dead reckoning with nominal values: there are two."""
+    X, wheels = readings.nominal.T_h_c, readings.nominal.wheels
+    if X is None or wheels is None:
+        return None
+    pairs, center_k = readings.pairs, readings.corners_k.mean(axis=0)
+    T_w_k = dead_reckoned(pairs, wheels) @ pairs.T_v_h @ X @ readings.T_c_k
+    T_ki_kj = se3.inverse(T_w_k[pairs.legs[:, 0]]) @ T_w_k[pairs.legs[:, 1]]
+    moved_m = T_ki_kj[:, :3, :3] @ center_k + T_ki_kj[:, :3, 3] - center_k
+    size_m = np.linalg.norm(moved_m, axis=1)
+    side = np.sign(moved_m @ moved_m[np.argmax(size_m)]) * (size_m > size_m.max() / 2)
+    step_m = np.median((side[:, None] * moved_m)[side != 0], axis=0)
+    apart_m = float(np.linalg.norm(step_m))
+    fits = np.linalg.norm(moved_m - side[:, None] * step_m, axis=1) < _SAME_BOARD * apart_m
+    changes = side[fits & (side != 0)]
+    distance_m = float(np.linalg.norm(pairs.points_c, axis=-1).mean())
+    if (
+        len(changes) < _FEWEST_CHANGES
+        or np.any(changes[1:] == changes[:-1])
+        or fits.mean() < _USED
+        or apart_m < _BOARDS_APART * distance_m
+    ):
+        return None
+    return Diagnosis(
+        f"two boards {apart_m:.1f} m apart are in view alternately, {len(changes)} times",
+        "cover one of them, and record again",
+    )
+
+
 def turned_around(rig: Rig, T_h_c: FloatArray) -> Diagnosis | None:
     """A camera on the base that is upside down or looks back against its nominal pose: wheels that are exchanged.
 
@@ -402,9 +449,10 @@ def other_wheels(wheels: WheelGeometry, nominal: WheelGeometry | None) -> Diagno
             f"radii and separation that fit are all {times} (radii {right} and {left} mm)",
             "check the unit of board.square_m, of the camera poses and of nominal.wheels: all are in m",
         )
-    meters = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
+    unit = " (1 m: the readings are in meters)" if abs(radii_m - 1).max() < _SAME_UNIT_M else ""
+    unit = " (1/57: the readings are in degrees)" if abs(math.degrees(factor) - 1) < _ALIKE_SIZES else unit
     return Diagnosis(
-        f"the wheel radii that fit are {right} and {left} mm, {times}{meters}",
+        f"the wheel radii that fit are {right} and {left} mm, {times}{unit}",
         "check the unit and the ticks_per_revolution of the wheel readings (radians are expected), and a gear ratio",
     )
 

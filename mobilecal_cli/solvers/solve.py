@@ -225,11 +225,12 @@ def _linear_start(
         if near.parameters.wheels.positive and each_m[0] >= CLEARLY_BETTER * each_m[1]:
             linear = near
     distance_m = extraction.board_distance_m
+    # Another unit of the wheels. Wider priors of squares and baseline would explain it, too, and nominal values pull.
+    other = None if full or extraction.motions else search.other_wheels
     if full and linear.point_rms_m < _BAD_SHARE * distance_m:
-        # Another unit of the wheels. Wider priors of squares and baseline would explain it, too.
         other = other_wheels(linear.parameters.wheels, nominal)
-        if other is not None:
-            raise _refused(other)
+    if other is not None:
+        raise _refused(other)
     refusal = None
     if linear.point_rms_m > _GROSS_SHARE * distance_m:
         unexplained = search.misfit is not None and search.misfit > _HOPELESS_SHARE

@@ -7,6 +7,7 @@ import pytest
 
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
+from mobilecal_cli.ranges import ACCURACY
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
@@ -17,6 +18,7 @@ from mobilecal_cli.report.use import (
     next_step_of,
     shares_of,
     too_little,
+    use_sentence,
     uses,
     worst_error,
 )
@@ -68,6 +70,24 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     assert (check.limit, check.unit) == (limit, "mm")
     assert figures_of(case_of(solution, extraction))[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
+
+
+@pytest.mark.parametrize(
+    ("separation_m", "limits"), [(0.05, (20, 4)), (0.2, (20, 1)), (0.6, (20, 1)), (1.5, (50, 1))]
+)
+def test_the_default_limits_fit_the_size_of_the_robot_and_gates_do_not(separation_m, limits):
+    solution, _ = drawn()
+    parameters = solution.parameters
+    wheels = replace(parameters.wheels, separation_m=separation_m)
+    solution = replace(solution, parameters=replace(parameters, wheels=wheels))
+    gates = ("predicted.camera_mm", "predicted.heading_deg_per_m")
+    of = {use.figure.name: use.limit for use in uses(solution, {})}
+    assert tuple(of[name] for name in gates) == limits
+    assert all(of[name] == limit for name, limit in ACCURACY.items() if name not in gates)
+    said = use_sentence(solution, {})
+    assert ("of a robot of this size" in said) == (limits != (20, 1))
+    own = {use.figure.name: use.limit for use in uses(solution, dict.fromkeys(gates, 3.0))}
+    assert [own[name] for name in gates] == [3.0, 3.0]
 
 
 def test_a_gate_on_an_unknown_expected_error_fails():

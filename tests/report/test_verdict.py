@@ -137,6 +137,12 @@ def unstated(extraction):
     return replace(extraction, board=replace(extraction.board, square_m=None))
 
 
+def with_noise_of_a_short_baseline(solution):
+    """The mean square of 10 % depth noise is a few percent larger than to first order."""
+    far = with_legs(solution, [0.206] * 11)
+    return replace(far, residuals=replace(far.residuals, leg_corner_noise_m=np.full(11, 0.187)))
+
+
 def nominal(**sizes):
     return lambda extraction: with_nominal(extraction, Nominal(wheels=replace(WHEELS, **sizes)))
 
@@ -164,6 +170,7 @@ def nominal(**sizes):
         (lambda s: with_left_radius(s, 0.5), None, "left 0.0408 m"),
         (lambda s: with_legs(s, [0.05] * 11), None, "The point error is 50.0 mm at 1.7 m"),
         (with_depth_noise, None, None),  # no fault of the calibration
+        (with_noise_of_a_short_baseline, None, None),
         (lambda s: replace(s, reprojection_rms_px=9.0), None, "reprojection error is 9.0 px (limit 7.8 px without"),
     ],
 )  # fmt: skip
@@ -212,6 +219,27 @@ def test_a_scale_that_squares_and_baseline_confirm_is_not_suspected():
     ):
         scale = ScaleCheck(1.0, 1e-3, 0.08, 0.12, apart)
         assert said in judge(replace(solution, scale=scale), stated).next_step
+
+
+def test_one_factor_of_all_sizes_goes_before_what_follows_from_it():
+    solution, extraction = drawn()
+    moved = replace(solution, jumps=(jump("head mount", extraction),))
+    stated = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(1.5 * WHEELS.vector))))
+    assert judge(moved, extraction).reason.startswith("At station 6")
+    assert judge(moved, stated).reason.startswith("Radii and separation of the wheels are all at least 33")
+    radii = with_nominal(extraction, Nominal(wheels=WheelGeometry(*(WHEELS.vector * (1.5, 1.5, 1.3)))))
+    assert judge(moved, radii).reason.startswith("At station 6")
+
+
+@pytest.mark.parametrize(("times", "warned"), [(30.0, True), (3.0, False)])
+def test_tiny_radii_without_nominal_wheels_are_a_warning(times, warned):
+    """Wheel readings of the motor, before a gear of 30."""
+    solution, extraction = drawn()
+    wheels = WheelGeometry(*(solution.parameters.wheels.vector / (times, times, 1.0)))
+    tiny = replace(solution, parameters=replace(solution.parameters, wheels=wheels))
+    verdict = judge(tiny, with_nominal(extraction, Nominal()))
+    assert ("a separation of" in verdict.next_step) == warned
+    assert "wheel_proportion" not in [check.id for check in judge(tiny, extraction).checks]
 
 
 def test_an_error_beyond_all_noise_is_no_uneven_floor(solution, extraction):

@@ -97,3 +97,15 @@ def test_wheels_of_different_size_do_not_turn_the_base():
 def test_the_vertical_is_in_the_head_frame():
     turned = FixedLink(se3.transform(se3.from_rpy(np.array([-np.pi / 2, 0, 0])), np.zeros(3)))
     assert unseen_height(HeadChain("base", "head", (turned,))) == pytest.approx([0, -1, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize(("times", "said"), [(0.25, "4 times"), (8.0, "0.1[23] times"), (57.3, "in degrees")])
+def test_wheel_readings_in_another_unit_are_named_at_once(times, said):
+    """Four times the ticks: the nominal wheels pulled, and 3.5 times the radius or 3 m of drive were the cause."""
+    extraction = simulated("standard", NOISE, ROBOT, 20, 0)
+    tracks = [
+        WheelTrack(*(replace(side, value=times * side.value) for side in (track.right, track.left)))
+        for track in extraction.wheels
+    ]
+    with pytest.raises(SolveError, match=said):
+        fitted(replace(extraction, wheels=tuple(tracks)))

@@ -8,13 +8,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from mobilecal_cli.solvers import solve
 from mobilecal_cli.solvers.hypotheses import FREE, FROZEN, STILL, WHOLE, _noise_at_rest
 from mobilecal_cli.solvers.readings import readings_of
-from mobilecal_cli.solvers.search import Search, other_focal_lengths
+from mobilecal_cli.solvers.search import Search, _two_boards, other_focal_lengths
 from tests.extractions import Noise, joined, simulated
 from tests.hostile import meaning
 from tests.hostile.meaning import PAN, WRONG, both, from_middle, joints, late, late_joints, same, wheels
@@ -146,6 +147,18 @@ QUICK = (
     *("pan frozen", "both images of the previous station"),
     *("left wheel 3 s late", "images 2 s early", "both wheels frozen", "signs of both joints"),
 )
+
+
+@pytest.mark.parametrize(
+    ("stations", "named"), [((), False), ((2, 3, 6, 8), True), ((7, 8, 9, 10, 11), False)]
+)
+def test_two_boards_that_are_in_view_alternately_are_named(recorded, stations, named):
+    """They were "the readings of the wheels do not fit the drive"; a board that moved once is another mistake."""
+    readings = readings_of(recorded)
+    T_c_k = readings.T_c_k.copy()
+    T_c_k[list(stations)] = T_c_k[list(stations)] @ se3.transform(np.eye(3), np.array([0.9, 0.0, 0.0]))
+    found = _two_boards(replace(readings, T_c_k=T_c_k))
+    assert (found is not None and "two boards 0.9 m apart" in found.cause) == named
 
 
 @pytest.mark.parametrize("name", QUICK)
