@@ -20,7 +20,7 @@ from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
 from mobilecal_cli.model import FloatArray, IntArray, Noise
 
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # of the cost of images that are far off
 #: Attribute of `CameraChange` of which each image has its own value, with several cameras → level of that noise.
 _OWN = {"delay_s": "pair_s", "principal": "shift_px"}
 
@@ -145,7 +145,7 @@ class Images:
                 images,
                 rows=images.rows - u[:, self.traced, None] * weighted,
                 pull=images.pull - pull[:, None] * weighted[:, 0, self.traced],
-                cost=np.maximum(images.cost - weight * pull**2, _ROUNDING * images.cost),  # far off
+                cost=images.cost - weight * pull**2,
                 direct=images.direct - self._summed(weighted[..., 6:], u[:, None, 6:]),
                 gradient=images.gradient - self._summed(weighted[..., 6:], pull[:, None, None])[..., 0],
             )
@@ -319,7 +319,8 @@ def images_of(
             groups, products = _by_group(group[block], A, r)
             gradient[groups[:, None], columns] += products[..., 0]
     sums = information[:, 6:, 6:], gradient[:, 6:]
-    return Images(kept, tuple(own.values()), rows, pull, cost, group, *sums).with_own(noise)
+    images = Images(kept, tuple(own.values()), rows, pull, cost, group, *sums).with_own(noise)
+    return replace(images, cost=np.maximum(images.cost, _ROUNDING * cost))
 
 
 def _measured_poses(
