@@ -36,6 +36,7 @@ _ALIKE = dict(_PAIRS) | {b: a for a, b in _PAIRS}
 # How many times the standard deviations the jackknife's are beyond 1, at most, over the square root of the number of
 # legs: contains 19 of 20 simulated recordings of 12 and of 40 stations.
 _JACKKNIFE_SCATTER = 3.6
+_FADES = 0.25  # share above its usual scatter up to which the jackknife counts the more, the larger it is
 #: A parameter is observable if its standard deviation is below this share of the prior sigma of a nominal value.
 OBSERVABLE_SHARE = 1 / 3
 
@@ -226,10 +227,10 @@ def _reference_jacobian(fit: Fit) -> FloatArray:
 def _widening(fit: Fit, jackknife: FloatArray) -> FloatArray:
     """Factor on the standard deviation of each of the nine parameters, (9,).
 
-    The jackknife's, as far as it is larger than its own scatter explains: the residuals then vary more than their noise
+    The jackknife's, where it is larger than its own scatter explains: the residuals then vary more than their noise
     levels say, or are not independent.
     """
     std = np.sqrt(np.diag(fit.covariance)[:9])
     ratio = jackknife / np.where(std > 0, std, np.inf)
     usual = 1 + _JACKKNIFE_SCATTER / math.sqrt(max(int(fit.inliers.legs.sum()), 1))
-    return np.asarray(np.sqrt(1 + np.maximum(ratio**2 - usual**2, 0.0)))
+    return np.asarray(1 + (ratio - 1) * np.clip((ratio / usual - 1) / _FADES, 0.0, 1.0))

@@ -56,7 +56,7 @@ def test_exact_measurements_give_the_true_robot(cameras, chain):
     assert len(extraction.rig.cameras.each) == cameras
     found = fitted(as_described(extraction))
     error = found.parameters.minus(parameters_of(robot))
-    assert error[shown(robot)] == pytest.approx(0, abs=1e-7)
+    assert error[shown(robot)] == pytest.approx(0, abs=1e-6)  # priors pull by as much: stops give way
 
 
 @pytest.mark.parametrize(

@@ -61,7 +61,9 @@ def solution(noisy):
 def test_exact_observations_give_the_exact_answer():
     """The weak priors of the nine pull by the square of their sigmas' ratio."""
     exact = extraction_of(noise=None)
-    assert np.abs(errors(solve(as_described(exact)).parameters, ROBOT)).max() < 1e-7
+    assert (
+        np.abs(errors(solve(as_described(exact)).parameters, ROBOT)).max() < 1e-6
+    )  # priors pull by as much: stops give way
     found = solve(exact)
     assert np.abs(errors(found.parameters, ROBOT) / found.uncertainty.std).max() < 0.01
 
