@@ -83,8 +83,7 @@ class Range:
 def accuracy(gate: str, separation_m: float) -> float | None:
     """Default limit of an expected error for a robot of this wheel separation; None for no limit.
 
-    The same wheels turn a narrow base further on each meter, and the lengths of a wide one are larger. Larger limits
-    have two digits.
+    The same wheels turn a narrow base further on each meter, and the lengths of a wide one are larger.
     """
     limit, (narrow_m, wide_m) = ACCURACY.get(gate), USUAL_SEPARATION
     times = {
@@ -92,7 +91,7 @@ def accuracy(gate: str, separation_m: float) -> float | None:
         "predicted.camera_mm": separation_m / wide_m,
     }
     larger = times.get(gate, 1.0)
-    return limit if limit is None or larger <= 1 else float(f"{limit * larger:.2g}")
+    return None if limit is None else limit * max(larger, 1.0)
 
 
 def number_of(name: str, value: object) -> float:

@@ -139,7 +139,7 @@ class Metric:
             passes = value is not None and (value >= bound if self.at_least else abs(value) <= bound)
         measured = measured or ("unknown" if value is None else f"{value:.3g}{unit}")
         if limit is not None:
-            at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:g}{unit}"
+            at_limit = at_limit or f"at {'least' if self.at_least else 'most'} {limit:.4g}{unit}"
         why = why or f"{capitalized(name)}: {measured}. Limit: {at_limit}."
         return Check(
             id=f"{self.name}.{part}" if part else self.name,

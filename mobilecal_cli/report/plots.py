@@ -413,7 +413,7 @@ def budget_bar(error: Error) -> Drawn:
     canvas.legend(
         [(f"fill {FAMILIES[name].style}", f"{name} {100 * s:.0f} %") for s, name in used], 0.0, 42.0
     )
-    value = f"{std_text(error.value)} {error.figure.unit}, limit {error.limit:g}"
+    value = f"{std_text(error.value)} {error.figure.unit}, limit {error.limit:.3g}"
     return Drawn(canvas.svg, title=f"What limits the {error.figure.short} ({value})")
 
 

@@ -284,7 +284,7 @@ def use_sentence(solution: Solution, limits: Mapping[str, float]) -> str:
     )
     whose = "your limits" if any(figure.name in limits for figure in FIGURES) else "the default limits"
     larger = [
-        f"{error.limit:g} {error.figure.unit}"
+        f"{error.limit:.3g} {error.figure.unit}"
         for error in errors
         if error.figure.name not in limits and error.limit != error.figure.limit
     ]
