@@ -41,7 +41,7 @@ def test_one_wrong_constant(opencv, published, name):
     result = compared(case.of(true), pairs, others=False)
     assert not result.refused
     assert result.left_out == 0
-    assert abs(result.after[MEAN]) < 0.01
+    assert abs(result.after[MEAN]) < 0.03  # what each image is shifted by itself stays
     assert result.after[SPREAD] < result.before[SPREAD]
     assert result.after[REPROJECTION] < result.before[REPROJECTION]
     for constant, expected in case.expected(true).items():
