@@ -994,8 +994,8 @@ def expected_errors(case: Case, *metrics: Metric) -> Iterator[Check]:
             motion_cure(case.solution.motion, *_moves(case, figure))
             or next_step_of(use, case.solution, case.extraction),
             measured=value if use.value else "fixed by the user",
-            why=f"The expected error (1 sigma) of the {figure.meaning} is {value} (limit {use.limit:.3g} {figure.unit}). "
-            f"{use.limiting}",
+            why=f"The expected error (1 sigma) of the {figure.meaning} is {value} "
+            f"(limit {use.limit:.3g} {figure.unit}). {use.limiting}",
             beyond="not_enough",
         )  # fmt: skip
 

@@ -51,7 +51,10 @@ _OBSERVABILITY_ROUNDS = 8
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
-_UNEXPLAINED = 0.1  # share of their misfit that a jump may leave
+_UNEXPLAINED, _OF_STRETCH = (
+    0.1,
+    0.5,
+)  # share of their misfit that a jump may leave; of outliers one after another
 #: Noise levels that a jump may make large: those of the processes, and others.
 _CONCEALING = (*LENGTHS, "joint_rad", "shift_px", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.
@@ -384,7 +387,8 @@ class Inference:
             good = fit.lin.cost + 2 * int(corners) + 3 * int(legs)
             misfit = lin.cost - good
             lin = to_first_order(jumps.without(lin, ranked[0]))
-            if outliers.longest_stretch(fit) is None and lin.cost - good > _UNEXPLAINED * misfit:
+            most = _UNEXPLAINED if outliers.longest_stretch(fit) is None else _OF_STRETCH
+            if lin.cost - good > most * misfit:
                 return None
             jump, without = _sized(fit, jumps.again(lin, ranked[0]), lin), replace(fit, lin=lin)
         except (SolveError, np.linalg.LinAlgError):

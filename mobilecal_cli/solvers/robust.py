@@ -118,7 +118,8 @@ class _Minimum:
 
 
 def _least(minima: Iterable[_Minimum]) -> _Minimum:
-    return min(minima, key=lambda minimum: minimum.cost)
+    """The least one, of those that are sure where there are any."""
+    return min(minima, key=lambda minimum: (not minimum.sure, minimum.cost))
 
 
 def _settled(minima: Sequence[_Minimum]) -> bool:
