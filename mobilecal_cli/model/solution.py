@@ -120,7 +120,7 @@ class Noise:
     floor_m: float = field(metadata=_level(0.0005, 1e-6, 0.1))
     stamp_s: float = field(metadata=_level(0.0005, 1e-6, 0.1))
     pair_s: float = field(metadata=_level(0.0001, 1e-6, 0.1))
-    shift_px: float = field(metadata=_level(0.02, 1e-4, 1e2))
+    shift_px: float = field(metadata=_level(0.02, 1e-4, 3.0))
     wheel_share: float = field(metadata=_level(0.001, 1e-6, 0.1))
     floor_length_m: float = field(metadata=_level(0.3, 1e-3, 1e3))
     wheel_length_m: float = field(metadata=_level(1.0, 1e-3, 1e3))

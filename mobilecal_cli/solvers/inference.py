@@ -395,7 +395,7 @@ class Inference:
             return None  # the images alone do not fit, or do not determine all parameters
         log = self.data.log[jump.station]
         explained = outliers.restored(was, without, everything)[log]
-        return jump if explained >= max(_SEVERAL, every[log] / 2 + 1) else None
+        return jump if explained >= max(_SEVERAL, (every[log] + 1) / 2) else None
 
     def _levels_near(
         self, lin: Posterior, tolerance: float = _COARSE, kept: frozenset[str] = frozenset()
