@@ -17,7 +17,7 @@ from mobilecal_cli import se3
 from mobilecal_cli.camera import project_with_jacobian
 from mobilecal_cli.kinematics import head_jacobian, head_pose, integrate
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.legs import leg_covariances
+from mobilecal_cli.likelihood.legs import all_covariances
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, WheelGeometry
 from tests.bench.simulated import TRUE_NOISE
@@ -72,7 +72,7 @@ class Terms:
         self.data, self.start = data, start
         self.R_X0, self.board0 = start.parameters.T_h_c[:3, :3], start.T_w_k[0]
         self.joints = data.joints.shape[1]
-        shares = leg_covariances(data.steps(), start.parameters.wheels, TRUE_NOISE)
+        shares = all_covariances(start, TRUE_NOISE)
         covariance = np.asarray(sum(shares.values()))
         roots = np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance)), 1, 2)
         steps = data.steps()
