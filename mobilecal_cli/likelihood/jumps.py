@@ -209,14 +209,18 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
 
 
+def slides(data: Dataset, jump: Jump) -> bool:
+    """Whether the part is a prismatic joint."""
+    return jump.part.removeprefix("joint ") in data.chain.prismatic
+
+
 def turning(data: Dataset, jump: Jump) -> BoolArray:
     """(m,) which numbers of a step are a rotation about the axes of its part, rad."""
     poses = _poses(data)
     if jump.part in poses:
         effects = (data.layout.direct[k][2] for k in poses[jump.part])
         return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
-    slides = jump.part.removeprefix("joint ") in data.chain.prismatic
-    return np.arange(len(jump.value)) < (0 if slides or jump.part in (*WHEELS, SHAPE) else 3)
+    return np.arange(len(jump.value)) < (0 if slides(data, jump) or jump.part in (*WHEELS, SHAPE) else 3)
 
 
 def left_by_first_order(lin: Posterior, jump: Jump) -> float:
@@ -259,8 +263,7 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
     if jump.part == "head mount":
         return _in_sigmas(size, variance[:6])
     if jump.part.startswith("joint"):
-        slides = jump.part.removeprefix("joint ") in lin.data.chain.prismatic
-        return _in_sigmas(size, variance[3:6] if slides else variance[:3])
+        return _in_sigmas(size, variance[3:6] if slides(lin.data, jump) else variance[:3])
     if jump.part in WHEELS:  # alone: all three may have a common scale that hardly shows
         known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
         return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))

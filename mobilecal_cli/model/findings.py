@@ -109,7 +109,7 @@ class Budget(ReadOnly):
 
     Attributes:
         sources: noise levels (see `Noise`), kinds of constants (see `likelihood.nuisance.KINDS`), and
-            "nominal", "user priors", "unobservable", "other".
+            "nominal", "unobservable", "other".
         nine: (S, 9) shares of the nine parameters, 0 for fixed ones.
         at_work: field of `AtWork` → (S,) shares.
     """

@@ -405,7 +405,7 @@ FAMILIES = {
     "nominal values": Family(
         "The uncertainty of the nominal values limits",
         "red light",
-        ("nominal", "unobservable", "user priors"),
+        ("nominal", "unobservable"),
     ),
     "recordings": Family("The differences between the recordings limit", "ink dark", ("recordings",)),
     "other": Family("Other errors limit", "faint half"),

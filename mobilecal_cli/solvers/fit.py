@@ -148,7 +148,7 @@ def uncertainty_of(fit: Fit) -> Uncertainty:
         covariance=covariance,
         reference_covariance=J @ shared @ J.T,
         observable=observable,
-        unobservable=fit.lin.priors.unobservable[:, :9],
+        unobservable=fit.lin.priors.unobservable,
         scales=scales,
         singular_values=fit.singular_values,
         noise=NoiseLevels(

@@ -15,7 +15,6 @@ from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.effects import Rolling
 from mobilecal_cli.likelihood.evidence import evidence
-from mobilecal_cli.likelihood.jumps import WHEELS
 from mobilecal_cli.likelihood.nuisance import PATTERNS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.processes import path_m
@@ -66,7 +65,6 @@ _LENS_SIGMAS = 3.0
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
-_OF_RADIUS = 0.5  # by which no wheel changes in a recording
 # Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
 _DIFFERENT = 3.0
 
@@ -395,13 +393,10 @@ def _diagnosis(
 ) -> Diagnosis | None:
     """The mistake in the description or in the readings in spite of which there is a solution.
 
-    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for, unless it is
-    that of a wheel that nearly vanishes, as one seems to whose images are frozen. Where the part that changed is not
-    known, a reading may have stopped.
+    A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
+    that changed is not known, a reading may have stopped.
     """
-    most_m = _OF_RADIUS * float(np.min(solution.parameters.wheels.vector[:2]))
-    material = [jump for jump in solution.jumps if jump.shift_sigmas >= MATERIAL_SIGMAS]
-    parts = [jump.part for jump in material if jump.part not in WHEELS or abs(jump.move_m) < most_m]
+    parts = [jump.part for jump in solution.jumps if jump.shift_sigmas >= MATERIAL_SIGMAS]
     if "" in parts and not extraction.motions and search.interrupted is not None:
         return search.interrupted
     if not extraction.motions and _fits_badly(solution, extraction):

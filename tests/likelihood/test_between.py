@@ -32,16 +32,23 @@ def test_few_recordings_that_differ_are_as_uncertain_as_stated(logs, spread, mos
     Spread of twice the recordings' own sigma: 100, 99 and 96 % of 20,000; the normal distribution gives 71 to 85 %.
     """
     random = np.random.default_rng(logs)
-    inside, naive = [], []
+    inside, naive, alike = [], [], []
     for _ in range(4000):
         std = random.uniform(0.7, 1.4, size=logs)
         values = spread * random.normal(size=logs) + std * random.normal(size=logs)
         variance = between_variance(values, std)
         weight = 1 / (std**2 + variance)
         mean, sigma = np.sum(weight * values) / weight.sum(), weight.sum() ** -0.5
-        inside.append(abs(mean) < 2 * sigma * few_logs_factor(values, std, variance))
+        factor = few_logs_factor(values, std, variance)
+        inside.append(abs(mean) < 2 * sigma * factor)
         naive.append(abs(mean) < 2 * sigma)
+        if (
+            np.sum(((values - mean) / std) ** 2) > 10 * logs
+        ):  # what is more than chance: the spread alone is wider
+            spread_alone = np.sum(1 / (std**2 + factor**2 * variance)) ** -0.5
+            alike.append((abs(mean) < 2 * sigma * factor) == (abs(mean) < 2 * spread_alone))
     assert 0.94 < np.mean(inside) <= most
+    assert np.mean(alike) > 0.985
     assert np.mean(naive) < 0.9
 
 
