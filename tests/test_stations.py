@@ -313,3 +313,14 @@ def test_images_that_lie_between_slow_readings_in_motion_name_their_rate():
     with pytest.raises(RecordingError, match="pan 1 per second, wheels 1 per second; at least 2") as caught:
         plan_stations([moving], head("pan"))
     assert "20 Hz" in caught.value.hint
+
+
+def test_a_joint_that_is_published_once_leaves_no_break_to_be_judged():
+    """At the stamp of an image: "not enough values to unpack"."""
+    log = signals(staircase, staircase)
+    once = Track(log.joints["pan"].time_ns[:1], log.joints["pan"].value[:1])
+    at = np.append(once.time_ns, log.images["left"].time_ns)
+    shown = {side: indexed(at) for side in log.images}
+    recorded = dict.fromkeys(log.images, at)
+    _, notes = planned(replace(log, joints={"pan": once}, images=shown, recorded_ns=recorded), ["pan"])
+    assert any("no readings around them" in note for note in notes)

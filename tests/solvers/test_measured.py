@@ -200,3 +200,40 @@ def test_measured_poses_and_motions_have_a_report():
 def test_wheels_that_are_not_positive_are_refused(wheels_m):
     with pytest.raises(ConfigError, match="not positive"):
         from_motions(legs(8, 1), wheels_m, T_V_C)
+
+
+@pytest.mark.parametrize("slip_m", [0.05, 0.3])
+def test_the_size_of_a_slip_is_that_against_the_sensor(slip_m):
+    """300 mm were "0 mm": the base of a leg that is left out stays where the last fit left it."""
+    turned = slip_m / WHEELS.radius_right_m
+    motions = legs(40, 1)
+    motions[5] = replace(
+        motions[5], right_rad=motions[5].right_rad + turned, left_rad=motions[5].left_rad + turned
+    )
+    solution = solve(from_motions(motions, tuple(WHEELS.vector), T_V_C))
+    (outlier,) = solution.outliers
+    assert outlier.text.startswith("Wheel slip, or a wrong motion, between stations 6:0 and 6:1")
+    assert "wheels and the sensor differ by" in outlier.text
+    size_mm = float(outlier.text.split("differ by ")[1].split(" mm")[0])
+    assert size_mm == pytest.approx(1e3 * slip_m, rel=0.15)
+
+
+def test_rounded_rotations_are_the_nearest_ones():
+    """Three digits of a rotation matrix moved results by up to four standard deviations."""
+    robot, recorded = drive(5)
+
+    def with_poses(change):
+        poses = [replace(pose, T_c_k=change(pose.T_c_k)) for pose in recorded.poses]
+        given = replace(recorded, poses=poses)
+        return solve(from_poses([given], tuple(robot.wheels.vector), chain_of(robot)))
+
+    def rounded(T):
+        return se3.transform(np.round(T[:3, :3], 4), T[:3, 3])
+
+    def nearest(T):
+        U, _, Vt = np.linalg.svd(np.round(T[:3, :3], 4))
+        return se3.transform(U @ Vt, T[:3, 3])
+
+    assert with_poses(rounded).parameters.vector == pytest.approx(
+        with_poses(nearest).parameters.vector, abs=1e-9
+    )

@@ -134,3 +134,15 @@ def test_errors_in_pixels_are_those_of_a_camera_that_has_the_board():
         )
         derivative = (ahead - behind).T / 2e-6
         assert by_point[k, 0] == pytest.approx(derivative, rel=1e-6, abs=1e-3)
+
+
+def test_encoders_without_steps_count_with_their_noise():
+    """A stated noise of their readings was no part of what the wheels contribute."""
+    extraction = recorded({}, QUIET, stations=12)
+    solution = solve(extraction, "lm")
+    without, parts = (parts_of(extraction, solution, encoder_rad=rad)["wheels"] for rad in (0.0, 0.05))
+    robot = solution.parameters.wheels
+    heading = np.sqrt(2) * 0.05 * np.linalg.norm(robot.vector[:2]) / robot.separation_m
+    distance = extraction.board_distance_m
+    assert heading * distance < parts.m < 2 * heading * distance  # the base moves, too
+    assert without.m < 0.3 * parts.m

@@ -310,3 +310,53 @@ def test_the_scale_is_compared_with_the_mean_of_the_users_prior():
     assert found.contradictions == ()
     assert not found.scale.apart
     assert found.scale.ratio == pytest.approx(1.01, abs=4 * found.scale.std)
+
+
+def carried(extraction, *legs):
+    """The robot is picked up and put elsewhere on some legs: its wheels stand still meanwhile."""
+    (track,) = extraction.wheels
+    times, rolled = track.time_ns, np.stack([track.right_rad, track.left_rad])
+    for leg in legs:
+        ends = [extraction.observations[k].time_ns for k in (leg, leg + 1)]
+        here, there = (np.array([np.interp(at, times, each) for each in rolled])[:, None] for at in ends)
+        during = np.where(times < ends[1], here, rolled - (there - here))
+        rolled = np.where(times <= ends[0], rolled, during)
+    return replace(extraction, wheels=(WheelTrack.at_same_times(times, *rolled),))
+
+
+@pytest.mark.parametrize(
+    ("robot", "legs"),
+    [
+        ("pan-tilt", (8,)),
+        pytest.param("camera on the base", (8,), marks=pytest.mark.long),
+        pytest.param("pan-tilt", (3, 8, 14), marks=pytest.mark.long),
+        pytest.param("pair on the base", (3, 8, 14), marks=pytest.mark.long),
+    ],
+)
+def test_a_robot_that_is_carried_slips_and_changes_nothing(robot, legs):
+    """Refused, or FAIL with a camera that moved by 276 mm, before: legs without motion had no part in any decision."""
+    case = imperfect.Case(robot, stations=18)
+    extraction = carried(case.extraction(1), *legs)
+    solution = solve(extraction)
+    assert [o.observations for o in solution.outliers if o.kind == "slip"] == [(k, k + 1) for k in legs]
+    assert not solution.jumps
+    run = imperfect.judged(
+        solution, extraction, imperfect.true_robot(imperfect.ROBOTS[robot](), extraction, case.route(1))
+    )
+    assert run.level == "PASS"
+    assert np.abs(run.error / run.std).max() < 4
+
+
+@pytest.mark.parametrize(
+    "station", [13, pytest.param(12, marks=pytest.mark.long), pytest.param(0, marks=pytest.mark.long)]
+)
+def test_a_station_that_shows_another_board_is_left_out(station):
+    """The last one: no convergence after 100 s. To first order, its own misfit was hundreds of times as large as it is."""
+    noise = Noise(0.1, 0.003, 0.0, 3.5e-4)
+    whole, other = (simulated("standard", noise, stations=14, seed=seed) for seed in (1, 9))
+    seen, elsewhere = list(whole.observations), other.observations[station]
+    mine = {name: getattr(seen[station], name) for name in ("joints", "time_ns", "station")}
+    seen[station] = replace(elsewhere, **mine)
+    found, true = solve(replace(whole, observations=tuple(seen))), solve(whole)
+    assert [(o.kind, o.observations) for o in found.outliers] == [("station", (station,))]
+    assert np.abs(found.parameters.minus(true.parameters) / found.uncertainty.std).max() < 2

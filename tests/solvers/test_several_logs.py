@@ -271,3 +271,45 @@ def test_the_information_of_all_recordings_is_the_sum_of_that_of_each():
         sum(normal.S for normal in each) / np.outer(scale, scale), lin.normal.S / np.outer(scale, scale)
     )
     assert np.allclose(sum(normal.s for normal in each) / scale, lin.normal.s / scale, atol=1e-6)
+
+
+@pytest.mark.parametrize(("extra", "most"), [(0, 1e-3), (1, 0.4)])
+def test_recordings_without_legs_change_hardly_anything(extra, most):
+    """A single station shows the cameras and the board. Means of recordings were subtracted that these do not have: noise levels up to five times as large."""
+    noise = Noise(0.1, 0.003, 0.0, 3.5e-4, floor_rad=0.0017, floor_m=0.0005)
+    other, whole = (simulated("standard", noise, stations=16, seed=seed) for seed in (1, 2))
+    few = replace(other, observations=other.observations[:extra])
+    alone = solve(whole)
+    for together in (joined(few, whole), joined(few, few, whole), joined(whole, few)):
+        found = solve(together)
+        assert np.abs(found.parameters.minus(alone.parameters) / alone.uncertainty.std).max() < most
+        assert found.uncertainty.std == pytest.approx(alone.uncertainty.std, rel=0.02)
+        for level in ("floor_rad", "floor_m", "wheel_share"):
+            assert getattr(found.uncertainty.noise, level) == pytest.approx(
+                getattr(alone.uncertainty.noise, level), rel=0.05
+            )
+
+
+@pytest.mark.long
+def test_nothing_hangs_on_the_limit_beyond_which_recordings_differ():
+    """A mount that was moved by 0.3 um more made a standard deviation 16 times as large."""
+    noise = Noise(0.1, 0.003, 0.0, 3.5e-4)
+    first, second = (plan_route(ROBOT, "standard", stations=8, seed=seed) for seed in (2, 3))
+    whole = ideal_extraction(ROBOT, first, noise, 1)
+
+    def with_mount(by_m):
+        T = ROBOT.T_h_c.copy()
+        T[0, 3] += by_m
+        return solve(joined(whole, ideal_extraction(replace(ROBOT, T_h_c=T), second, noise, 2)))
+
+    alike, differ = 0.0, 0.1
+    assert with_mount(differ).between.between_std.any()
+    for _ in range(28):
+        middle = (alike + differ) / 2
+        if with_mount(middle).between.between_std.any():
+            differ = middle
+        else:
+            alike = middle
+    assert alike > 0
+    std = [with_mount(by_m).uncertainty.std for by_m in (alike, differ)]
+    assert std[1] == pytest.approx(std[0], rel=0.05)
