@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-import json
 import os
 import re
 import time
@@ -13,11 +12,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
@@ -25,7 +24,7 @@ from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import submitted, workers
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
-from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file
+from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file, write_files
 from mobilecal_cli.files.interruption import naming_interruptions, note_placed
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
@@ -215,20 +214,28 @@ def run_job(job: FleetJob) -> FleetRow:
         OutputError: the record cannot be written.
     """
     key, began_s = "", time.perf_counter()  # without a fingerprint the job is repeated
+    owned: list[str] = []  # digests of the results that are the batch's own: the earlier one, and the new one
+
+    def before_writing(report: Report) -> None:
+        owned.append(hashlib.sha256(report.params.encode()).hexdigest())
+        _write_record(job, _Record(params=tuple(owned)))
+
     try:
+        if job.force or owns_result(job):
+            owned.append(_params_digest(job))
         key = fingerprint(job)
         done = None if job.force else _finished(job, key)
         if done is not None:
             return done
-        force = job.force or owns_result(job)
-        _write_record(job, {})  # from now on, a result of this robot is one of the batch
+        _write_record(job, _Record(params=tuple(owned)))
         with naming_interruptions():
             report = calibrate(
                 job.logs,
                 job.output / job.name,
                 config=load_rig(job.config, job.flags),
                 gates=job.gates,
-                force=force,
+                force=bool(owned),
+                before_writing=before_writing,
             )
         row = _row(job, report)
     except MobilecalError as error:
@@ -238,28 +245,43 @@ def run_job(job: FleetJob) -> FleetRow:
     if row.verdict == "ERROR" and (job.output / job.name).is_dir():
         row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
     row = replace(row, seconds=round(time.perf_counter() - began_s, 3))
-    _write_record(job, {"key": key, "row": asdict(row), "params": _params_digest(job)})
+    _write_record(job, _Record(params=tuple(owned), key=key, row=row))
     return row
 
 
 def owns_result(job: FleetJob) -> bool:
-    """Whether the batch wrote the result of a robot that exists, or was writing it when it was killed."""
-    record = _record(job)
-    return record is not None and record.get("params", _params_digest(job)) == _params_digest(job)
+    """Whether the batch wrote the result of a robot that exists, also if it was killed before it could say so."""
+    return _params_digest(job) in _record(job).params
 
 
-def _record(job: FleetJob) -> dict[str, Any] | None:
+class _Record(BaseModel, frozen=True):
+    """What a batch keeps of a job.
+
+    Attributes:
+        params: SHA-256 of the params.yaml that are results of the batch: before the job, and after it.
+        key: `fingerprint` of the job, once it has ended.
+        row: its row of the table, once it has ended.
+    """
+
+    params: tuple[str, ...] = ()
+    key: str = ""
+    row: FleetRow | None = None
+
+
+def _record(job: FleetJob) -> _Record:
+    """The record of a job; an empty one if there is none, or one that cannot be read."""
     try:
-        data = json.loads(read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES))
-    except (ConfigError, ValueError):
-        return None
-    return data if isinstance(data, dict) else None
+        return _Record.model_validate_json(
+            read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES)
+        )
+    except (ConfigError, ValidationError):
+        return _Record()
 
 
-def _write_record(job: FleetJob, data: Mapping[str, Any]) -> None:
+def _write_record(job: FleetJob, record: _Record) -> None:
     path = job.output / RECORDS / f"{job.name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, json.dumps(data, indent=1).encode() + b"\n", force=True)
+    write_file(path, record.model_dump_json(indent=1).encode() + b"\n", force=True)
 
 
 def _params_digest(job: FleetJob) -> str:
@@ -284,14 +306,11 @@ def fingerprint(job: FleetJob) -> str:
 
 def _finished(job: FleetJob, key: str) -> FleetRow | None:
     """The row of an earlier run of the same job with a result, if its outputs still exist."""
-    record = _record(job) or {}
-    try:
-        row, same = TypeAdapter(FleetRow).validate_python(record["row"]), record["key"] == key
-    except (ValueError, KeyError, TypeError):
-        return None
+    record = _record(job)
     there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
-    answered = row.verdict != "ERROR" and there and owns_result(job)
-    return replace(row, skipped=DONE) if same and answered else None
+    if record.row is None or record.row.verdict == "ERROR" or record.key != key or not there:
+        return None
+    return replace(record.row, skipped=DONE) if owns_result(job) else None
 
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
@@ -389,8 +408,8 @@ def batch(
                 path.rmdir()
         raise
     ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
-    for name, text in zip(SUMMARIES, (fleet_csv(ordered), fleet_html(ordered)), strict=True):
-        write_file(output / name, text.encode(), force=True)
+    tables = (fleet_csv(ordered).encode(), fleet_html(ordered).encode())
+    write_files(dict(zip((output / name for name in SUMMARIES), tables, strict=True)), force=True)
     return ordered
 
 

@@ -415,6 +415,7 @@ def calibrate(
     force: bool = False,
     progress: Progress = silent,
     jobs: int = 1,
+    before_writing: Callable[[Report], None] = lambda report: None,
 ) -> Report:
     """Read recordings, solve, and write params.yaml, report.html, report.json and extraction.npz.
 
@@ -431,6 +432,7 @@ def calibrate(
         progress: called with the progress.
         jobs: worker processes for images; more than one needs a main module without side effects on
             import, as for `multiprocessing`.
+        before_writing: called with what is about to be written.
 
     Raises:
         MobilecalError: see `errors`; nothing is written then.
@@ -444,5 +446,6 @@ def calibrate(
     fit = fitted(data.extraction, method, constraints, hold_out, progress)
     report = Report(data, fit, limits, last)
     progress("writing the report", 0, None)
+    before_writing(report)
     report.save(output, force)
     return report

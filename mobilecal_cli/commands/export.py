@@ -51,7 +51,7 @@ def export(
         output: File to write; - for standard output. [default: -]
     """
     from mobilecal_cli.calibrate.export import export as exported
-    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.export.outputs import check_file, write_files
     from mobilecal_cli.model.text import visible
 
     if len(to) > 1:
@@ -82,8 +82,7 @@ def export(
     )
     if not paths:
         typer.echo(made.content, nl=False)
-    for path, content in zip(paths, (made.content, made.layout.encode()), strict=False):
-        write_file(path, content, force)
+    write_files(dict(zip(paths, (made.content, made.layout.encode()), strict=False)), force)
     for note in made.notes:
         typer.echo(visible(note), err=True)
     if paths:

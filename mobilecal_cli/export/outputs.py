@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import permutations
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.params import FIRST_LINE
+from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
 
 _ANOTHER = "choose another output path"
@@ -97,15 +98,28 @@ def check_parent(path: Path) -> None:
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write a file under a temporary name next to it, then put it in place.
+    """Write a file; see `write_files`."""
+    write_files({path: content}, force)
+
+
+def write_files(files: Mapping[Path, bytes], force: bool) -> None:
+    """Write files under temporary names next to them; then put them in place, once all are on the disk.
 
     Raises:
         OutputError: see `check_file`; or writing failed.
     """
-    check_file(path, force)
-    with _writing(path, "output path"), partial_of(path, recognized_file) as partial:
-        write_synced(partial, content)
-        place(partial, path, recognized_file, force)
+    for path in files:
+        check_file(path, force)
+    partials = {}
+    with ExitStack() as stack:
+        for path, content in files.items():
+            with _writing(path, "output path"):
+                partials[path] = stack.enter_context(partial_of(path, recognized_file))
+                write_synced(partials[path], content)
+        with uninterrupted():
+            for path, partial in partials.items():
+                with _writing(path, "output path"):
+                    place(partial, path, recognized_file, force)
 
 
 @contextmanager
@@ -137,15 +151,17 @@ def append_text(path: Path, text: str) -> None:
     """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
 
     Raises:
-        OutputError: it cannot be written, or is not a regular file; none is left that was not there.
+        OutputError: it cannot be written, or is not a regular file; the file is as it was before.
     """
     check_appendable(path)
-    new = not os.path.lexists(path)
+    size = path.stat().st_size if os.path.lexists(path) else None
     try:
-        with _writing(path, "output path"), path.open("a", encoding="utf-8") as stream:
-            stream.write(text)
+        with uninterrupted(), _writing(path, "output path"), path.open("ab") as stream:
+            stream.write(text.encode())
     except OutputError:
-        if new:
+        if size is not None:
+            os.truncate(path, size)
+        else:
             path.unlink(missing_ok=True)
         raise
 

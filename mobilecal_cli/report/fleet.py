@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -63,26 +63,40 @@ def robots_of(rows: Sequence[FleetRow]) -> list[FleetRow]:
 def fleet_numbers(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
     """Parameters, (n, 9), and standard deviations, (n, 9), in deg and mm, NaN where there are none.
 
-    Rotations are relative to the first robot that passes, as rotation vectors in the head frame.
+    Rotations are those of the camera in the head, as rotation vectors.
     """
     numbers, std = np.full((2, len(rows), len(NINE)), np.nan)
     factors = np.array([parameter.factor for parameter in PARAMETERS])
-    answered = [row for row in rows if row.lengths_m]
-    first = next((row for row in answered if row.verdict == "PASS"), answered[0] if answered else None)
-    R_first = np.eye(3) if first is None else se3.exp_so3(np.array(first.rotvec_rad))
     for i, row in enumerate(rows):
-        if not row.lengths_m:
-            continue
-        R = se3.exp_so3(np.array(row.rotvec_rad))
-        numbers[i] = np.concatenate([se3.log_so3(R @ R_first.T), row.lengths_m]) * factors
+        if row.lengths_m:
+            numbers[i] = np.array([*row.rotvec_rad, *row.lengths_m]) * factors
         if row.std:
             std[i] = np.array([np.nan if s is None else s for s in row.std]) * factors
     return numbers, std
 
 
+def compared(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
+    """As `fleet_numbers`, with rotations in the head frame relative to the first robot that passes.
+
+    Rotation vectors of half a turn may have opposite signs and mean nearly the same.
+    """
+    answered = [row for row in rows if row.lengths_m]
+    first = next((row for row in answered if row.verdict == "PASS"), answered[0] if answered else None)
+    R_first = np.eye(3) if first is None else se3.exp_so3(np.array(first.rotvec_rad))
+    turned = [
+        replace(
+            row, rotvec_rad=tuple(se3.log_so3(se3.exp_so3(np.array(row.rotvec_rad)) @ R_first.T).tolist())
+        )
+        if row.lengths_m
+        else row
+        for row in rows
+    ]
+    return fleet_numbers(turned)
+
+
 def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
     """Robot → names of its parameters that are outliers of the fleet; only robots that have any."""
-    numbers, std = fleet_numbers(rows)
+    numbers, std = compared(rows)
     answered = np.isfinite(numbers[:, 0])
     if answered.sum() < _FEWEST:
         return {}
@@ -98,7 +112,7 @@ def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:
 
 
 def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
-    """Column → value of each robot; rotations are relative to the first robot that passes, NaN where unknown."""
+    """Column → value of each robot, NaN where unknown."""
     numbers, std = fleet_numbers(rows)
     out = standing_out(rows)
     names = [f"{p.name}_{p.shown_unit}" for p in PARAMETERS]
@@ -120,7 +134,7 @@ def _columns(rows: Sequence[FleetRow]) -> list[dict[str, Any]]:
 
 
 def fleet_csv(rows: Sequence[FleetRow]) -> str:
-    """One line per robot as CSV; rotations are relative to the first robot that passes."""
+    """One line per robot as CSV."""
     stream = io.StringIO()
     lines = _columns(rows)
     table = csv.writer(stream, lineterminator="\n")
@@ -148,7 +162,7 @@ def fleet_html(rows: Sequence[FleetRow]) -> str:
     """The table as an HTML page with links to the reports."""
     robots = robots_of(rows)
     out, lines = standing_out(robots), []
-    for row, values, sigmas in zip(robots, *fleet_numbers(robots), strict=True):
+    for row, values, sigmas in zip(robots, *compared(robots), strict=True):
         texts = [
             value_text(value, s, 2) if np.isfinite(value) else ""
             for value, s in zip(values, sigmas, strict=True)

@@ -149,6 +149,29 @@ def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, top
     assert found.notes == draft([log]).notes == (note,)
 
 
+def test_log_times_that_are_all_zero_are_no_other_topic(sample_logs, tmp_path):
+    """ "Different readings on /joint_states and on /joint_states", it said: at one log time, they differ."""
+    records = (replace(each, time_ns=0) for each in records_of(sample_logs / "paper_robot.mcap"))
+    log = written(tmp_path / "log.mcap", records)
+    before, after = (extract([each], UNCONFIGURED)[0] for each in (sample_logs / "paper_robot.mcap", log))
+    assert [o.time_ns for o in after.observations] == [o.time_ns for o in before.observations]
+
+
+def test_a_description_that_cannot_be_read_is_not_missing(sample_logs, tmp_path):
+    """ "No robot_description in the recording", it said."""
+
+    def cut(record):
+        return (
+            replace(record, data=record.data[: len(record.data) // 2])
+            if "description" in record.topic
+            else record
+        )
+
+    log = written(tmp_path / "log.mcap", map(cut, records_of(sample_logs / "paper_robot.mcap")))
+    with pytest.raises(RecordingError, match="unknown: /robot_description cannot be read, no transforms"):
+        extract([log], UNCONFIGURED)
+
+
 def test_topics_that_contradict_each_other(sample_logs, tmp_path, few):
     log = beside(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", "/base/joint_states", 0.5)
     said = "joint head_pan_joint has different readings on /base/joint_states and on /joint_states"

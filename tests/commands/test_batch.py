@@ -89,7 +89,7 @@ def without_skipped(out):
 def records(out):
     """Robot → when its record was completed."""
     found = (out / batch_module.RECORDS).glob("*.json")
-    return {p.stem: p.stat().st_mtime_ns for p in found if "row" in json.loads(p.read_text(encoding="utf-8"))}
+    return {p.stem: p.stat().st_mtime_ns for p in found if json.loads(p.read_text(encoding="utf-8"))["row"]}
 
 
 def test_a_failure_stops_no_other_robot(local):
@@ -105,6 +105,8 @@ def test_a_failure_stops_no_other_robot(local):
         assert abs(float(row["separation_mm"]) - truth) < 5 * float(row["std_separation_mm"])
         params = validated((out / row["robot"] / "report.json").read_text(encoding="utf-8"))["parameters"]
         assert float(row["separation_mm"]) == pytest.approx(params["separation_mm"], abs=1e-5)
+        rotation = [float(row[f"r_{axis}_deg"]) for axis in "xyz"]
+        assert rotation == pytest.approx(params["rotation_vector_deg"], abs=1e-5)
     page = (out / "summary.html").read_text(encoding="utf-8")
     assert 'href="robot_1/report.html"' in page
 
@@ -344,6 +346,30 @@ def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
     assert (out / "a" / "thesis.tex").exists()
 
 
+def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_path, monkeypatch):
+    """Each run recorded at its start that whatever is there is its own."""
+    source, out = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}"), tmp_path / "out"
+
+    def interrupted(*given, **named):
+        raise KeyboardInterrupt
+
+    def interrupted_at_the_end(job, report):
+        raise KeyboardInterrupt
+
+    for moment in ("calibrate", "_row"):
+        batch_module.batch(source, out, run=in_this_process)
+        stop = interrupted if moment == "calibrate" else interrupted_at_the_end
+        with monkeypatch.context() as patch:
+            patch.setattr(batch_module, moment, stop)
+            with pytest.raises(KeyboardInterrupt):
+                batch_module.batch(source, out, run=in_this_process, gates=["stations=3"])
+        params = out / "a" / "params.yaml"
+        params.write_bytes(params.read_bytes() + b"# edited\n")
+        with monkeypatch.context() as patch:
+            refused_before_the_work(source, out, patch, OutputError, "already exists")
+        params.write_bytes(params.read_bytes().removesuffix(b"# edited\n"))
+
+
 def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
     (tmp_path / "summary.csv").write_text("precious")
     source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
@@ -356,9 +382,10 @@ def counted(monkeypatch):
     """A calibration that returns at once; how often it ran."""
     ran = []
 
-    def answer(logs, out, *, config, force, **_):
+    def answer(logs, out, *, config, force, before_writing, **_):
         ran.append(out.name)
         read_urdf(config)
+        before_writing(SimpleNamespace(params=FIRST_LINE))
         write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
 
     monkeypatch.setattr(batch_module, "calibrate", answer)
@@ -398,7 +425,9 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert not again()
     assert again(gates=["stations=3"])
     assert again()
-    (out / batch_module.RECORDS / "a.json").write_text("{}")  # killed before the record was complete
+    record = out / batch_module.RECORDS / "a.json"
+    begun = {"params": json.loads(record.read_text())["params"]}
+    record.write_text(json.dumps(begun))  # killed before the record was complete
     assert again()
     assert not again()
     assert len(counted) == 10

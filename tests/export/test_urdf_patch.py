@@ -108,9 +108,8 @@ def test_wheel_joints_over_the_ground_follow_the_radius(tmp_path):
     assert patched_urdf(made.content, robot(), JOINTS).content == made.content
     made = patched_urdf(GROUNDED, robot(), JOINTS)
     assert heights(made, tmp_path, "base_link") == pytest.approx([0.0] * 4, abs=1e-10)
-    (said,) = [change for change in made.notes if "is unchanged; the mean wheel radius" in change]
-    assert "height 0 m over 'axle'" in said
-    assert "is now 0.1015 m, before 0.1 m" in said
+    said = "the mean wheel radius is now 0.1015 m, before 0.1 m: no height follows from it, no frame is on the ground"
+    assert said in made.notes
 
 
 @pytest.mark.parametrize("upward", [True, False])
@@ -126,7 +125,11 @@ def test_a_base_footprint_stays_and_is_named(tmp_path, upward):
     )
     made = patched_urdf(content, robot(), JOINTS)
     assert heights(made, tmp_path, "base_footprint") == pytest.approx([0.1] * 4, abs=1e-10)
-    assert any("correct the joint of a link on the ground" in note for note in made.notes)
+    height_m = "0.1" if upward else "-0.1"
+    said = (
+        f"joint 'down': height {height_m} m is unchanged; the mean wheel radius is now 0.1015 m, before 0.1 m"
+    )
+    assert f"{said}: correct it by hand" in made.notes
 
 
 def test_what_stays_and_what_is_said_in_the_file(tmp_path):

@@ -1,6 +1,7 @@
 """Outputs when the process is killed, when names try to steer, and when the output is a link."""
 
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,8 @@ from itertools import groupby
 
 import pytest
 
+from mobilecal_cli.errors import OutputError
+from mobilecal_cli.export.outputs import append_text, write_files
 from tests.command import python, run
 from tests.conftest import REPOSITORY
 
@@ -74,6 +77,36 @@ def test_a_directory_is_no_output_of_two_files(tmp_path, name):
     result = run("export", PARAMS, "--to", "foxglove", "--output", name, cwd=tmp_path)
     assert (result.code, result.left) == (7, [])
     assert "exists and is not a regular file" in result.err
+
+
+@pytest.fixture
+def small_files():
+    """No file may grow beyond 4096 bytes, as on a disk that is full."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_file_that_cannot_be_appended_to_stays_as_it_is(tmp_path, small_files):
+    """A part of the new text was left at its end."""
+    path = tmp_path / "summary.md"
+    path.write_bytes(b"x" * 4000)
+    with pytest.raises(OutputError, match="cannot be written"):
+        append_text(path, "y" * 200)
+    assert path.read_bytes() == b"x" * 4000
+    append_text(path, "y" * 96)
+    assert path.read_bytes() == b"x" * 4000 + b"y" * 96
+
+
+def test_of_two_files_that_belong_together_none_is_written_if_one_cannot_be(tmp_path, small_files):
+    """The scene was new, its layout an older one."""
+    first, second = tmp_path / "scene.mcap", tmp_path / "scene.layout.json"
+    for path in (first, second):
+        path.write_bytes(b"old")
+    with pytest.raises(OutputError, match=r"layout\.json: cannot be written"):
+        write_files({first: b"new", second: b"y" * 5000}, force=True)
+    assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == [b"old", b"old"]
 
 
 def test_a_pipe_as_the_urdf_to_patch(tmp_path):

@@ -53,6 +53,7 @@ def test_a_change_is_told_with_its_time_and_size(tmp_path, container, extent):
         ({"R": se3.exp_so3(np.radians([0, 0.3, 0]))}, "R by 0.3 deg;"),
         ({"size": (480, 360)}, "image size 640 x 480 to 480 x 360;"),
         ({"D": [0.1] * 8, "model": "rational_polynomial"}, "model plumb_bob (5) to rational_polynomial (8);"),
+        ({"size": (320, 240)}, "but the image size in camera_info is 320 x 240; 4 of 10 messages differ"),
     ],
 )
 def test_what_changes_is_named(tmp_path, after, said):
@@ -92,3 +93,14 @@ def test_what_most_messages_say_is_used_and_other_images_are_left_out(tmp_path):
     assert len(signals.images["right"].time_ns) == 6
     (note,) = [note for note in signals.notes if CAMERA_INFO_CHANGES in note]
     assert "4 of 10 messages differ from the others" in note
+
+
+def test_images_are_left_out_while_the_stated_calibration_is_that_of_no_camera(tmp_path):
+    """It was passed over: the images were taken for those of the calibration before."""
+    path = r.write_mcap(tmp_path / "log", world({"size": (320, 240)}, at=4))
+    with open_recording([path]) as recording:
+        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+    assert len(signals.images["left"].time_ns) == 2
+    assert len(signals.images["right"].time_ns) == 6
+    (note,) = [note for note in signals.notes if CAMERA_INFO_CHANGES in note]
+    assert "6 of 10 messages differ from the others" in note

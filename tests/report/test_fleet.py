@@ -4,6 +4,9 @@ import csv
 import io
 import re
 
+import numpy as np
+import pytest
+
 from mobilecal_cli.report.fleet import FleetRow, failed_text, fleet_csv, fleet_html, fleet_text
 
 
@@ -11,6 +14,17 @@ def test_no_sigma_is_shown_as_zero(extraction):
     rows = [FleetRow(f"r{n}", "PASS", 0, "", 12, (0.1, 0, 0), (0.1,) * 6, (1e-7,) * 9) for n in range(2)]
     assert "± 0.00010" in fleet_html(rows)
     assert not re.search(r"± 0\.0*[^0-9.]", fleet_html(rows))
+
+
+def test_the_table_has_each_robot_s_own_rotation():
+    """It was that relative to the first robot that passes, which is zero for this one, in a column "r_x_deg"."""
+    rows = [
+        FleetRow(f"r{n}", "PASS", 0, "", 12, (1.0, -1.2, 0.1 * n), (0.1,) * 6, (1e-3,) * 9) for n in range(2)
+    ]
+    for n, line in enumerate(csv.DictReader(io.StringIO(fleet_csv(rows)))):
+        told = [float(line[f"r_{axis}_deg"]) for axis in "xyz"]
+        assert told == pytest.approx(np.degrees([1.0, -1.2, 0.1 * n]), abs=1e-6)
+    assert "Rotations are relative to the first robot that passes" in fleet_html(rows)
 
 
 def test_the_first_five_of_what_is_skipped_are_named():

@@ -47,11 +47,11 @@ def _kalibr_distortion(camera: Camera) -> tuple[str, list[float]]:
     if model == "plumb_bob" and any(D[4:]):
         raise ConfigError(
             f"camera {camera.frame_id!r}: Kalibr's radtan model has no third radial coefficient; here it is {D[4]:g}",
-            "use --to camera_info or json",
+            "use --to camera_info",
         )
     if model == "rational_polynomial":
         raise ConfigError(
             f"camera {camera.frame_id!r}: Kalibr has no model for rational_polynomial distortion",
-            "use --to camera_info or json",
+            "use --to camera_info",
         )
     return _KALIBR_MODELS[model], D[:4]

@@ -374,8 +374,8 @@ def _height(
 ) -> tuple[float | None, tuple[str, ...]]:
     """New height of the wheel joints in their parent, m, None to keep it; and a note on it.
 
-    A height that follows from the wheel radius has to change with it. It does in the wheel joints; another joint, such
-    as that of a base_footprint, may also place the body: the note has both radii.
+    A height that follows from the wheel radius has to change with it. It does in the wheel joints. Another joint, such
+    as that of a base_footprint, places the whole robot: it is named.
     """
     joints = [_joint(urdf, wheel_joints[side]) for side in SIDES]
     tags = [tag for joint in joints for tag in file.places.get(("link", joint.child, "wheel"), [])[:1]]
@@ -388,17 +388,30 @@ def _height(
         return None, ()
     old_m = sum(radii) / 2
     new_m = (robot.wheels.radius_left_m + robot.wheels.radius_right_m) / 2
-    names = " and ".join(repr(joint.name) for joint in joints)
     own = [float(joint.T_parent_child[2, 3]) for joint in joints]
     if max(abs(height - old_m) for height in own) <= _GROUND_M:
+        names = " and ".join(repr(joint.name) for joint in joints)
         return new_m, (f"joints {names}: height {new_m:.6g} m, the mean wheel radius",)
 
     if abs(old_m - new_m) <= 1e-9:
         return None, ()
-    return None, (
-        f"joints {names}: height {own[0]:.6g} m over {joints[0].parent!r} is unchanged; the mean wheel radius is now "
-        f"{new_m:.6g} m, before {old_m:.6g} m: correct the joint of a link on the ground, such as base_footprint",
+    axle = {joints[0].parent: joints[0].T_parent_child[:3, 3]}  # a place on it, in the frames that carry it
+    for joint in reversed(urdf.path(urdf.root, joints[0].parent)):
+        axle[joint.parent] = se3.act(joint.T_parent_child, axle[joint.child][None])[0]
+
+    def on_ground(place: FloatArray) -> bool:
+        return bool(abs(place[2] - old_m) <= _GROUND_M)
+
+    changed = f"the mean wheel radius is now {new_m:.6g} m, before {old_m:.6g} m"
+    placing = tuple(
+        f"joint {joint.name!r}: height {joint.T_parent_child[2, 3]:.6g} m is unchanged; {changed}: correct it by hand"
+        for joint in urdf.joints.values()
+        if joint.kind == "fixed"
+        and joint.parent in axle
+        and on_ground(axle[joint.parent])
+        != on_ground(se3.act(se3.inverse(joint.T_parent_child), axle[joint.parent][None])[0])
     )
+    return None, placing or (f"{changed}: no height follows from it, no frame is on the ground",)
 
 
 def _joint(urdf: Urdf, name: str) -> UrdfJoint:

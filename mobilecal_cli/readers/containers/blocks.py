@@ -375,10 +375,9 @@ class Reindex:
         self._close(truncated=bool(trouble))
         if trouble:
             storage.set_time_range()
-            seconds = ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
-            storage.note(
-                f"{trouble}; {storage.counts.total()} messages ({seconds:.1f} s) were found before it, the rest is lost"
-            )
+            count, seconds = storage.counts.total(), ((storage.end_ns or 0) - (storage.start_ns or 0)) * 1e-9
+            found = f"{count} messages ({seconds:.1f} s)" if count else "no messages"
+            storage.note(f"{trouble}; {found} were found before it, the rest is lost")
         return trouble
 
     def _next_record(self, at: int, *, chunks: bool = False) -> int | None:

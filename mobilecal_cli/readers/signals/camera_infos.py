@@ -171,6 +171,7 @@ _STAMP_BYTES = 12
 _SAME_RELATIVE, _SAME = 1e-6, 1e-9
 #: Calibrations kept of one topic; a topic with more is that of several cameras.
 _MOST_KEPT = 16
+_UNUSABLE = -1
 
 
 class InfoChanges:
@@ -183,53 +184,67 @@ class InfoChanges:
     def __init__(self, topic: str) -> None:
         self.topic = topic
         self.infos: list[CameraInfo] = []
+        #: Why the first message that cannot be used cannot.
+        self._problem = ""
         #: Calibration in each message, and the log time.
         self._which, self._log_ns = array("q"), array("q")
-        #: Bytes of the last usable message after its stamp, None before the first.
+        #: Bytes of the last message after its stamp, None before the first.
         self._last: bytes | None = None
 
     def add(self, channel: Channel, log_ns: int, payload: Payload) -> None:
         """Take one message. Only one that differs from the one before is decoded."""
         own = bytes(payload[_STAMP_BYTES:])
-        if self._last != own:
-            try:
-                decoded = camera_info(channel.decode(payload), self.topic)
-            except RecordingError:
-                return
-            known = (k for k, info in enumerate(self.infos) if not _difference(info, decoded))
-            which = next(known, len(self.infos))
-            if which == _MOST_KEPT:
-                return
-            self.infos += [decoded] if which == len(self.infos) else []
+        which = self._which[-1] if self._last == own else self._index(channel, payload)
+        if which is not None:
             self._last = own
-        else:
-            which = self._which[-1]
-        self._which.append(which)
-        self._log_ns.append(log_ns)
+            self._which.append(which)
+            self._log_ns.append(log_ns)
+
+    def _index(self, channel: Channel, payload: Payload) -> int | None:
+        """Index of the calibration that a message states, which is kept if it is new; None if it states none."""
+        try:
+            message = channel.decode(payload)
+            if not _matrix(message, "K", (3, 3), self.topic).any():
+                return None
+        except (RecordingError, *NOT_ITS_TYPE):
+            return None
+        try:
+            stated = camera_info(message, self.topic)
+        except RecordingError as error:
+            self._problem = self._problem or error.message.removeprefix(f"{self.topic}: ")
+            return _UNUSABLE
+        known = next((k for k, info in enumerate(self.infos) if not _difference(info, stated)), None)
+        if known is None and len(self.infos) < _MOST_KEPT:
+            self.infos.append(stated)
+            return len(self.infos) - 1
+        return known
 
     @property
     def usual(self) -> int:
-        """Index of the calibration in most messages; 0 without any."""
-        return int(np.argmax(np.bincount(self._which, minlength=1)))
+        """Index of the calibration in most of the messages that can be used; 0 without any."""
+        which = np.array(self._which)
+        return int(np.argmax(np.bincount(which[which != _UNUSABLE], minlength=1)))
 
     def usual_at(self, log_ns: IntArray) -> IntArray:
         """(n,) indices of those of some log times at which the topic states its usual calibration."""
-        if len(self.infos) < 2:
+        if not self.infos:
             return np.arange(len(log_ns))
         last = np.maximum(np.searchsorted(self._log_ns, log_ns, side="right") - 1, 0)
         return np.flatnonzero(np.array(self._which)[last] == self.usual)
 
     def notes(self, start_ns: int | None) -> list[str]:
         """A sentence on a calibration that changes; `start_ns` is when the recording starts."""
-        if len(self.infos) < 2:
+        others = len(self._which) - self._which.count(self.usual)
+        if not self.infos or not others:
             return []
-        at_ns, total = self._log_ns[self._which.index(1)], len(self._which)
+        changed = len(self.infos) > 1
+        at_ns = self._log_ns[self._which.index(1 if changed else _UNUSABLE)]
         since_s = (at_ns - (start_ns or at_ns)) * 1e-9
-        others = total - self._which.count(self.usual)
+        what = _difference(*self.infos[:2]) if changed else self._problem
         return [
-            f"{self.topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: "
-            f"{_difference(self.infos[0], self.infos[1])}; {others} of {total} messages differ "
-            "from the others, which are used; images recorded while it differs are left out"
+            f"{self.topic}: {CAMERA_INFO_CHANGES} {since_s:.1f} s after the start: {what}; "
+            f"{others} of {len(self._which)} messages differ from the others, which are used; images recorded while "
+            "it differs are left out"
         ]
 
 

@@ -77,7 +77,8 @@ def most_stated(name: str, topics: Sequence[StatedJoint], wheel: bool = False) -
     moving = [joint for joint in topics if joint.series.range > _STILL_SHARE * largest]
     best = max(moving or topics, key=lambda joint: joint.series.says)
     like = moving or [joint for joint in topics if joint.series.says[1]]
-    other = next((joint for joint in like if joint.series.differs(best.series, wheel)), None)
+    others = (joint for joint in like if joint is not best)
+    other = next((joint for joint in others if joint.series.differs(best.series, wheel)), None)
     if other is not None:
         setting = "wheels.left.topic and wheels.right.topic" if wheel else "joints.topic"
         raise RecordingError(
