@@ -23,7 +23,7 @@ from mobilecal_cli.kinematics import (
 )
 from mobilecal_cli.model import NINE, Extraction, FloatArray, HeadChain, IntArray, WheelTrack
 from mobilecal_cli.stations import NO_READINGS
-from mobilecal_cli.vision import OTHER_BOARDS, SECOND_BOARD, SQUARES_UNKNOWN, readable_words
+from mobilecal_cli.vision import AMBIGUOUS, OTHER_BOARDS, SECOND_BOARD, SQUARES_UNKNOWN, readable_words
 
 FEWEST_STATIONS = FEWEST_LEGS + 1  # in one recording
 _HEAD_M = 0.5  # that the motion of a head alone moves a camera, at most
@@ -141,13 +141,21 @@ def require_stations(extraction: Extraction) -> None:
     looked_at = extraction.counts.get("stations", have)
     where = f"the board was found at {have} of {looked_at} stations"
     images, needed = extraction.rig.cameras.images_words, readable_words(extraction.board)
-    cure = f"keep the whole board in {images}, at rest, in good light, with {needed}"
+    cure = (
+        f"keep the whole board in {images}, at rest, in good light, with {needed}; where the robot hardly rests in "
+        "front of it, use --stations all"
+    )
     stage, reason = reasons[0][0] if reasons else ("", "")
     if have == looked_at or stage == "stations":
         more = "stop at more places in front of the board"
         if reason == NO_READINGS:
             more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
         cure = extraction.with_notes(more)
+    if any(reason == AMBIGUOUS for (_, reason), _ in reasons):
+        cure = (
+            "use a board of which one number of inner corners is even and the other odd, such as 9 x 6, or one with "
+            "markers; or stand the board upright"
+        )
     if reason in OTHER_BOARDS:
         cure = (
             f"set the number of the board's inner corners with --board: {extraction.board.columns} x "

@@ -56,7 +56,6 @@ from mobilecal_cli.report.use import (
     motion_cure,
     next_step_of,
     small_motion,
-    too_little,
     uses,
 )
 
@@ -264,9 +263,13 @@ def _part_words(part: str, extraction: Extraction) -> tuple[str, str, str]:
         return f"the zero position of {joint}", "changed", f"Check the coupling and the encoder of {joint}"
     if part == "head mount":
         on = "head" if extraction.rig.chain.joints else "base"
-        return f"the camera on the {on}", "moved", f"Fasten the camera to the {on}"
+        return f"the camera on the {on}", "moved", f"Fasten the camera to the {on}, and switch autofocus off"
     first = camera_words(extraction.rig.cameras.names[0])
-    camera = f"the {visible(part)} against the {first}", "moved", "Fasten the cameras to their mount"
+    camera = (
+        f"the {visible(part)} against the {first}",
+        "moved",
+        "Fasten the cameras to their mount, and switch autofocus off",
+    )
     return _PARTS.get(part, camera)
 
 
@@ -366,10 +369,11 @@ def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
         )
     lacking = missing_motion(motion, missing)
-    because = " and ".join(too_little(motion, key) for key in lacking)
+    because = " and ".join(too_little for too_little, _ in lacking.values())
     shows_head = "tilt_range_deg" if unseen_height(case.extraction.rig.chain) is None else "turned_deg"
-    cures = [MOTION[shows_head].cure] if head and shows_head not in lacking else []
-    cures += [extent.cure for extent in lacking.values()]
+    told = {*lacking, *(("turned_deg",) if "proportion" in lacking else ())}
+    cures = [MOTION[shows_head].cure] if head and shows_head not in told else []
+    cures += [cure for _, cure in lacking.values()]
     return f": {because}" if because else "", f"Record again and {'; '.join(cures)}."
 
 

@@ -161,25 +161,20 @@ def motion_cure(motion: Mapping[str, float], head: bool, base: bool) -> str:
     return " ".join(f"{extent.cure.capitalize()} (now {extent.text(motion[key])})." for key, extent in small)
 
 
-def missing_motion(motion: Mapping[str, float], names: Sequence[str]) -> dict[str, Extent]:
-    """Motion that a recording lacks to determine these parameters, by its keys."""
+def missing_motion(motion: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Motion that a recording lacks to determine these parameters, by its keys: what was too little, and the cure."""
     of_base = set(names) & set(NINE[6:])
     small = small_motion(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
+    lacking = {
+        key: (extent.too_small.format(extent.text(motion[key])), extent.cure) for key, extent in small.items()
+    }
     if of_base and not {"turned_deg", "driven_m"} & set(small):
-        # Turning shows the radii over the separation, driving the radii: it is little beside the other.
-        key = "turned_deg" if of_base == {NINE[8]} else "driven_m"
-        small[key] = MOTION[key]
-    return small
-
-
-def too_little(motion: Mapping[str, float], key: str) -> str:
-    """What was too little: below its limit, or beside what the base did instead."""
-    extent = MOTION[key]
-    if motion[key] < extent.least:
-        return extent.too_small.format(extent.text(motion[key]))
-    mostly = "turned in place" if key == "driven_m" else "drove straight"
-    driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
-    return f"the base mostly {mostly} (it drove {driven} and turned by {turned})"
+        driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
+        lacking["proportion"] = (
+            f"the base drove {driven} and turned by {turned}, almost always in one proportion",
+            "turn in place at some stops, and drive straight between others",
+        )
+    return lacking
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.

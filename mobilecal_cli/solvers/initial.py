@@ -183,8 +183,22 @@ def initial_with_prior(pairs: MotionPairs, prior: InitialPrior, motion: MotionSe
             f"the linear method found no solution on {len(pairs.legs)} legs between stations",
             "state nominal.wheels and nominal.head_eye in rig.yaml",
         )
-    upright = [item for item in solutions if item.wheels.separation_m > 0]  # upside down is a twin with b < 0
-    return min(upright or solutions, key=lambda item: float(np.median(leg_rms_m(pairs, item))))
+    upright = [item for item in solutions if item.wheels.separation_m > 0] or solutions  # upside down, b < 0
+    misfits = [float(np.median(leg_rms_m(pairs, item))) for item in upright]
+    # Legs of one curvature fit as well with a camera that is upside down: one as good that is not comes first.
+    worse = [
+        CLEARLY_BETTER * misfit > min(misfits) or _turned_around(item.T_h_c, prior)
+        for misfit, item in zip(misfits, upright, strict=True)
+    ]
+    return min(zip(worse, misfits, upright, strict=True), key=lambda each: each[:2])[2]
+
+
+def _turned_around(T_h_c: FloatArray, prior: InitialPrior) -> bool:
+    """Whether a camera is turned by more than a right angle from the nominal rotation."""
+    if prior.T_h_c is None:
+        return False
+    turn = se3.log_so3(prior.T_h_c[:3, :3].T @ T_h_c[:3, :3])
+    return float(np.linalg.norm(turn)) > np.pi / 2
 
 
 def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> State:

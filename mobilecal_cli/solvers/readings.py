@@ -17,7 +17,7 @@ FEWEST_STATIONS = 5  # of a recording, or of a part of one: with fewer legs, man
 # Reprojection error over the focal length beyond which the images are wrong, not a joint or the wheels: of 120 robots
 # with cameras as far off as their priors, the largest has 0.006.
 _CONSISTENT_RAD = 0.0075
-_TURNED_RAD = 0.5  # wheel rotation: with less, noise and unequal wheels look like a turn
+_TURNED_RAD = 0.5  # wheel rotation: with less, noise looks like a turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +88,8 @@ class Readings:
     @property
     def roams(self) -> bool:
         """Whether the base drives and turns, on enough legs: that can tell mistakes apart."""
-        enough = self.legs >= FEWEST_STATIONS - 1
-        return enough and self.motion.drives and self.motion.turned_rad > _TURNED_RAD
+        enough, motion = self.legs >= FEWEST_STATIONS - 1, self.motion
+        return enough and motion.drives and motion.turns and motion.turned_rad > _TURNED_RAD
 
     @property
     def distinguishes(self) -> bool:

@@ -13,7 +13,7 @@ from mobilecal_cli.vision.agreement import (
 from mobilecal_cli.vision.detection import SizeVote, detect, find_board, identify_size
 from mobilecal_cli.vision.following import BoardFollower
 from mobilecal_cli.vision.markers import readable_words
-from mobilecal_cli.vision.numbering import resolve_numbering
+from mobilecal_cli.vision.numbering import AMBIGUOUS, resolve_numbering
 from mobilecal_cli.vision.observing import SQUARES_UNKNOWN, Measured, measure, resolve_square
 from mobilecal_cli.vision.pose import (
     absolute_orientation,

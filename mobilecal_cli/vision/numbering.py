@@ -21,6 +21,7 @@ from mobilecal_cli.model import Board, FloatArray, IntArray, Observation, Reject
 from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.pose import absolute_orientation
 
+AMBIGUOUS = "board orientation ambiguous"
 _ROUNDS = 100  # a few more than the least are usual
 _LEAST_ROUNDS = 20  # least number of iterations, so that A and n can follow the turns
 _CLEAR_RAD = 0.15  # least difference in misfit between the best and the second-best numbering
@@ -138,7 +139,7 @@ def resolve_numbering(
     rejections = tuple(
         Rejection(
             "vision",
-            "board orientation ambiguous",
+            AMBIGUOUS,
             f"a board of {board.columns} x {board.rows} looks the same when rotated by {360 // len(possible)} degrees; "
             f"the misfits of the two best orientations differ by {np.degrees(g):.1f} degrees, "
             f"minimum {np.degrees(needed):.1f}",

@@ -7,7 +7,7 @@ from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, requir
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Nominal, Rejection, WheelTrack
-from mobilecal_cli.vision import SQUARES_UNKNOWN
+from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
 
 
@@ -133,6 +133,8 @@ def test_fixed_parameters_need_no_motion(motion, fixed, gaps):
         ("vision", "board of a different size", "--board: 9 x 6 was used"),
         ("vision", "second board in view", "cover or remove the other checkerboard"),
         ("vision", "blurred", "in good light"),
+        ("vision", "blurred", "where the robot hardly rests in front of it, use --stations all"),
+        ("vision", AMBIGUOUS, "such as 9 x 6, or one with markers; or stand the board upright"),
     ],
 )
 def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cure):

@@ -17,7 +17,6 @@ from mobilecal_cli.report.use import (
     missing_motion,
     next_step_of,
     shares_of,
-    too_little,
     use_sentence,
     uses,
     worst_error,
@@ -118,20 +117,20 @@ def test_a_base_at_rest_is_not_enough_for_the_wheels():
 @pytest.mark.parametrize(
     ("motion", "unknown", "keys", "said"),
     [
-        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["driven_m"],
-         "the base mostly turned in place (it drove 0.37 m and turned by 318.0 degrees)"),
+        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["proportion"],
+         "the base drove 0.37 m and turned by 318.0 degrees, almost always in one proportion"),
         ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 2.1 degrees only"),
-        ({"turned_deg": 25.0, "driven_m": 3.3}, NINE[8:], ["turned_deg"],
-         "the base mostly drove straight (it drove 3.30 m and turned by 25.0 degrees)"),
+        ({"turned_deg": 407.1, "driven_m": 5.71}, NINE[8:], ["proportion"],
+         "the base drove 5.71 m and turned by 407.1 degrees, almost always in one proportion"),
         ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turned_deg", "driven_m"], "the base turned by 0.0 degrees only"),
         ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], [], None),
     ],
 )  # fmt: skip
 def test_the_missing_motion_of_the_base_is_named(motion, unknown, keys, said):
-    """Turning alone shows radii over separation; where both motions were there, the one that is missing is little."""
+    """Where both motions were there, on a circle or in place, each came with as much of the other."""
     found = missing_motion(motion, unknown)
     assert list(found) == keys
-    assert [too_little(motion, key) for key in found][:1] == [said] * bool(said)
+    assert [too_little for too_little, _ in found.values()][:1] == [said] * bool(said)
 
 
 def test_the_words_know_every_source():

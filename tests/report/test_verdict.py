@@ -313,8 +313,16 @@ def test_what_a_change_may_cause_is_no_further_reason():
 @pytest.mark.parametrize(
     ("part", "joints", "said"),
     [
-        ("head mount", True, "the camera on the head moved by 12 mm. Fasten the camera to the head."),
-        ("head mount", False, "the camera on the base moved by 12 mm. Fasten the camera to the base."),
+        (
+            "head mount",
+            True,
+            "the camera on the head moved by 12 mm. Fasten the camera to the head, and switch",
+        ),
+        (
+            "head mount",
+            False,
+            "the camera on the base moved by 12 mm. Fasten the camera to the base, and switch",
+        ),
         (
             "side camera",
             True,
