@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from mobilecal_cli.errors import ConfigError, SolveError
+from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import FEWEST_LEGS, encoder_steps_rad, integrate
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.effects import Rolling
@@ -65,8 +65,6 @@ _LENS_SIGMAS = 3.0
 # It is searched for before the estimate where the point error of the linear method is more than the first share of the
 # distance; no robust estimate helps where that of most stations is more than the second.
 _GROSS_SHARE, _HOPELESS_SHARE = 0.1, 0.2
-# Corner noise of all recordings over that of each alone: beyond it their cameras or boards are different.
-_DIFFERENT = 3.0
 
 
 def solve(
@@ -120,7 +118,7 @@ def solve(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
         ) from error
-    return replace(solution, diagnosis=_diagnosis(solution, extraction, constraints, search))
+    return replace(solution, diagnosis=_diagnosis(solution, extraction, search))
 
 
 def _with_request(error: SolveError, asked: Sequence[str]) -> SolveError:
@@ -388,9 +386,7 @@ def _fits_badly(solution: Solution, extraction: Extraction) -> bool:
     return misfits or any(bad > _MANY_OUTLIERS * stations[log] for log, bad in gross.items())
 
 
-def _diagnosis(
-    solution: Solution, extraction: Extraction, constraints: Constraints, search: Search
-) -> Diagnosis | None:
+def _diagnosis(solution: Solution, extraction: Extraction, search: Search) -> Diagnosis | None:
     """The mistake in the description or in the readings in spite of which there is a solution.
 
     A jump that explains the misfit leaves no other mistake of a part of the readings to be searched for. Where the part
@@ -400,40 +396,8 @@ def _diagnosis(
     if "" in parts and not extraction.motions and search.interrupted is not None:
         return search.interrupted
     if not extraction.motions and _fits_badly(solution, extraction):
-        diagnosis = search.of_whole or search.frozen if any(parts) else search.diagnosis
-    else:
-        diagnosis = turned_around(extraction.rig, solution.parameters.T_h_c)
-    if diagnosis is None and solution.contradictions and len(extraction.wheels) > 1:
-        return _different_cameras(solution, extraction, constraints)
-    return diagnosis
-
-
-def _different_cameras(
-    solution: Solution, extraction: Extraction, constraints: Constraints
-) -> Diagnosis | None:
-    """Recordings that all fit alone, but not with the same cameras and board; None if one cannot be solved alone."""
-    assert solution.uncertainty is not None
-    together_px, alone_px, alone_m = solution.uncertainty.noise.pixel_px, 0.0, 0.0
-    for log in range(len(extraction.wheels)):
-        alone = extraction.of_log(log)
-        if len(alone.observations) <= FEWEST_LEGS:
-            return None
-        try:
-            fit = robust_fit(Inference.of(alone, constraints))
-        except (ConfigError, SolveError, np.linalg.LinAlgError):
-            return None  # one recording alone does not show all, or lacks what the user constrains
-        alone_px = max(alone_px, fit.noise.pixel_px)
-        alone_m = max(alone_m, point_rms_m(at_state(fit.lin.state).pairs, fit.lin.state.parameters))
-    if together_px < _DIFFERENT * alone_px:
-        return None
-    distance_m = extraction.board_distance_m
-    return Diagnosis(
-        f"the recordings have different cameras or boards: the corner noise is {alone_px:.2g} px or less in "
-        f"each recording alone, and {together_px:.2g} px in all together",
-        "calibrate each recording alone, and check that all are of one robot whose cameras did not move in between",
-        solution.point_rms_m / distance_m,
-        alone_m / distance_m,
-    )
+        return search.of_whole or search.frozen if any(parts) else search.diagnosis
+    return turned_around(extraction.rig, solution.parameters.T_h_c)
 
 
 def _asked_of(
