@@ -26,7 +26,6 @@ _FEWEST_EACH_SIDE = 2  # stations before and after a change: one alone is an out
 _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
-_EXPLAINED = 0.3  # of a misfit, that a jump may leave
 #: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
 SHAPE, BOTH_WHEELS = "board's shape", "both wheels"
 #: Parts that are wheels → which of the radii they have, of the right and the left one.
@@ -276,30 +275,6 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
 
 def _in_sigmas(step: FloatArray, variance: FloatArray) -> float:
     return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf)), initial=0.0))
-
-
-def cause(lin: Posterior, first: int) -> str:
-    """The part whose jump at a station explains most of the misfit from there on; "" if none explains nearly all.
-
-    Args:
-        lin: a point at which the misfit is part of the measurements.
-        first: index of the first station after it.
-    """
-    lin, after = traced(lin), stations_after(lin, first)
-    best, least = "", _EXPLAINED * float(lin.views.cost[after].sum())
-    try:
-        for name, part in _parts(lin).items():
-            score = _scores(lin, part, [first])
-            left = (
-                lin.views.shifted(np.where(after[:, None], part.views @ score.value[0], 0.0))
-                .cost[after]
-                .sum()
-            )
-            if left < least:
-                best, least = name, float(left)
-    except np.linalg.LinAlgError:
-        return ""  # these stations are so far off that no derivative says anything about them
-    return best
 
 
 def _significance(chi2: float, dof: int, tried: int) -> float:

@@ -114,14 +114,9 @@ def _unexplained(extraction: Extraction, fit: Fit, stretch: IntArray) -> Jump:
     """The moment at which something moved, for legs that nothing confirms."""
     inliers, first = fit.inliers, moved_before(fit, stretch)
     stations = np.unique(fit.data.legs[stretch])
-    out = stations[~inliers.views[stations]]
-    views, corners = inliers.views.copy(), inliers.corners.copy()
-    views[out], corners[out] = True, fit.data.seen[out]
-    lin = fit.lin.with_inliers(replace(inliers, views=views, corners=corners))
-    part = jumps.cause(lin, int(out[0])) if len(out) else ""
-    rejected = len(out), int(np.sum(~inliers.legs[stretch]))
+    rejected = int(np.sum(~inliers.views[stations])), int(np.sum(~inliers.legs[stretch]))
     at = extraction.observations[first]
-    return Jump(part, at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
+    return Jump("", at.log, first, at.time_ns, rejected, math.inf, math.inf, 0.0, 0.0)
 
 
 def constants_of(fit: Fit) -> dict[str, EstimatedConstant]:

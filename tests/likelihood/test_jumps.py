@@ -220,18 +220,6 @@ def two_slips(whole):
     return extraction, inference, robust_fit(inference)
 
 
-def test_what_is_too_far_off_for_any_derivative_has_no_cause(monkeypatch, two_slips):
-    """A wheel that is not read for a while: the board of rejected images is nowhere near the camera's view."""
-
-    def singular(*_):
-        raise np.linalg.LinAlgError("Singular matrix")
-
-    extraction, _, fit = two_slips
-    monkeypatch.setattr(jumps, "_scores", singular)
-    assert jumps.cause(fit.lin, 3) == ""
-    assert jumps_of(extraction, fit, None) == ()
-
-
 def with_wheel(whole, side, from_ns, change):
     """A recording in which the radius of a wheel becomes so many times as large at some time."""
     (wheels,) = whole.wheels
