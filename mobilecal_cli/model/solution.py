@@ -43,7 +43,7 @@ class LinearEstimate(ReadOnly):
             stopping rule.
         point_rms_m: square root of eq. 19 at `parameters`, m.
         start_ratios: (2,) wheel ratios (aR, aL) of the initial estimate.
-        start_from: source of the initial estimate: "nominal", "given" or "grid".
+        start_from: source of the initial estimate: "nominal" or "grid".
         rival_point_rms_m: square root of eq. 19 of the second-best solution, m; infinite (math.inf) if all initial
             estimates lead to the same solution.
     """

@@ -109,9 +109,7 @@ def _unambiguous(pairs: MotionPairs, nominal: WheelGeometry, answer: LinearEstim
     return bool(turns.max(initial=0.0) < _UNAMBIGUOUS_RAD and np.abs(apart).max() < _NEAR_NOMINAL)
 
 
-def linear_estimate(
-    pairs: MotionPairs, nominal: WheelGeometry | None = None, given: FloatArray | None = None
-) -> LinearEstimate:
+def linear_estimate(pairs: MotionPairs, nominal: WheelGeometry | None = None) -> LinearEstimate:
     """The iterative linear solution, from several starts.
 
     A leg's turn is seen only modulo 360 degrees, so a bad guess of the wheels unwraps large turns wrongly
@@ -123,14 +121,11 @@ def linear_estimate(
     Args:
         pairs: at least three legs.
         nominal: nominal wheels, tried first.
-        given: (2,) wheel ratios (aR, aL) to start from, tried before the nominal ones.
 
     Raises:
         SolveError: no start leads anywhere.
     """
-    starts: list[Start] = [] if given is None else [(given, "given")]
-    if nominal is not None:
-        starts.append((ratios_of(nominal), "nominal"))
+    starts: list[Start] = [] if nominal is None else [(ratios_of(nominal), "nominal")]
     answers = list(_answers(pairs, starts))
     if nominal is None or not any(_unambiguous(pairs, nominal, answer) for answer in answers):
         answers += _answers(pairs, _scouted(pairs, starts + grid_of_starts())[:4])
@@ -139,7 +134,7 @@ def linear_estimate(
             f"the iterative linear method found no answer on {len(pairs.legs)} legs between stations",
             "record stations between which the base turns and drives and the head pans and tilts",
         )
-    # The sort keeps the order of equals: a given or nominal start before the grid's.
+    # The sort keeps the order of equals: a nominal start before the grid's.
     answers.sort(key=lambda a: round(a.point_rms_m, 9))
     best = answers[0]
     positive = next((a for a in answers if a.parameters.wheels.positive), best)
