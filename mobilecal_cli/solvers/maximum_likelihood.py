@@ -227,8 +227,6 @@ def _supposed(
 def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
     """A fit of all measurements, or of those that agree if all together are implausible.
 
-    Where more than a third of a kind do not agree, noise is far above the supposed one: all measurements.
-
     Raises:
         SolveError: neither has a fit.
     """
@@ -251,11 +249,7 @@ def _first_fit(inference: Inference, supposed: Posterior) -> Fit:
         state, inliers = agreeing(
             *((_patterns_as_noise(plain, lin) for lin in those) for those in (starts, near))
         )
-        state = replace(state, data=inference.data)
-        noisy = outliers.too_many(inference.data, inliers)
-        if fit is not None and noisy:
-            return fit
-        return inference.fit(state, supposed.inliers if noisy else inliers, supposed.noise)
+        return inference.fit(replace(state, data=inference.data), inliers, supposed.noise)
     except SolveError as error:
         if fit is None:
             raise why or error from error
