@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
@@ -27,7 +26,6 @@ _MOST_DECISIONS = 60
 _CORNER_ROUNDS = 4
 #: Scale of priors beyond which the outliers are decided again.
 _CLEARLY_WIDER = 1.5
-_FEWEST_TOGETHER = 4  # stations on either side of a change, that are fitted by themselves
 
 
 def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
@@ -55,49 +53,6 @@ def robust_fit(inference: Inference, start: Parameters | None = None) -> Fit:
         if as_stated.jump(fit) is None:
             raise
         return as_stated.estimate_noise(fit, fine=True)
-
-
-def moved_between(inference: Inference) -> SolveError | None:
-    """When something changed, for an estimate without an end: stations before and after it fit by themselves."""
-    data = inference.data
-    for log in np.unique(data.log).tolist():
-        mine = np.flatnonzero(data.log == log)
-        before = _longest_that_fits(inference, mine)
-        after = _longest_that_fits(inference, mine[::-1]) if 0 < before < len(mine) else 0
-        if not after or before + after < len(mine) - 1:
-            continue
-        begin, end = sorted([before, len(mine) - after])
-        around_s = (data.times_ns[mine[[begin - 1, end]]] - data.tracks[log].time_ns[0]) * 1e-9
-        where = f"recording {log + 1}: " if data.logs > 1 else ""
-        return SolveError(
-            f"{where}something changed between {around_s[0]:.1f} and {around_s[1]:.1f} s: the stations before and "
-            "those after fit by themselves, but not together",
-            "check what happened then to the board, the camera's mount, the head, the wheels and their cables; record "
-            "again without it",
-        )
-    return None
-
-
-def _longest_that_fits(inference: Inference, stations: IntArray) -> int:
-    """How many of a recording's stations, from the first of these on, have a fit without gross outliers; 0 for few."""
-
-    def fit(count: int) -> bool:
-        """Whether so many have."""
-        some = np.isin(np.arange(inference.data.stations), stations[:count])
-        driven = np.asarray(some[inference.data.legs].all(axis=1))
-        start = next(_linear_starts(inference, {}, np.flatnonzero(driven)), None)
-        if start is None:
-            return False
-        inliers = replace(start.inliers, views=start.inliers.views & some, legs=driven)
-        try:
-            return outliers.consistent(inference.fit(start.state, inliers, start.noise, FIRST_STEPS))
-        except (SolveError, np.linalg.LinAlgError):
-            return False
-
-    if len(stations) < _FEWEST_TOGETHER or not fit(_FEWEST_TOGETHER):
-        return 0
-    more = range(_FEWEST_TOGETHER + 1, len(stations) + 1)
-    return _FEWEST_TOGETHER + bisect_left(more, True, key=lambda count: not fit(count))
 
 
 def _of_all(inference: Inference, as_stated: Inference, first: Fit) -> Fit | None:

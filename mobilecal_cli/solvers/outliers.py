@@ -88,14 +88,10 @@ def worst(fit: Fit) -> float:
     )
 
 
-def consistent(fit: Fit) -> bool:
-    """Whether a first fit, with supposed noise, shows no gross outlier among what it uses."""
-    return worst(fit) < (1.0 if fit.given >= set(fit.components) else _MUCH)
-
-
 def plausible(fit: Fit) -> bool:
     """Whether a first fit of everything, with supposed noise, shows no gross outlier."""
-    return consistent(fit) and bool(fit.inliers.views.all())
+    most = 1.0 if fit.given >= set(fit.components) else _MUCH
+    return worst(fit) < most and bool(fit.inliers.views.all())
 
 
 def usable(fit: Fit) -> BoolArray:

@@ -50,7 +50,7 @@ from mobilecal_cli.solvers.fit import Fit, uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import CLEARLY_BETTER, initial_state, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import ratios_of
-from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, moved_between, robust_fit
+from mobilecal_cli.solvers.maximum_likelihood import FIRST_STEPS, robust_fit
 from mobilecal_cli.solvers.optimize import optimize
 from mobilecal_cli.solvers.residuals import Shown, at_state, error_parts, images_alike, residuals_of
 from mobilecal_cli.solvers.search import FITS, Search, other_wheels, turned_around
@@ -101,7 +101,7 @@ def solve(
             f"(at least {FEWEST_LEGS} legs needed)",
             "record more stations in each recording",
         )
-    search, inference = Search(extraction), None
+    search = Search(extraction)
     try:
         if method == "ml":
             inference = Inference.of(extraction, constraints, on_step)
@@ -111,9 +111,8 @@ def solve(
             solution = _by_points(extraction, method)
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
-        own = (inference and refusal is None and moved_between(inference)) or error
-        if refusal is None and isinstance(own, SolveError):
-            raise _with_request(own, asked) from error.__cause__
+        if refusal is None and isinstance(error, SolveError):
+            raise _with_request(error, asked) from error.__cause__
         raise refusal or SolveError(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
