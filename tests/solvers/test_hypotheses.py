@@ -10,6 +10,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
+from mobilecal_cli.kinematics import MotionSeen
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.robot import fixed_camera_robot, tick_robot
 from mobilecal_cli.solvers import solve
@@ -417,3 +418,11 @@ def test_a_joint_with_a_single_reading_rests():
     """Published once, or all others without a value: the search for late readings ended in an IndexError."""
     once = Track(np.array([5_000_000_000]), np.array([0.1]))
     assert _noise_at_rest((once,)).tolist() == [STILL]
+
+
+@pytest.mark.parametrize(("turned_rad", "roams"), [(0.6, False), (1.2, True)])
+def test_wheels_that_differ_in_size_do_not_turn_a_base_that_drives_straight(turned_rad, roams):
+    """Five meters straight with wheels 1.5 % apart: "the left and right wheels are swapped", it said."""
+    readings = readings_of(simulated("standard"))
+    vars(readings)["motion"] = MotionSeen(0.3, turned_rad, driven_rad=40.0, together_rad=0.0)
+    assert readings.roams == roams

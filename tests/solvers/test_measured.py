@@ -13,6 +13,8 @@ from mobilecal_cli.kinematics.wheels import Increments
 from mobilecal_cli.measured import Drive, TargetPose, from_motions, from_poses
 from mobilecal_cli.model import Parameters, SensorMotion, WheelGeometry
 from mobilecal_cli.simulate.robot import paper_robot
+from mobilecal_cli.solvers.constraints import Constraints
+from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.solve import solve
 from tests.extractions import Noise, simulated
 from tests.judging import judge
@@ -237,3 +239,29 @@ def test_rounded_rotations_are_the_nearest_ones():
     assert with_poses(rounded).parameters.vector == pytest.approx(
         with_poses(nearest).parameters.vector, abs=1e-9
     )
+
+
+def on_a_circle(T_v_c, seed):
+    """Poses by a sensor on a base that drives to and fro on one circle, over an uneven floor."""
+    random, curvature = np.random.default_rng(seed), 0.9
+    at_m = np.cumsum(random.uniform(0.2, 0.5, 16) * np.where(np.arange(16) % 8 < 4, 1, -1))
+    T_w_k = se3.transform(se3.from_rpy(np.radians([90.0, 0, -90.0])), np.array([3.0, 0.3, 0.6]))
+    poses = []
+    for k, along in enumerate(curvature * at_m):
+        place = np.array([np.sin(along), 1 - np.cos(along), 0.0]) / curvature
+        floor = se3.exp(np.array([2e-3, 2e-3, 0, 0, 0, 1e-3]) * random.normal(size=6))
+        T_w_c = se3.transform(se3.rotation_z(along), place) @ floor @ T_v_c
+        poses.append(TargetPose(k + 1.0, se3.inverse(T_w_c) @ T_w_k, np.diag([1e-3] * 3 + [2e-3] * 3) ** 2))
+    reading = np.concatenate([at_m[:1], at_m, at_m[-1:]]) / 0.1
+    right, left = reading * (1 + curvature * 0.2), reading * (1 - curvature * 0.2)
+    return Drive(poses, np.arange(18.0), right, left)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_on_one_circle_the_sensor_is_not_upside_down(seed):
+    """Upside down, it fits as well: five of twelve starts were so, and "wheels are swapped" the answer."""
+    T_v_c = se3.transform(se3.from_rpy(np.radians([-100.0, 2.0, -88.0])), np.array([0.2, 0.05, 0.6]))
+    nominal = T_v_c @ se3.exp(np.radians([2.0, -1.0, 1.0, 0, 0, 0]))
+    extraction = from_poses([on_a_circle(T_v_c, seed)], (0.102, 0.099, 0.41), T_h_c=nominal)
+    start = Inference.of(extraction, Constraints()).initial().T_h_c
+    assert np.linalg.norm(se3.log_so3(T_v_c[:3, :3].T @ start[:3, :3])) < 0.01
