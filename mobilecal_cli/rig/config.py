@@ -69,8 +69,22 @@ class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-#: Marker families of OpenCV.
-_FAMILY = r"^DICT_((4X4|5X5|6X6|7X7)_(50|100|250|1000)|ARUCO_ORIGINAL|APRILTAG_(16h5|25h9|36h10|36h11))$"
+#: Marker dictionaries of OpenCV.
+_DICTIONARIES = (
+    *(f"DICT_{bits}X{bits}_{count}" for bits in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    "DICT_ARUCO_ORIGINAL",
+    *(f"DICT_APRILTAG_{family}" for family in ("16h5", "25h9", "36h10", "36h11")),
+)
+
+
+def _known_dictionary(name: str) -> str:
+    if name not in _DICTIONARIES:
+        nearest = difflib.get_close_matches(name, _DICTIONARIES, n=3, cutoff=0.0)
+        raise ValueError(f"not a marker dictionary of OpenCV, such as {', '.join(nearest)}")
+    return name
+
+
+Dictionary = Annotated[str, AfterValidator(_known_dictionary)]
 
 
 class BoardConfig(_Section):
@@ -85,9 +99,7 @@ class BoardConfig(_Section):
         None,
         description="side of a square (of a tag), m; measured by the stereo pair if not given, needed without one",
     )
-    dictionary: str | None = Field(
-        None, pattern=_FAMILY, description="marker dictionary, by its name in OpenCV"
-    )
+    dictionary: Dictionary | None = Field(None, description="marker dictionary, by its name in OpenCV")
     marker_share: float | None = Field(None, gt=0.1, lt=1, description="charuco: marker side / square side")
     gap_share: float | None = Field(None, ge=0, le=2, description="aprilgrid: gap between tags / tag side")
     first_id: int = Field(0, ge=0, le=10_000, description="id of the first marker")

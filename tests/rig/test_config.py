@@ -123,7 +123,7 @@ def test_flags_lie_over_the_file(write):
         ("board: {columns: 8, rows: 5, marker_share: 0.7}", "set kind to charuco or aprilgrid"),
         (
             "board: {kind: charuco, columns: 8, rows: 5, dictionary: DICT_9X9, marker_share: 0.7}",
-            "board.dictionary",
+            "board.dictionary: not a marker dictionary of OpenCV, such as DICT_",
         ),
         (
             "joints: {fields: {pan: {topics: /head, field: angle}}}",
