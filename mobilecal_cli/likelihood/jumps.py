@@ -27,7 +27,7 @@ _MOST_MOMENTS = 60  # that are compared; around the best one, all
 _FAINT = 400.0  # 1/rad^2, 1/m^2: a step of 0.05 rad or m does not show; derivatives say little about it
 _ALIKE = 6.0  # twice the logarithm of how much likelier one part is than another that it may be confused with
 #: The parts that differ between recordings alone: with different boards, and with another load or tire pressure.
-SHAPE, BOTH_WHEELS = "board's shape", "both wheels"
+BETWEEN = SIZE, SHAPE, BOTH_WHEELS = "board's size", "board's shape", "both wheels"
 #: Parts that are wheels → which of the radii they have, of the right and the left one.
 WHEELS = {"right wheel": [0], "left wheel": [1], BOTH_WHEELS: [0, 1]}
 
@@ -37,8 +37,8 @@ class Jump:
     """A step of one part.
 
     Attributes:
-        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel", `BOTH_WHEELS` or
-            `SHAPE`.
+        part: "head mount", "joint <name>", "board", "<name> camera", "right wheel", "left wheel", `BOTH_WHEELS`,
+            `SIZE` or `SHAPE`.
         station: index of the first station after it; the first of a recording that differs from the others.
         chi2, dof: of the score test.
         tried: number of parts and moments of its kind, inside recordings or between them, that were compared; of both
@@ -86,11 +86,10 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
     for name, own in _poses(data).items():
         parts[name] = of_images([6 + k for k in own], np.eye(len(own)))
-    shape = _shape(data)
-    if shape:
+    for name, shape in _shapes(data).items():
         # A step of a prior sigma shows as well as the least step of a pose that is regarded.
         units = math.sqrt(_FAINT) * lin.priors.scales[views.columns[shape]]
-        parts[SHAPE] = of_images([6 + k for k in shape], np.diag(units))
+        parts[name] = of_images([6 + k for k in shape], np.diag(units))
     for name, radii in WHEELS.items():
         if name != BOTH_WHEELS or data.logs > 1:
             no_images = np.zeros((*views.pull.shape, len(radii)))
@@ -100,14 +99,17 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
 
 def traced(lin: Posterior) -> Posterior:
     """The same point, with all constants that a jump may change traced: see `Images`."""
-    constants = [k for of_part in _poses(lin.data).values() for k in of_part] + _shape(lin.data)
-    return lin.tracing(tuple(6 + k for k in constants))
+    of_parts = (*_poses(lin.data).values(), *_shapes(lin.data).values())
+    return lin.tracing(tuple(6 + k for of_part in of_parts for k in of_part))
 
 
-def _shape(data: Dataset) -> list[int]:
-    """Which of the direct constants are the board's shape, where recordings may differ in it."""
-    effects = [effect for _, _, effect in data.layout.direct]
-    return [k for k, effect in enumerate(effects) if isinstance(effect, BoardEffect) and data.logs > 1]
+def _shapes(data: Dataset) -> dict[str, list[int]]:
+    """Which of the direct constants are the board's size and shape, where recordings may differ in them."""
+    shapes = dict[str, list[int]]()
+    for k, (_, name, effect) in enumerate(data.layout.direct):
+        if isinstance(effect, BoardEffect) and data.logs > 1:
+            shapes.setdefault(SIZE if name == "square_scale" else SHAPE, []).append(k)
+    return shapes
 
 
 def _poses(data: Dataset) -> dict[str, list[int]]:
@@ -219,7 +221,9 @@ def turning(data: Dataset, jump: Jump) -> BoolArray:
     if jump.part in poses:
         effects = (data.layout.direct[k][2] for k in poses[jump.part])
         return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
-    return np.arange(len(jump.value)) < (0 if slides(data, jump) or jump.part in (*WHEELS, SHAPE) else 3)
+    return np.arange(len(jump.value)) < (
+        0 if slides(data, jump) or jump.part in (*WHEELS, SIZE, SHAPE) else 3
+    )
 
 
 def left_by_first_order(lin: Posterior, jump: Jump) -> float:
@@ -344,8 +348,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
         return kinds * len(parts) * np.where(np.isin(moments, differing), len(differing), len(inside))
 
     for name, part in parts.items():
-        # Each recording has a place of the board of its own; and a board keeps its shape meanwhile.
-        of_this = {"board": inside, SHAPE: differing, BOTH_WHEELS: differing}.get(name, differing + inside)
+        # Each recording has a place of the board of its own; and a board keeps its size and shape meanwhile.
+        of_this = {"board": inside, **dict.fromkeys(BETWEEN, differing)}.get(name, differing + inside)
         moments = np.array(of_this, dtype=np.int64)
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])

@@ -244,9 +244,8 @@ _WHEEL_CHANGED = ("changed", "Check the tire, the load and the encoder of this w
 _PARTS = {
     "": ("something", "changed", "Check the mounts of head, cameras and board, the wheels, and the cables"),
     "board": ("the board", "moved", "Fasten the board"),
-    "board's shape": (
-        "the board's size or shape", "changed", "Use the same board in all recordings, on a flat plate",
-    ),
+    "board's size": ("the size of the squares", "changed", "Use the same board in all recordings"),
+    "board's shape": ("the board's shape", "changed", "Use the same board in all recordings, on a flat plate"),
     "right wheel": ("the size of the right wheel", *_WHEEL_CHANGED),
     "left wheel": ("the size of the left wheel", *_WHEEL_CHANGED),
     "both wheels": (

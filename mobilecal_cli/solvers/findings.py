@@ -97,7 +97,7 @@ def jumps_of(extraction: Extraction, fit: Fit, jump: jumps.Jump | None) -> tuple
     turns, value, cameras = jumps.turning(fit.data, jump), jump.value, fit.data.cameras
     turn, others = float(np.linalg.norm(value[turns])), value[~turns]
     of_pair = cameras.calibrated and jump.part == camera_words(cameras.names[1])
-    move = 0.0 if of_pair or jump.part == jumps.SHAPE else float(np.linalg.norm(others))
+    move = 0.0 if of_pair or jump.part in (jumps.SIZE, jumps.SHAPE) else float(np.linalg.norm(others))
     if jump.part in jumps.WHEELS or jumps.slides(fit.data, jump):
         move = float(value[np.argmax(np.abs(value))])
     if jump.shift_sigmas < MATERIAL_SIGMAS and turns.any() and turn < SMALL_RAD:

@@ -133,6 +133,22 @@ def test_recordings_that_differ_are_as_uncertain_as_they_differ_and_the_wheels_a
     assert found.uncertainty.budget.sources[int(np.argmax(camera))] == "recordings"
 
 
+@pytest.mark.parametrize("seed", [0, pytest.param(20, marks=pytest.mark.long)])
+def test_the_recording_of_a_board_with_other_squares_is_named(seed):
+    """Beside its shape, which has many numbers, it was not significant: no cause, and NOT ENOUGH."""
+    noise = Noise(0.1, 0.003, joint_rad=2e-4, floor_rad=1e-3, floor_m=5e-4)
+    parts = [
+        simulated("standard", noise, "paper", 12, seed + k, constants={"square_scale": 0.0375 * (k == 2)})
+        for k in range(3)
+    ]
+    extraction = joined(*parts)
+    solution = solve(extraction)
+    assert [(jump.part, jump.log) for jump in solution.jumps] == [("board's size", 2)]
+    verdict = judge(solution, extraction)
+    assert verdict.level == "FAIL"
+    assert verdict.reason.startswith("Between recording 3 and the others, the size of the squares changed.")
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("odd", "turn_rad", "stations", "level"),
