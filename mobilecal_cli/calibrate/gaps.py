@@ -151,7 +151,8 @@ def require_stations(extraction: Extraction) -> None:
         if reason == NO_READINGS:
             more = "check that joints and wheels are recorded as long as the images, with stamps of one clock"
         cure = extraction.with_notes(more)
-    if any(reason == AMBIGUOUS for (_, reason), _ in reasons):
+    ambiguous = sum(item.reason == AMBIGUOUS for item in extraction.rejections)
+    if have < FEWEST_STATIONS <= have + ambiguous:
         cure = (
             "use a board of which one number of inner corners is even and the other odd, such as 9 x 6, or one with "
             "markers; or stand the board upright"

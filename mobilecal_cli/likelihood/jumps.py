@@ -221,9 +221,8 @@ def turning(data: Dataset, jump: Jump) -> BoolArray:
     if jump.part in poses:
         effects = (data.layout.direct[k][2] for k in poses[jump.part])
         return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
-    return np.arange(len(jump.value)) < (
-        0 if slides(data, jump) or jump.part in (*WHEELS, SIZE, SHAPE) else 3
-    )
+    turns = not slides(data, jump) and jump.part not in (*WHEELS, *BETWEEN)
+    return np.arange(len(jump.value)) < (3 if turns else 0)
 
 
 def left_by_first_order(lin: Posterior, jump: Jump) -> float:

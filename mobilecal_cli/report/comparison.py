@@ -112,10 +112,8 @@ def comparison_text(comparison: Comparison) -> str:
             std = std_text(s) if each.known[k] else "-"
             sigmas = f"{round(each.sigmas[k], 1) + 0.0:+.1f}" if each.known[k] else "-"
             rows.append((parameter.name, f"{change:+.{decimals_of(s)}f}", std, sigmas, parameter.shown_unit))
-        effect = [
-            (meaning, f"{v:+.{decimals_of(abs(v))}f}", "", "", unit) for _, meaning, v, unit in effects(each)
-        ]
-        rows += effect
+        for _, meaning, value, unit in effects(each):
+            rows.append((meaning, f"{value:+.{decimals_of(abs(value))}f}", "", "", unit))
         heads = ("", "number:change", "number:1 sigma", "number:in sigma", "")
         lines += ["", f"Change from {first} to {other}", "", *Table.of(heads, rows).lines()]
         lines.append("  r is a small rotation about the head's axes.")

@@ -118,7 +118,10 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
     limit_px = ERROR_BAD * float(extraction.rig.cameras.first.K[0, 0])
     px = float(np.median(evaluation.reprojection_px))
     best_px, unexplained_px, best = limit_px, 0.0, ""
-    if not isinstance(own, MobilecalError):
+    cure = "Check that params.yaml is of this robot, in meters. If tires, load or a mount changed, calibrate again."
+    if isinstance(own, MobilecalError):
+        cure = f"{capitalized(own.hint)}. Then evaluate again. {cure}" if own.hint else cure
+    else:
         best_px = float(np.median(own.residuals.leg_reprojection_px))
         unexplained_px = unexplained(own, extraction).px
         best = f"; the recording's own estimate leaves {best_px:.1f} px"
@@ -131,8 +134,7 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
             beyond="not_enough",
         )  # fmt: skip
     return _CORNER_ERROR.check(
-        px, limit, name,
-        "Check that params.yaml is of this robot, in meters. If tires, load or a mount changed, calibrate again.",
+        px, limit, name, cure,
         measured=f"{_shown(px, 2, MOST_ERROR_PX)} px{best}",
         at_limit=f"at most {limit:.1f} px",
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -80,18 +80,13 @@ def compared(rows: Sequence[FleetRow]) -> tuple[FloatArray, FloatArray]:
 
     Rotation vectors of half a turn may have opposite signs and mean nearly the same.
     """
-    answered = [row for row in rows if row.lengths_m]
-    first = next((row for row in answered if row.verdict == "PASS"), answered[0] if answered else None)
-    R_first = np.eye(3) if first is None else se3.exp_so3(np.array(first.rotvec_rad))
-    turned = [
-        replace(
-            row, rotvec_rad=tuple(se3.log_so3(se3.exp_so3(np.array(row.rotvec_rad)) @ R_first.T).tolist())
-        )
-        if row.lengths_m
-        else row
-        for row in rows
-    ]
-    return fleet_numbers(turned)
+    numbers, std = fleet_numbers(rows)
+    R_each = {k: se3.exp_so3(np.array(row.rotvec_rad)) for k, row in enumerate(rows) if row.lengths_m}
+    first = next((k for k in R_each if rows[k].verdict == "PASS"), next(iter(R_each), None))
+    for k, R in R_each.items():
+        assert first is not None
+        numbers[k, :3] = np.degrees(se3.log_so3(R @ R_each[first].T))
+    return numbers, std
 
 
 def standing_out(rows: Sequence[FleetRow]) -> Mapping[str, tuple[str, ...]]:

@@ -679,5 +679,5 @@ def _validated(
             hints.append(f"write {example}" + (f"; keys: {', '.join(names)}" if len(names) > 1 else ""))
         else:
             problems.append(problem_of(item))
-    hint = "; ".join(hints) or "see docs/reference/rig-yaml.md for all keys"
+    hint = "; ".join(dict.fromkeys(hints)) or "see docs/reference/rig-yaml.md for all keys"
     raise ConfigError(("" if all(of_options) else where) + "; ".join(problems), hint) from cause

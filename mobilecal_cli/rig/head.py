@@ -127,7 +127,9 @@ def _moving_transforms(
     if camera_frame not in urdf.links:
         to = f"no transforms to the camera frame {camera_frame!r}, " if camera_frame else ""
         unread = [t.name for t in description.topics if t.type == STRING and "robot_description" in t.name]
-        urdf_is = f"{unread[0]} cannot be read" if unread else "no robot_description in the recording"
+        urdf_is = (
+            f"{unread[0]} is empty or cannot be read" if unread else "no robot_description in the recording"
+        )
         raise RecordingError(
             f"the head chain is unknown: {urdf_is}, {to}and no head.urdf or head.chain in the configuration",
             "set head.urdf or head.chain in rig.yaml (a camera on the base: chain: []); mobilecal init LOG --urdf FILE "

@@ -51,10 +51,7 @@ _OBSERVABILITY_ROUNDS = 8
 JUMP_SIGMAS, _CANDIDATE_SIGMAS = 3.3, 0.5
 _MOST_JUMPS = 3  # that are searched for one after another
 _SEVERAL = 2  # outliers that a single number explains: one more than it has itself
-_UNEXPLAINED, _OF_STRETCH = (
-    0.1,
-    0.5,
-)  # share of their misfit that a jump may leave; of outliers one after another
+_UNEXPLAINED, _OF_STRETCH = 0.1, 0.5  # share of their misfit that a jump may leave; of outliers in a row
 #: Noise levels that a jump may make large: those of the processes, and others.
 _CONCEALING = (*LENGTHS, "joint_rad", "shift_px", "sway_rad", "sway_m", "wheel_rad_per_sqrt_rad")
 #: Relative tolerance of noise levels that are found to first order; after a fit, `_HELD` times it.

@@ -168,7 +168,9 @@ def test_a_description_that_cannot_be_read_is_not_missing(sample_logs, tmp_path)
         )
 
     log = written(tmp_path / "log.mcap", map(cut, records_of(sample_logs / "paper_robot.mcap")))
-    with pytest.raises(RecordingError, match="unknown: /robot_description cannot be read, no transforms"):
+    with pytest.raises(
+        RecordingError, match="unknown: /robot_description is empty or cannot be read, no transforms"
+    ):
         extract([log], UNCONFIGURED)
 
 

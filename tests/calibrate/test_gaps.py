@@ -142,7 +142,7 @@ def test_few_stations_are_cured_by_what_most_were_rejected_for(stage, reason, cu
     few = replace(few, observations=few.observations[:2], notes=("wheels: too few readings per second",))
     lost = Rejection(stage, reason, "", 0)
     with pytest.raises(ObservationError) as caught:
-        require_stations(replace(few, counts={"stations": 12}, rejections=(lost,)))
+        require_stations(replace(few, counts={"stations": 12}, rejections=(lost, lost)))
     assert cure in caught.value.hint
 
 

@@ -11,7 +11,7 @@ from mobilecal_cli.calibrate.evaluate import evaluate
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.params import params_yaml
-from mobilecal_cli.model import LogSource, Provenance, WheelGeometry
+from mobilecal_cli.model import LogSource, Provenance, WheelGeometry, WheelTrack
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
 
@@ -71,6 +71,17 @@ def test_a_wrong_calibration_fails(tmp_path, monkeypatch, change, says):
     found = verdict(tmp_path, change(solution), made, calibrated(1)[1])
     assert found.level == "FAIL"
     assert any(name in found.reason for name in says.split("|")), found.reason
+
+
+def test_a_mistake_in_the_recording_comes_before_one_in_the_calibration(tmp_path):
+    """A wheel read backwards: "check that params.yaml is of this robot", and the sign in another line."""
+    other = extraction(1)
+    tracks = (WheelTrack(t.right, replace(t.left, value=-t.left.value)) for t in other.wheels)
+    found = verdict(tmp_path, *calibrated(0), replace(other, wheels=tuple(tracks)))
+    assert found.level == "FAIL"
+    assert found.next_step.startswith(
+        "Negate wheels.left.sign in rig.yaml. Then evaluate again. Check that params"
+    )
 
 
 def test_corners_predicted_behind_the_camera_are_a_thousand_pixels_off(tmp_path, monkeypatch):
