@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from mobilecal_cli.model import Evaluation, Extraction, Provenance, Solution
 from mobilecal_cli.model.text import capitalized, wrapped
@@ -157,30 +157,14 @@ class Metric:
         )
 
 
-class Checks(tuple[Check, ...]):
-    """Criteria in order; also by their id: `checks["point_error"].value`."""
-
-    __slots__ = ()
-
-    def __getitem__(self, key: Any) -> Any:  # noqa: ANN401
-        """A criterion by its id, or as in a tuple.
-
-        Raises:
-            KeyError: there is none.
-        """
-        if not isinstance(key, str):
-            return super().__getitem__(key)
-        return {check.id: check for check in self}[key]
-
-    @property
-    def lines(self) -> list[str]:
-        """All criteria for the terminal, escaped, with what to do where one is not met."""
-        lines = []
-        for check in self:
-            start, indent = f"  {check.label:<11} ", " " * 14
-            lines += wrapped(f"{check.name}: {check.measured_text} ({check.limit_text})", start, indent)
-            lines += wrapped(f"{check.why} {check.next_step}", indent, indent) if check.why else []
-        return lines
+def check_lines(checks: Iterable[Check]) -> list[str]:
+    """All criteria for the terminal, escaped, with what to do where one is not met."""
+    lines = []
+    for check in checks:
+        start, indent = f"  {check.label:<11} ", " " * 14
+        lines += wrapped(f"{check.name}: {check.measured_text} ({check.limit_text})", start, indent)
+        lines += wrapped(f"{check.why} {check.next_step}", indent, indent) if check.why else []
+    return lines
 
 
 _Judge = Callable[..., Iterator[Check]]

@@ -24,7 +24,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
-from mobilecal_cli.report.criteria import Check, Checks, Metric, Outcome
+from mobilecal_cli.report.criteria import Check, Metric, Outcome, check_lines
 from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
 from mobilecal_cli.report.numbers import DEG, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
@@ -102,7 +102,7 @@ def judge_evaluation(
         "Record at least ten stations.",
     )
     agreement = _unsolved(own) if isinstance(own, MobilecalError) else _agreement(robot, own, cure)
-    checks = Checks((enough_stations, _corner_error(evaluation, extraction, own), *agreement, *gates))
+    checks = (enough_stations, _corner_error(evaluation, extraction, own), *agreement, *gates)
     for outcome in ("fail", "not_enough"):
         decisive = next((check for check in checks if check.outcome == outcome), None)
         if decisive is not None:
@@ -316,4 +316,7 @@ def evaluation_text(result: Evaluated) -> str:
         lines += wrapped(f"Clock offsets: {offsets}", "", "  ")
     for table in evaluation_tables(data):
         lines += ["", *table.lines()]
-    return "\n".join([*lines, "", "Calibration against this recording", *result.verdict.checks.lines]) + "\n"
+    return (
+        "\n".join([*lines, "", "Calibration against this recording", *check_lines(result.verdict.checks)])
+        + "\n"
+    )

@@ -6,6 +6,7 @@ import base64
 import functools
 
 from mobilecal_cli.model.text import visible, wrapped
+from mobilecal_cli.report.criteria import check_lines
 from mobilecal_cli.report.formats import markdown
 from mobilecal_cli.report.numbers import numbers_table
 from mobilecal_cli.report.page import style_of, template
@@ -48,7 +49,7 @@ def _details(report: ReportData) -> list[str]:
     if quality.reprojection_rms_px:
         errors.append(f"reprojection error: {quality.reprojection_rms_px:.2f} px")
     lines.append("; ".join(errors))
-    lines += [*_wrapped(quality.reprojection_text, ""), "", *report.verdict.checks.lines]
+    lines += [*_wrapped(quality.reprojection_text, ""), "", *check_lines(report.verdict.checks)]
     for table in report.tables:
         if table.section != "checks":
             lines += ["", table.title, *table.lines()] if table.title else ["", *table.lines()]

@@ -8,17 +8,16 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, Evaluation
 from mobilecal_cli.model.text import capitalized
 from mobilecal_cli.ranges import number_of
 from mobilecal_cli.report.checks import EVALUATED
-from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Checks, Metric
-from mobilecal_cli.report.formats import json_as
+from mobilecal_cli.report.criteria import CRITERIA, Case, Check, Metric
 from mobilecal_cli.report.numbers import PARAMETERS, plain_names, reference_std
 from mobilecal_cli.report.use import FIGURES, Error, Figure, next_step_of, shares_of, use_sentence
 
@@ -33,7 +32,7 @@ class Verdict:
     level: Level
     reason: str
     next_step: str
-    checks: Annotated[Checks, json_as(tuple[Check, ...])]
+    checks: tuple[Check, ...]
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -45,7 +44,7 @@ def verdict_of(case: Case) -> Verdict:
     """The verdict: the first criterion that is not met decides."""
     solution = case.solution
     gated = gate_checks(case.gates, figures_of(case), lambda *gate: _gate_cure(case, *gate))
-    checks = Checks((*(check for check in case.checks if check.name), *gated))
+    checks = (*(check for check in case.checks if check.name), *gated)
     decisive = next((check for check in checks if not check.met), None)
     if decisive is not None:
         return decided_by(decisive, checks)
@@ -64,13 +63,13 @@ def verdict_of(case: Case) -> Verdict:
     return Verdict("PASS", reason, next_step + _first(checks), checks)
 
 
-def _first(checks: Checks) -> str:
+def _first(checks: Iterable[Check]) -> str:
     """What to look at before the next step: the first warning."""
     look = next((check for check in checks if check.outcome == "warning"), None)
     return "" if look is None else f" Check first: {look.why} {look.next_step}"
 
 
-def decided_by(check: Check, checks: Checks) -> Verdict:
+def decided_by(check: Check, checks: tuple[Check, ...]) -> Verdict:
     """The verdict where one check decides."""
     level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
     if check.id.startswith(GATE):

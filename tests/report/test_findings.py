@@ -18,8 +18,15 @@ from mobilecal_cli.solvers.fit import uncertainty_of
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.initial import initial_state
 from tests.extractions import simulated
-from tests.judging import judge
-from tests.report.example import drawn, made, make_extraction, make_solution, solved
+from tests.judging import by_id, judge
+from tests.report.example import (
+    drawn,
+    made,
+    make_extraction,
+    make_solution,
+    solved,
+    with_uncertainty,
+)
 
 
 def test_a_turned_camera_is_named_with_its_cure():
@@ -141,7 +148,7 @@ def test_noise_is_named_by_its_kind():
     solution = make_solution(make_extraction(), "ml")
 
     def said(*kinds):
-        check = judge(replace(solution, noisy=kinds), make_extraction()).checks["outliers_as_noise"]
+        check = by_id(judge(replace(solution, noisy=kinds), make_extraction()))["outliers_as_noise"]
         assert (check.value, check.limit, check.outcome) == (len(kinds), 0, "warning")
         return check.why
 
@@ -149,33 +156,36 @@ def test_noise_is_named_by_its_kind():
     assert "legs' wheel rotations and of the joint readings" in said("legs", "readings")
 
 
-@pytest.mark.parametrize(
-    ("sigma", "level"), [pytest.param(10.0, "PASS", marks=pytest.mark.long), (1.0, "FAIL")]
-)
-def test_a_prior_of_the_user_that_the_data_contradict_is_named(sigma, level):
+@pytest.mark.parametrize("sigma", [1.0, pytest.param(10.0, marks=pytest.mark.long), None])
+def test_a_value_of_the_user_that_the_data_contradict_is_named(sigma):
+    """10 sigma from what the data show: a prior that moves the result, one that is too weak for it, a fixed value."""
     right, extraction = drawn()
-    k, std = NINE.index("t_x"), right.uncertainty.std
-    value, wide = right.parameters.T_h_c[0, 3] + 10 * sigma * std[k], sigma * std[k]
-    solution = solve(extraction, constraints=constraints_of([], [f"t_x={value:.6f}+-{wide:.6f}"], []))
-    verdict = judge(solution, extraction)
-    assert verdict.level == level
-    assert "The value of --prior t_x is " in verdict.reason + verdict.next_step
-    assert "Correct --prior t_x (m, rad), or leave it out." in verdict.next_step
+    std = right.uncertainty.std[NINE.index("t_x")]
+    value = right.parameters.T_h_c[0, 3] + 10 * (sigma or 1.0) * std
+    given = f"t_x={value:.6f}"
+    constraints = constraints_of([given], [], [])
+    if sigma is not None:
+        constraints = constraints_of([], [f"{given}+-{sigma * std:.6f}"], [])
+    solution = solve(extraction, constraints=constraints)
     sigmas, shift = solution.uncertainty.asked["t_x"]
     assert sigmas > 4
-    assert (shift > 2) == (level == "FAIL")
-
-
-@pytest.mark.parametrize(("sigmas", "level"), [(1.0, "PASS"), (10.0, "FAIL")])
-def test_a_fixed_value_that_the_data_contradict_is_named(sigmas, level):
-    right, extraction = drawn()
-    value = right.parameters.T_h_c[0, 3] + sigmas * right.uncertainty.std[NINE.index("t_x")]
-    solution = solve(extraction, constraints=constraints_of([f"t_x={value:.6f}"], [], []))
-    away, shift = solution.uncertainty.asked["t_x"]
-    assert away == shift == pytest.approx(sigmas, rel=0.1)
+    assert (shift > 2) == (sigma != 10.0)
+    if sigma is None:
+        assert sigmas == shift == pytest.approx(10.0, rel=0.1)
     verdict = judge(solution, extraction)
-    assert verdict.level == level
-    assert ("Correct --fix t_x (m, rad), or leave it out." in verdict.next_step) == (level == "FAIL")
+    assert verdict.level == ("PASS" if sigma == 10.0 else "FAIL")
+    option = "--fix t_x" if sigma is None else "--prior t_x"
+    assert f"The value of {option} is " in verdict.reason + verdict.next_step
+    assert f"Correct {option} (m, rad), or leave it out." in verdict.next_step
+
+
+@pytest.mark.parametrize(
+    ("asked", "outcome"), [((3.9, 3.9), None), ((4.1, 1.9), "warning"), ((4.1, 2.1), "fail")]
+)
+def test_a_value_of_the_user_fails_where_it_moves_the_result(asked, outcome):
+    solution, extraction = drawn()
+    checks = by_id(judge(with_uncertainty(solution, asked={"t_x": asked}), extraction))
+    assert (checks["prior.t_x"].outcome if outcome else checks.get("prior.t_x")) == outcome
 
 
 @pytest.mark.parametrize("fits", [True, pytest.param(False, marks=pytest.mark.long)])

@@ -10,7 +10,7 @@ import pytest
 
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.model import Drift, Evaluation
-from mobilecal_cli.report.criteria import Checks, Metric
+from mobilecal_cli.report.criteria import Metric
 from mobilecal_cli.report.evaluation import EvaluationData
 from mobilecal_cli.report.formats import json_text, like
 from mobilecal_cli.report.junit import junit_error_xml, junit_xml
@@ -25,7 +25,7 @@ from mobilecal_cli.report.verdict import (
     gates_of,
 )
 from tests.conftest import REPOSITORY
-from tests.judging import judge
+from tests.judging import by_id, judge
 from tests.report.example import case_of, made, make_solution
 
 EVALUATION = Evaluation(
@@ -130,7 +130,7 @@ def test_junit():
         check("rejected", 60, 50, "rejected <&>\x00", "again", why="often <&>\x00"),
         check("gate.legs", 3, 4, "gate legs", "more", why="too few", passes=False, beyond="not_enough"),
     ]
-    verdict = Verdict("FAIL", "", "", Checks(checks))
+    verdict = Verdict("FAIL", "", "", tuple(checks))
     suites = ET.fromstring(junit_xml("log\x07.mcap", verdict, 12.5))
     suite = suites.find("testsuite")
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "0")
@@ -222,7 +222,7 @@ def test_metrics_are_the_numbers_in_si_units_in_theirs(report, solution):
         assert report.metrics[name] == pytest.approx(value * PER_SI[METRICS[name].unit]), name
     for parameter in PARAMETERS:
         assert METRICS[parameter.gate].unit == parameter.unit
-    checks = {check.id: check for check in report.verdict.checks}
+    checks = by_id(report.verdict)
     for figure in (figure for figure in FIGURES if figure.limit is not None):
         assert checks[figure.name].value == report.metrics[figure.name]
 

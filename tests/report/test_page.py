@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import re
+from dataclasses import replace
 
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.formats import json_text
@@ -95,11 +96,11 @@ def test_the_linear_method_alone(extraction):
     assert json.loads(json_text(made(solution, extraction)))["refinement"] is None
 
 
-def test_the_section_that_the_verdict_names_is_open(extraction, html):
+def test_the_section_that_the_verdict_names_is_open(solution, extraction, html):
     assert "<details" in html
     assert not re.search("<details[^>]* open", html)
-    short = make_extraction(n=4)
-    text = page_of(make_solution(short), short)
+    still = replace(solution, motion={"turned_deg": 1.0})
+    text = page_of(still, extraction)
     assert re.findall(r'<details class="part" id="(\w+)" open', text) == ["stations"]
 
 

@@ -8,12 +8,15 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
+from mobilecal_cli.calibrate import steps
+from mobilecal_cli.calibrate.steps import Data, Fit
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.model import LogSource
 from mobilecal_cli.report.text import job_summary
+from mobilecal_cli.rig.config import UNCONFIGURED
 from tests.command import run, succeeded
 from tests.conftest import REPOSITORY
-from tests.report.example import HOSTILE, Page, made, make_extraction, make_solution, report_on
+from tests.report.example import HOSTILE, Page, drawn, made, make_extraction, make_solution, report_on
 
 NOTEBOOK = REPOSITORY / "docs" / "tutorial" / "notebook.ipynb"
 
@@ -104,7 +107,10 @@ def test_suggest_as_json(result):
     assert all(" improves from " in cure for cure in advice["cures"])
 
 
-def test_suggestions_go_by_the_user_s_limits(result, sample_logs):
-    (result / "mine.yaml").write_text("gates: {predicted.camera_mm: 4}\n")
-    done = succeeded("suggest", sample_logs / "paper_robot.mcap", "-q", "-c", "mine.yaml", cwd=result)
-    assert re.search("limits? the camera position in the base", done.out.splitlines()[0])
+def test_suggestions_go_by_the_user_s_limits(monkeypatch):
+    solution, extraction = drawn()
+    for name, limit in (("along_mm_per_m", "distance"), ("heading_deg_per_turn", "heading")):
+        data = Data(extraction, gates={f"predicted.{name}": 0.01})
+        monkeypatch.setattr(steps, "load", lambda *_, data=data: data)
+        monkeypatch.setattr(steps, "fitted", lambda *_, **__: Fit(solution, extraction, "ml"))
+        assert re.search(f"limits? the {limit} by dead reckoning", steps.suggest([], UNCONFIGURED).limiting)

@@ -23,9 +23,8 @@ from mobilecal_cli.model import (
     WheelGeometry,
     WheelTrack,
 )
-from mobilecal_cli.report.criteria import Checks, Metric
 from mobilecal_cli.solvers import solve
-from tests.judging import judge
+from tests.judging import by_id, judge
 from tests.report.example import (
     ROBOT,
     WHEELS,
@@ -185,7 +184,7 @@ def test_each_side_of_a_limit(solution, extraction, solved, seen, said):
 
 
 def test_linear_solutions_that_do_not_fit_are_not_compared(solution, extraction):
-    check = judge(linear(solution, 0.45, 0.62), extraction).checks["second_solution"]
+    check = by_id(judge(linear(solution, 0.45, 0.62), extraction))["second_solution"]
     assert check.measured_text == "not compared: the linear solution has a point error of 450 mm"
 
 
@@ -305,8 +304,8 @@ def test_what_a_change_may_cause_is_no_further_reason():
     noisy = replace(with_noise(solution, wheel_rad_per_sqrt_rad=0.1), point_rms_m=0.2)
     change = jump("right wheel", extraction)
     for jumps, reasons in (((), ["point_error", "noise.wheel"]), ((change,), ["jump"])):
-        checks = judge(replace(noisy, jumps=jumps), extraction).checks
-        assert [check.id for check in checks if check.outcome == "fail"] == reasons
+        checks = by_id(judge(replace(noisy, jumps=jumps), extraction))
+        assert [check.id for check in checks.values() if check.outcome == "fail"] == reasons
         assert (checks["noise.wheel"].outcome == "warning") == bool(jumps)
 
 
@@ -342,7 +341,7 @@ def test_what_changed_is_called_by_its_name(part, joints, said):
     if not joints:
         chain = replace(chain, links=tuple(link for link in chain.links if isinstance(link, FixedLink)))
     known = replace(extraction, rig=replace(extraction.rig, chain=chain))
-    check = judge(replace(solution, jumps=(jump(part, known),)), known).checks["jump"]
+    check = by_id(judge(replace(solution, jumps=(jump(part, known),)), known))["jump"]
     assert said in f"{check.why} {check.next_step}"
 
 
@@ -353,7 +352,7 @@ def test_a_small_change_that_makes_the_floor_uneven_is_the_cause():
     noisy = replace(with_noise(solution, floor_m=0.06), jumps=(change,))
     for gates, level in (({}, "PASS"), ({"predicted.camera_mm": 0.1}, "FAIL")):
         verdict = judge(noisy, extraction, gates)
-        assert (verdict.level, verdict.checks["jump"].outcome == "fail") == (level, level == "FAIL")
+        assert (verdict.level, by_id(verdict)["jump"].outcome == "fail") == (level, level == "FAIL")
     # Nor is it "a moved or wrong board" at half of the stations.
     half = range(len(extraction.observations) // 2)
     lost = tuple(Outlier("station", 0, (k,), change.time_ns, "") for k in half)
@@ -363,7 +362,7 @@ def test_a_small_change_that_makes_the_floor_uneven_is_the_cause():
 
 def test_a_small_stereo_error_is_not_rounded_to_zero(solution, extraction):
     verdict = judge(solution, with_seen(extraction, reprojection_px=0.0031))
-    assert verdict.checks["stereo_error"].measured_text == "0.0031 px (median)"
+    assert by_id(verdict)["stereo_error"].measured_text == "0.0031 px (median)"
 
 
 def test_many_rejections_are_worth_a_look(solution, extraction):
@@ -406,15 +405,6 @@ class TestWithTheSolver:
         assert "joint" in verdict.next_step
 
 
-def test_criteria_by_their_id():
-    made = Checks(
-        Metric(name).check(value, 2.0) for name, value in (("noise.joint", 1.0), ("noise.wheel", 3.0))
-    )
-    assert (made["noise.wheel"].value, made[0].id) == (3.0, "noise.joint")
-    with pytest.raises(KeyError):
-        made["noise"]
-
-
 def test_a_camera_info_that_changes_is_no_silent_pass():
     solution, extraction = drawn()
     note = f"/left/camera_info: {CAMERA_INFO_CHANGES} 3.0 s after the start: K by up to 5 px"
@@ -428,7 +418,7 @@ def test_an_unevenness_of_the_floor_is_told():
     verdict = judge(with_noise(solution, floor_rad=np.radians(0.5)), extraction)
     assert verdict.level == "PASS"
     assert verdict.next_step == "Use params.yaml on the robot."
-    assert verdict.checks["noise.floor"].measured_text == "0.5 degrees"
+    assert by_id(verdict)["noise.floor"].measured_text == "0.5 degrees"
     rows = rows_of(made(solution, extraction), "limits", "Measurement noise")
     assert rows["floor: roll and pitch under the base"][1] == "deg"
     assert not any("time stamp" in meaning for meaning in rows)  # the robot stands at each station
@@ -477,4 +467,4 @@ def test_stated_values_that_are_ignored_are_the_cause_where_the_motion_is_enough
         (free, "the stated values of joint_zero are ignored"),
         (still, "the head tilted by 1.0 degrees only"),
     ):
-        assert said in judge(found, extraction).checks["observable"].why
+        assert said in by_id(judge(found, extraction))["observable"].why
