@@ -81,7 +81,7 @@ def test_names_that_change_all_the_time():
     for k in range(200):
         names = [*(f"{k}_{i}{'x' * k}" for i in range(100)), "pan"]
         joint.take(channel(False).decode(payload(False, names, [k] * 101)), k, k)
-    assert len(joint.series) == 200
+    assert len(joint) == 200
     assert len(joint.present) <= 1001
     assert "pan" in joint.present
 

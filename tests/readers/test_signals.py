@@ -363,8 +363,8 @@ def turned(readings, source):
     wheel = FieldWheel("left", source, "data")
     for k, reading in enumerate(readings):
         wheel.take(SimpleNamespace(data=reading), k * 10**7, k * 10**7)
-    wheel.check([])
-    return wheel.track(wheel.series.samples([]), []).value
+    wheel.checked([])
+    return wheel.track(wheel.samples([]), []).value
 
 
 @given(

@@ -6,9 +6,8 @@ import shutil
 import sqlite3
 import struct
 from array import array
-from bisect import bisect_right
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, closing, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.containers.sqlite_tree import Leaf, link, message_leaves
+from mobilecal_cli.readers.containers.sqlite_pages import LeafPages
 from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     SIZE_LIMIT,
@@ -36,11 +35,6 @@ MAGIC = b"SQLite format 3\x00"
 
 #: In the header of the file: bytes per page, change counter, number of pages, and the change that this number is of.
 _HEADER = struct.Struct(">16xH6xII60xI")
-#: Consecutive damaged or missing rows after which the search ends.
-MOST_FAILURES = 10_000
-#: Rows per query; older versions of SQLite accept 999 values at most.
-_BATCH = 500
-_SELECT = "SELECT id, topic_id, timestamp, {} FROM messages"
 
 
 class _Log(NamedTuple):
@@ -78,6 +72,7 @@ class SqliteStorage(Storage):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self._copies = ExitStack()
+        self._pages: LeafPages | None = None
         try:
             self._connection = self._connect(path)
             self._read_topics()
@@ -97,9 +92,6 @@ class SqliteStorage(Storage):
             with closing(sqlite3.connect(self.opened)) as copy, suppress(sqlite3.Error):
                 copy.execute("PRAGMA journal_mode=DELETE")  # moves what the log contains into the file
             options = "mode=rw" if log.exists() else options
-        return self._open(options)
-
-    def _open(self, options: str) -> sqlite3.Connection:
         connection = sqlite3.connect(f"file:{quote(str(self.opened.absolute()))}?{options}", uri=True)
         self._copies.callback(connection.close)
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, SIZE_LIMIT)
@@ -153,41 +145,17 @@ class SqliteStorage(Storage):
             )
 
     def _scan(self) -> None:
-        """Message counts, sizes and log times; of the rows that can be read one by one if the table is damaged."""
-        select = _SELECT.format("LENGTH(data)")  # SQLite reads only the length of large messages
+        """Message counts, sizes and log times; where the table is damaged, those of the rows on its pages."""
+        # SQLite reads only the length of large messages.
+        select = "SELECT rowid, topic_id, timestamp, LENGTH(data) FROM messages ORDER BY rowid"
         try:
-            log, counts = _listed(self._connection.execute(f"{select} ORDER BY id"))
+            self._log, self.counts = _listed(self._connection.execute(select))
         except (sqlite3.Error, OverflowError):
-            leaves, cut = message_leaves(self.opened)
-            # SQLite reads what is missing of a page that is cut as zeros.
-            last = leaves[-1].last_row if leaves and cut else None
-            log, counts = self._of_readable(select, last)
-            if sum(leaf.rows for leaf in leaves) > counts.total():
-                self._relink(leaves)
-                log, counts = self._of_readable(select, last)
-            self.note(f"the message table is damaged; {counts.total()} messages could be read")
-        self.counts = counts
-        log.log_ns[:] += self.shifts_of(log.channel, log.log_ns)
-        self._log = log
+            self._pages = self._leaf_pages()
+            self._log, self.counts = _listed(row[:4] for row in self._pages.rows.values())
+            self.note(f"the message table is damaged; {self.counts.total()} messages could be read")
+        self._log.log_ns[:] += self.shifts_of(self._log.channel, self._log.log_ns)
         self.delay(0)
-
-    def _of_readable(self, select: str, last: int | None) -> tuple[_Log, Counter[int]]:
-        """See `_listed`; of the rows of a damaged table that can be read one by one, up to the last whole one."""
-        rows = self._rows(self._every_row(), select)
-        return _listed(row for row in rows if row is not None and (last is None or row[0] <= last))
-
-    def _relink(self, leaves: Sequence[Leaf]) -> None:
-        """Go on with a copy of a file that has leaves which its tree does not reach."""
-        (root,) = self._connection.execute(
-            "SELECT rootpage FROM sqlite_master WHERE type='table' AND name='messages'"
-        ).fetchone()
-        copy = enter_scratch(self._copies) / self.path.name
-        with full_disk_told():
-            shutil.copyfile(self.opened, copy)
-            link(copy, root, leaves)
-        self._connection.close()
-        self.opened = copy
-        self._connection = self._open("immutable=1")
 
     def delay(self, shift_ns: int) -> None:
         if len(self._log.row):
@@ -199,22 +167,18 @@ class SqliteStorage(Storage):
         # Rows of other topics are not read, so a limit in bytes does not apply.
         read: Counter[int] = Counter()
         damaged = False
-        wanted = self.channels_of(topics)
-        for fetched in self._rows(self._batches(wanted, extent), _SELECT.format("data")):
-            if fetched is None:
+        rows, channels, times_ns, _ = (column.tolist() for column in self._read_of(topics, extent))
+        for number, channel_id, time_ns in zip(rows, channels, times_ns, strict=True):
+            data = self._data(number)
+            if data is None:
                 damaged = True
                 continue
-            row, number, time_ns, payload = fetched
-            if number in wanted and isinstance(time_ns, int):
-                read[number] += 1
-                channel = self.channels[number]
-                data = payload if isinstance(payload, bytes) else str(payload).encode()
-                if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
-                    # A damaged frame: the message is reported as undecodable on use.
-                    with suppress(Exception):
-                        data = message_payload(data)
-                # With the steps of the recorder's clock undone.
-                yield Message(channel, int(self._log.log_ns[np.searchsorted(self._log.row, row)]), data)
+            read[channel_id] += 1
+            channel = self.channels[channel_id]
+            if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
+                with suppress(Exception):  # a damaged frame: the message is reported as undecodable on use
+                    data = message_payload(data)
+            yield Message(channel, time_ns, data)
         if damaged:
             self.note(
                 f"the message table is damaged; {read.total()} messages of the topics in use could be read"
@@ -223,55 +187,30 @@ class SqliteStorage(Storage):
             self.compare_counts(topics, read)
 
     def bytes_of(self, topics: Collection[str], extent: Extent = EVERYTHING) -> int:
-        return int(self._log.size[self._places(self.channels_of(topics), extent)].sum())
+        return int(self._read_of(topics, extent).size.sum())
 
     def log_times(self) -> IntArray:
         return np.stack([self._log.channel, self._log.log_ns])
 
-    def _places(self, wanted: set[int], extent: Extent) -> IntArray:
-        """Places in the log of the messages that are read, in order of time."""
+    def _read_of(self, topics: Collection[str], extent: Extent) -> _Log:
+        """The log of the messages that are read, in order of time."""
         log = self._log
-        own = np.isin(log.channel, list(wanted))
+        own = np.isin(log.channel, list(self.channels_of(topics)))
         if extent.at_ns is not None:
             own &= np.isin(log.log_ns, extent.at_ns)
         places = np.flatnonzero(own)
-        return np.asarray(places[np.argsort(log.log_ns[places], kind="stable")])
+        places = places[np.argsort(log.log_ns[places], kind="stable")]
+        return _Log(*(column[places] for column in log))
 
-    def _every_row(self) -> Iterator[list[int]]:
-        """Increasing row numbers of all rows that a damaged table may have."""
-        try:
-            (end,) = self._connection.execute("SELECT MAX(id) FROM messages").fetchone()
-        except sqlite3.Error:
-            end = 2**62
-        every = range(1, (end or 0) + 1)
-        yield from (list(every[at : at + _BATCH]) for at in range(0, len(every), _BATCH))
+    def _leaf_pages(self) -> LeafPages:
+        return LeafPages(self._copies.enter_context(self.opened.open("rb")))
 
-    def _batches(self, wanted: set[int], extent: Extent) -> Iterator[list[int]]:
-        """Increasing row numbers in the order of reading."""
-        rows = self._log.row[self._places(wanted, extent)]
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) < 0) + 1):
-            yield from (run[at : at + _BATCH].tolist() for at in range(0, len(run), _BATCH))
-
-    def _rows(self, batches: Iterable[list[int]], select: str) -> Iterator[tuple[Any, ...] | None]:
-        """What is selected of the rows that can be read; None for a damaged one.
-
-        A damaged page costs only the rows on it. The pass ends after many consecutive damaged or missing rows.
-        """
-        failures = 0
-        for batch in batches:
-            left = batch
-            try:
-                places = ",".join("?" * len(batch))
-                for row in self._connection.execute(f"{select} WHERE id IN ({places}) ORDER BY id", batch):
-                    yield row
-                    left = batch[bisect_right(batch, row[0]) :]
-                failures = failures + len(left) if left is batch else 0
-            except sqlite3.Error:
-                for number in left:
-                    fetched = None
-                    with suppress(sqlite3.Error):
-                        fetched = self._connection.execute(f"{select} WHERE id = ?", (number,)).fetchone()
-                    yield fetched
-                    failures = 0 if fetched else failures + 1
-            if failures >= MOST_FAILURES:
-                return
+    def _data(self, row: int) -> bytes | None:
+        """Data of a row, None if it is damaged; what SQLite does not find is on the table's pages."""
+        if self._pages is None:
+            with suppress(sqlite3.Error):
+                select = "SELECT data FROM messages WHERE rowid = ?"
+                for (data,) in self._connection.execute(select, (row,)):
+                    return data if isinstance(data, bytes) else str(data).encode()
+            self._pages = self._leaf_pages()
+        return self._pages.data(row)

@@ -82,22 +82,22 @@ def read_signals(
     read.run(extent, infos)
 
     notes: list[str] = []
-    for source in (*images.values(), *itertools.chain(*turning.values())):
-        read.check(source, notes)
+    for camera in images.values():
+        read.checked(camera, notes)
     for side, each in turning.items():
-        silent = [wheel for wheel in each if wheel.series.not_finite and not len(wheel.series)]
-        if 0 < len(silent) < len(each):
-            notes += (f"{wheel.series.label}: all readings are NaN or infinite; left out" for wheel in silent)
-            turning[side] = [wheel for wheel in each if wheel not in silent]
+        turning[side] = used = [read.checked(wheel, notes) for wheel in each]
+        silent = [wheel for wheel in used if wheel.not_finite and not len(wheel)]
+        if 0 < len(silent) < len(used):
+            notes += (f"{wheel.label}: all readings are NaN or infinite; left out" for wheel in silent)
+            turning[side] = [wheel for wheel in used if wheel not in silent]
     moving: dict[str, Source] = {}
     for name in joints:
         if name in elsewhere:
-            read.check(elsewhere[name], notes)
-            moving[name] = elsewhere[name]
+            moving[name] = read.checked(elsewhere[name], notes)
         else:
             moving[name] = head_joint(recording.name, name, stated[name])
-    used: list[Source] = [*images.values(), *moving.values(), *itertools.chain(*turning.values())]
-    samples = without_strays([source.series.samples(notes) for source in used], notes)
+    sources_used: list[Source] = [*images.values(), *moving.values(), *itertools.chain(*turning.values())]
+    samples = without_strays([source.samples(notes) for source in sources_used], notes)
     pieces, steps = cut(samples)
     changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
     notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *changes, *notes]
@@ -108,22 +108,17 @@ def read_signals(
         samples = {source: each.arranged(own_notes) for source, each in recorded.items()}
 
         def track_of(source: Source) -> Track:
-            return without_stale(source.series.label, source.track(samples[source], own_notes), own_notes)
+            return without_stale(source.label, source.track(samples[source], own_notes), own_notes)
 
         tracks = {name: track_of(joint) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
         for name, joint in moving.items():
-            if len(joint.series) == 1 and not joint.series.not_finite:
-                own_notes.append(
-                    f"{joint.series.label}: one reading only; the joint counts as standing still"
-                )
+            if len(joint) == 1 and not joint.not_finite:
+                own_notes.append(f"{joint.label}: one reading only; the joint counts as standing still")
                 still = np.repeat(tracks[name].value, 2)
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)
         wheels = sides_of(
-            {
-                side: [(wheel.series.label, track_of(wheel)) for wheel in each]
-                for side, each in turning.items()
-            },
+            {side: [(wheel.label, track_of(wheel)) for wheel in each] for side, each in turning.items()},
             own_notes,
         )
         indices: dict[str, PictureIndex] = {}
@@ -134,14 +129,12 @@ def read_signals(
             indices[name] = index.rows(stated.usual_at(index.log_ns)) if stated else index
             recorded_ns[name] = index.time_ns
             if not len(indices[name].time_ns):
-                raise RecordingError(
-                    f"{camera.series.topic}: no usable images", "record all cameras the whole time"
-                )
+                raise RecordingError(f"{camera.topic}: no usable images", "record all cameras the whole time")
         for side, track in wheels.items():
             own_notes += gap_notes(f"{side} wheel", track)
         return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected)
 
-    logs, problems = usable([dict(zip(used, piece, strict=True)) for piece in pieces], signals_of)
+    logs, problems = usable([dict(zip(sources_used, piece, strict=True)) for piece in pieces], signals_of)
     notes += (
         f"piece {number} of {len(pieces)} of the recording is not used: {error.message}"
         for number, error in problems.items()

@@ -14,7 +14,7 @@ from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, stamp_of
 from mobilecal_cli.readers.messages.types import Decoded
-from mobilecal_cli.readers.signals.series import Samples, Series
+from mobilecal_cli.readers.signals.series import Samples
 from mobilecal_cli.readers.signals.sources import Source, Subscriptions
 
 #: Names that are kept for messages; where each message has others, all of them would fill the memory.
@@ -37,7 +37,7 @@ class StatedJoint(Source):
     def __init__(self, topic: str, name: str, field: str = "position") -> None:
         positions = field == "position"
         of_field = "" if positions else f"{field} of "
-        super().__init__(Series(topic, f"{of_field}joint {name} on {topic}", positions=positions))
+        super().__init__(topic, f"{of_field}joint {name} on {topic}", positions=positions)
         self.present: dict[str, None] = {}
         self.name, self._field = name, field
         self._names: list[str] = []
@@ -53,7 +53,7 @@ class StatedJoint(Source):
                 self.present[self.name] = None
         values = getattr(message, self._field, ())
         if self._place is not None and self._place < len(values):
-            self.series.add(time_ns, log_ns, float(values[self._place]))
+            self.add(time_ns, log_ns, float(values[self._place]))
 
 
 #: Bytes of a recording that are read to compare topics, or for its transforms.
@@ -73,16 +73,16 @@ def most_stated(name: str, topics: Sequence[StatedJoint], wheel: bool = False) -
     Raises:
         RecordingError: two topics say as much, and their readings differ.
     """
-    largest = max(joint.series.range for joint in topics)
-    moving = [joint for joint in topics if joint.series.range > _STILL_SHARE * largest]
-    best = max(moving or topics, key=lambda joint: joint.series.says)
-    like = moving or [joint for joint in topics if joint.series.says[1]]
+    largest = max(joint.range for joint in topics)
+    moving = [joint for joint in topics if joint.range > _STILL_SHARE * largest]
+    best = max(moving or topics, key=lambda joint: joint.says)
+    like = moving or [joint for joint in topics if joint.says[1]]
     others = (joint for joint in like if joint is not best)
-    other = next((joint for joint in others if joint.series.differs(best.series, wheel)), None)
+    other = next((joint for joint in others if joint.differs(best, wheel)), None)
     if other is not None:
         setting = "wheels.left.topic and wheels.right.topic" if wheel else "joints.topic"
         raise RecordingError(
-            f"joint {name} has different readings on {best.series.topic} and on {other.series.topic}",
+            f"joint {name} has different readings on {best.topic} and on {other.topic}",
             f"set {setting} in rig.yaml to the topic of this robot's driver",
         )
     return best
@@ -109,21 +109,21 @@ def choose_topics(
     silent: dict[tuple[str, str, str], list[str]] = {}
     for name, joints in positions.items():
         kinds = (joints, velocities.get(name, []))
-        moving = next((each for each in kinds if any(joint.series.range for joint in each)), joints)
+        moving = next((each for each in kinds if any(joint.range for joint in each)), joints)
         try:
-            best = most_stated(name, moving, name in wheels).series
+            best = most_stated(name, moving, name in wheels)
         except RecordingError as error:
             problems[name] = error
             continue
         chosen[name] = best.topic
-        for series in (joint.series for joint in moving if joint.series is not best):
-            if series.not_finite and not len(series):
-                why = f"all {series.not_finite} readings are NaN or infinite"
-            elif series.range <= _STILL_SHARE * best.range and (best.range or series.says[1] < best.says[1]):
+        for joint in (joint for joint in moving if joint is not best):
+            if joint.not_finite and not len(joint):
+                why = f"all {joint.not_finite} readings are NaN or infinite"
+            elif joint.range <= _STILL_SHARE * best.range and (best.range or joint.says[1] < best.says[1]):
                 why = "they stand still"
             else:
                 continue
-            silent.setdefault((best.topic, series.topic, why), []).append(name)
+            silent.setdefault((best.topic, joint.topic, why), []).append(name)
     for (topic, other, why), names in silent.items():
         recording.note(f"Joints {listed(names)}: read on {topic}, not on {other}, where {why}.")
     return chosen, problems
@@ -141,8 +141,8 @@ def head_joint(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoin
         RecordingError: no topic has its position, or two differ.
     """
     best = most_stated(name, topics) if topics else None
-    if best is None or not (len(best.series) or best.series.not_finite):
-        where = ", ".join(joint.series.topic for joint in topics) or "any topic"
+    if best is None or not (len(best) or best.not_finite):
+        where = ", ".join(joint.topic for joint in topics) or "any topic"
         present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
         raise RecordingError(
             f"{log}: no position of joint {name} on {where}; joints present: {present}",
@@ -163,7 +163,7 @@ class TransformJoint(Source):
     """A joint in the transforms of one topic."""
 
     def __init__(self, name: str, source: JointTransform) -> None:
-        super().__init__(Series(source.topic, f"joint {name} on {source.topic}", positions=True))
+        super().__init__(source.topic, f"joint {name} on {source.topic}", positions=True)
         self._name, self._source = name, source
         self._worst = (0.0, 0.0)
         self._present: dict[str, None] = {}
@@ -176,31 +176,32 @@ class TransformJoint(Source):
                     self._present[" to ".join(ends)] = None
                 continue
             value, *off = reading(self._source, item.transform)
-            self.series.add(stamp_of(item, time_ns), log_ns, value)
+            self.add(stamp_of(item, time_ns), log_ns, value)
             self._worst = (max(self._worst[0], off[0]), max(self._worst[1], off[1]))
 
-    def check(self, notes: list[str]) -> None:
+    def checked(self, notes: list[str]) -> Source:
         """Note where the readings come from.
 
         Raises:
             RecordingError: the transform is missing, or does not move as the URDF states.
         """
-        source, series = self._source, self.series
-        if not len(series) and not series.not_finite:
+        source = self._source
+        if not len(self) and not self.not_finite:
             raise RecordingError(
-                f"{series.topic}: no transform from {source.parent} to {source.child}, needed for joint {self._name}; "
+                f"{self.topic}: no transform from {source.parent} to {source.child}, needed for joint {self._name}; "
                 f"present: {listed(self._present)}",
                 "record /joint_states, or use the URDF that the transforms were computed with",
             )
         off_rad, off_m = self._worst
         if off_rad > _OFF_RAD or off_m > _OFF_M:
             raise RecordingError(
-                f"{series.topic}: the transform from {source.parent} to {source.child} deviates from joint "
+                f"{self.topic}: the transform from {source.parent} to {source.child} deviates from joint "
                 f"{self._name} by up to {math.degrees(off_rad):.1f} degrees and {off_m * 1e3:.0f} mm "
                 f"(limit {math.degrees(_OFF_RAD):.1f} degrees, {_OFF_M * 1e3:.0f} mm)",
                 "use the URDF that the transforms were computed with",
             )
-        notes.append(f"{series.label}: read from the transform from {source.parent} to {source.child}")
+        notes.append(f"{self.label}: read from the transform from {source.parent} to {source.child}")
+        return self
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
         track = super().track(samples, notes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from array import array
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,7 +10,6 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import CLOCK_STEPS, BoolArray, FloatArray, IntArray, Track
-from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.storage import LEAST_STEP_NS, steps_of
 
 
@@ -160,86 +158,6 @@ def without_strays(every: Sequence[Samples], notes: list[str]) -> list[Samples]:
         for topic, messages in wrong.items()
     )
     return kept
-
-
-#: Readings of one joint on two topics differ by more than this, rad or m, and this share of their mean deviation.
-_DIFFER, _DIFFER_SHARE = 1e-3, 0.3
-
-
-class Series:
-    """Readings while they are collected, 16 bytes each and 8 for each number.
-
-    Args:
-        topic: where they come from.
-        label: name for messages ("joint head_pan_joint on /joint_states").
-        width: numbers of one reading.
-        positions: see `Samples`.
-    """
-
-    def __init__(self, topic: str, label: str, width: int = 1, positions: bool = False) -> None:
-        self.topic, self.label = topic, label
-        self._width, self._positions = width, positions
-        self._stamp_ns, self._log_ns, self._value = array("q"), array("q"), array("d")
-        self.not_finite = 0
-
-    def __len__(self) -> int:
-        return len(self._stamp_ns)
-
-    @property
-    def range(self) -> float:
-        """Difference of the largest and the smallest reading; 0 without any."""
-        return max(self._value) - min(self._value) if len(self) else 0.0
-
-    @property
-    def says(self) -> tuple[bool, bool, int]:
-        """How much the readings say: whether any is finite, whether any of these is not zero, and their number."""
-        return len(self) > 0, any(self._value), len(self) or self.not_finite
-
-    def differs(self, other: Series, from_any_zero: bool = False) -> bool:
-        """Whether the readings of the same joint, rad or m, differ in the mean while both were recorded.
-
-        Some publishers repeat the readings of others later, and some wrap them to one turn. Of wheels, two may count
-        `from_any_zero`: only rotations from one time to another mean something.
-        """
-        times_ns, values = (np.array(of, dtype=np.float64) for of in (other._log_ns, other._value))
-        own_ns = np.array(self._log_ns, dtype=np.float64)
-        both = (times_ns >= own_ns[0]) & (times_ns <= own_ns[-1])
-        if not both.any():
-            return False
-        apart = np.interp(times_ns[both], own_ns, np.array(self._value)) - values[both]
-        zero = float(np.angle(np.exp(1j * apart).mean())) if from_any_zero else 0.0
-        apart = np.abs(np.remainder(apart - zero + np.pi, 2 * np.pi) - np.pi)
-        moved = float(np.abs(values - values.mean()).mean())
-        limit = max(_DIFFER, _DIFFER_SHARE * min(moved, np.pi / 2))
-        return bool(apart.mean() > limit)
-
-    def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
-        """Append a reading; one that is not finite or impossibly large is counted and dropped."""
-        for number in value:
-            if number not in READING:
-                self.not_finite += 1
-                return
-        self._stamp_ns.append(stamp_ns)
-        self._log_ns.append(log_ns)
-        self._value.extend(value)
-
-    def samples(self, notes: list[str]) -> Samples:
-        """All finite readings; notes how many are not.
-
-        Raises:
-            RecordingError: there are readings, but none is finite.
-        """
-        if self.not_finite:
-            total = self.not_finite + len(self)
-            if not len(self):
-                raise RecordingError(
-                    f"{self.label}: all {total} readings are NaN or infinite",
-                    "check the driver that publishes them",
-                )
-            notes.append(f"{self.label}: {self.not_finite} of {total} readings are NaN or infinite; dropped")
-        stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
-        value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
-        return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
 
 
 #: No joint and no wheel rests for so short a time, s. After longer ones it did not rest if there are so many equal

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable, Mapping, Sequence
 from typing import TypeVar
 
@@ -9,43 +10,116 @@ import numpy as np
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import IMAGES, PictureIndex, Track
+from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
 from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, content_of, header_stamp_ns
 from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
-from mobilecal_cli.readers.signals.series import Clock, Samples, Series
+from mobilecal_cli.readers.signals.series import Clock, Samples
+
+#: Readings of one joint on two topics differ by more than this, rad or m, and this share of their mean deviation.
+_DIFFER, _DIFFER_SHARE = 1e-3, 0.3
 
 
 class Source:
-    """A joint, a wheel, or the images of a camera.
+    """A joint, a wheel, or the images of a camera, with its readings: 16 bytes each and 8 for each number.
+
+    Args:
+        topic: where the readings come from.
+        label: name for messages ("joint head_pan_joint on /joint_states").
+        width: numbers of one reading.
+        positions: see `Samples`.
 
     Attributes:
-        series: the readings; after `check`, those in use.
         types: types that the topic may have; () for any.
+        not_finite: number of readings that are dropped.
     """
 
     types: Sequence[str] = ()
 
-    def __init__(self, series: Series) -> None:
-        self.series = series
+    def __init__(self, topic: str, label: str, width: int = 1, positions: bool = False) -> None:
+        self.topic, self.label = topic, label
+        self._width, self._positions = width, positions
+        self._stamp_ns, self._log_ns, self._value = array("q"), array("q"), array("d")
+        self.not_finite = 0
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         """Read one message; its time is the stamp, or the log time without one."""
         raise NotImplementedError
 
-    def check(self, notes: list[str]) -> None:
-        """Note what is wrong with the readings, after the pass.
+    def checked(self, notes: list[str]) -> Source:
+        """The source in use, after the pass: usually itself; notes what is wrong with its readings.
 
         Raises:
             RecordingError: they cannot be used.
         """
+        return self
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
         """The track of one piece of the readings, of a joint or a wheel; `notes` receives what is dropped."""
         time_ns, value = samples.ordered(notes)
         return Track(time_ns, value[:, 0])
+
+    def __len__(self) -> int:
+        return len(self._stamp_ns)
+
+    @property
+    def range(self) -> float:
+        """Difference of the largest and the smallest reading; 0 without any."""
+        return max(self._value) - min(self._value) if len(self) else 0.0
+
+    @property
+    def says(self) -> tuple[bool, bool, int]:
+        """How much the readings say: whether any is finite, whether any of these is not zero, and their number."""
+        return len(self) > 0, any(self._value), len(self) or self.not_finite
+
+    def differs(self, other: Source, from_any_zero: bool = False) -> bool:
+        """Whether the readings of the same joint, rad or m, differ in the mean while both were recorded.
+
+        Some publishers repeat the readings of others later, and some wrap them to one turn. Of wheels, two may count
+        `from_any_zero`: only rotations from one time to another mean something.
+        """
+        times_ns, values = (np.array(of, dtype=np.float64) for of in (other._log_ns, other._value))
+        own_ns = np.array(self._log_ns, dtype=np.float64)
+        both = (times_ns >= own_ns[0]) & (times_ns <= own_ns[-1])
+        if not both.any():
+            return False
+        apart = np.interp(times_ns[both], own_ns, np.array(self._value)) - values[both]
+        zero = float(np.angle(np.exp(1j * apart).mean())) if from_any_zero else 0.0
+        apart = np.abs(np.remainder(apart - zero + np.pi, 2 * np.pi) - np.pi)
+        moved = float(np.abs(values - values.mean()).mean())
+        limit = max(_DIFFER, _DIFFER_SHARE * min(moved, np.pi / 2))
+        return bool(apart.mean() > limit)
+
+    def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
+        """Append a reading; one that is not finite or impossibly large is counted and dropped."""
+        for number in value:
+            if number not in READING:
+                self.not_finite += 1
+                return
+        self._stamp_ns.append(stamp_ns)
+        self._log_ns.append(log_ns)
+        self._value.extend(value)
+
+    def samples(self, notes: list[str]) -> Samples:
+        """All finite readings; notes how many are not.
+
+        Raises:
+            RecordingError: there are readings, but none is finite.
+        """
+        if self.not_finite:
+            total = self.not_finite + len(self)
+            if not len(self):
+                raise RecordingError(
+                    f"{self.label}: all {total} readings are NaN or infinite",
+                    "check the driver that publishes them",
+                )
+            notes.append(f"{self.label}: {self.not_finite} of {total} readings are NaN or infinite; dropped")
+        stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
+        value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
+        return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
 
 
 AnySource = TypeVar("AnySource", bound=Source)
@@ -65,7 +139,7 @@ class FieldSource(Source):
     """
 
     def __init__(self, topic: str, path: str, of: str, setting: str, scale: float = 1.0) -> None:
-        super().__init__(Series(topic, f"{of} ({topic} {path})"))
+        super().__init__(topic, f"{of} ({topic} {path})")
         self._path, self._setting, self._scale = FieldPath.parse(path), setting, scale
         self._missing = 0
         self._error: RecordingError | None = None
@@ -76,19 +150,20 @@ class FieldSource(Source):
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         try:
-            value = self._path.number(message, self.series.topic, self._setting)
+            value = self._path.number(message, self.topic, self._setting)
         except RecordingError as error:  # a list may be empty in one message, but not in all
             self._missing += 1
             self._error = self._error or error
             return
-        self.series.add(time_ns, log_ns, self.reading(value))
+        self.add(time_ns, log_ns, self.reading(value))
 
-    def check(self, notes: list[str]) -> None:
+    def checked(self, notes: list[str]) -> Source:
         """Note missing readings; raise the first error if nothing was read."""
         if self._error is not None:
-            if not len(self.series):
+            if not len(self):
                 raise self._error
-            notes.append(f"{self.series.label}: the field is missing in {self._missing} messages; ignored")
+            notes.append(f"{self.label}: the field is missing in {self._missing} messages; ignored")
+        return self
 
 
 class Images(Source):
@@ -101,17 +176,17 @@ class Images(Source):
     types = IMAGES
 
     def __init__(self, topic: str) -> None:
-        super().__init__(Series(topic, topic))
+        super().__init__(topic, topic)
         self.sequential = False
         self._before = b""
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         if codec_of(message) is not None:
             self.sequential = True
-            self.series.add(time_ns, log_ns, 0.0)
+            self.add(time_ns, log_ns, 0.0)
             return
         content = content_of(message)
-        self.series.add(time_ns, log_ns, float(content == self._before != b""))
+        self.add(time_ns, log_ns, float(content == self._before != b""))
         self._before = content
 
     def index(self, samples: Samples, notes: list[str]) -> PictureIndex:
@@ -146,7 +221,7 @@ class Subscriptions:
         Raises:
             RecordingError: the topic is missing, or has another type.
         """
-        topic = source.series.topic
+        topic = source.topic
         info = self.recording.topic(topic)
         if source.types and info.type not in source.types:
             wanted = " or ".join(source.types)
@@ -174,17 +249,17 @@ class Subscriptions:
             except (RecordingError, *NOT_ITS_TYPE):
                 self.clocks[topic].broken += 1
 
-    def check(self, source: Source, notes: list[str]) -> None:
-        """Check a source after the pass; see `Source.check`.
+    def checked(self, source: Source, notes: list[str]) -> Source:
+        """The source in use, after the pass; see `Source.checked`.
 
         Raises:
             RecordingError: nothing was read.
         """
-        clock = self.clocks[source.series.topic]
+        clock = self.clocks[source.topic]
         if not clock.messages:
             fact = f"none of its {clock.broken} messages can be decoded" if clock.broken else "no messages"
             raise RecordingError(
                 f"{self.recording.name}: {clock.topic}: {fact}",
                 "record the topic, or set another one in rig.yaml",
             )
-        source.check(notes)
+        return source.checked(notes)

@@ -21,7 +21,7 @@ from mobilecal_cli.model import (
 )
 from mobilecal_cli.readers.messages.types import Decoded
 from mobilecal_cli.readers.signals.joints import StatedJoint
-from mobilecal_cli.readers.signals.series import Samples, Series
+from mobilecal_cli.readers.signals.series import Samples
 from mobilecal_cli.readers.signals.sources import FieldSource, Source, Subscriptions
 
 #: A pause in a wheel's samples is a gap if it is this long and this many times the usual interval ...
@@ -63,14 +63,6 @@ def from_positions(source: WheelSource, position: Samples, notes: list[str]) -> 
     return without_jumps(position.label, Track(time_ns, value * _scale(source)), notes)
 
 
-def from_velocities(source: WheelSource, velocity: Samples, notes: list[str]) -> Track:
-    """A wheel's track from velocities, rad/s or ticks/s, starting at zero."""
-    time_ns, rate = velocity.ordered(notes)
-    steps = np.diff(time_ns) * 1e-9 * (rate[1:, 0] + rate[:-1, 0]) / 2
-    track = Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * _scale(source))
-    return without_jumps(velocity.label, track, notes)
-
-
 def _scale(source: WheelSource) -> float:
     """Angle per unit of the readings, rad."""
     per_turn = source.ticks_per_revolution or _TURN
@@ -78,44 +70,59 @@ def _scale(source: WheelSource) -> float:
 
 
 class JointWheel(StatedJoint):
-    """A wheel in the joint states of one topic.
+    """The positions of a wheel in the joint states of one topic.
 
     Args:
         log: name of the recording, for messages.
         velocity: of the same joint, used if there are no positions.
     """
 
-    def __init__(self, log: str, side: Side, source: WheelSource, velocity: StatedJoint) -> None:
+    def __init__(self, log: str, side: Side, source: WheelSource, velocity: JointWheelVelocity) -> None:
         super().__init__(source.topic, velocity.name)
-        self._log, self._side, self._source, self._velocity = log, side, source, velocity.series
+        self._log, self._side, self._source, self._velocity = log, side, source, velocity
 
-    def check(self, notes: list[str]) -> None:
+    def checked(self, notes: list[str]) -> Source:
         """Use the velocities if there are no positions, or if these never change while the velocities do.
 
         Raises:
             RecordingError: there are neither.
         """
-        series = self.series
+        velocity = self._velocity
         if self.name not in self.present:
             raise RecordingError(
-                f"{self._log}: no joint {self.name} on {series.topic}; joints present: {listed(self.present)}",
+                f"{self._log}: no joint {self.name} on {self.topic}; joints present: {listed(self.present)}",
                 f"correct wheels.{self._side}.joint in rig.yaml",
             )
-        if not (len(series) or series.not_finite or len(self._velocity)):
+        if not (len(self) or self.not_finite or len(velocity)):
             raise RecordingError(
-                f"{series.label}: neither positions nor velocities in its messages",
+                f"{self.label}: neither positions nor velocities in its messages",
                 "set another source for the wheel in rig.yaml",
             )
-        if not series.range and len(self._velocity) and (self._velocity.range or not len(series)):
-            if series.not_finite and not len(series):
-                notes.append(f"{series.label}: all {series.not_finite} positions are NaN or infinite")
-            instead = "positions that never change" if len(series) else "no positions"
-            notes.append(f"{series.label}: {instead}; velocities are integrated")
-            self.series = self._velocity
+        if self.range or not len(velocity) or (len(self) and not velocity.range):
+            return self
+        if self.not_finite and not len(self):
+            notes.append(f"{self.label}: all {self.not_finite} positions are NaN or infinite")
+        instead = "positions that never change" if len(self) else "no positions"
+        notes.append(f"{self.label}: {instead}; velocities are integrated")
+        return velocity
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
-        integrate = self.series is self._velocity
-        return (from_velocities if integrate else from_positions)(self._source, samples, notes)
+        return from_positions(self._source, samples, notes)
+
+
+class JointWheelVelocity(StatedJoint):
+    """The velocities of a wheel in the joint states of one topic."""
+
+    def __init__(self, source: WheelSource, joint: str) -> None:
+        super().__init__(source.topic, joint, "velocity")
+        self._source = source
+
+    def track(self, samples: Samples, notes: list[str]) -> Track:
+        """Rotation of the wheel, rad, starting at zero."""
+        time_ns, rate = samples.ordered(notes)
+        steps = np.diff(time_ns) * 1e-9 * (rate[1:, 0] + rate[:-1, 0]) / 2
+        track = Track(time_ns, np.concatenate([[0.0], np.cumsum(steps)]) * _scale(self._source))
+        return without_jumps(samples.label, track, notes)
 
 
 class FieldWheel(FieldSource):
@@ -141,11 +148,11 @@ class FieldWheel(FieldSource):
         half = 1 << ((self._source.bits or _MOST_BITS) - 1)
         return since if -half <= since < half else (since + half) % (2 * half) - half
 
-    def check(self, notes: list[str]) -> None:
-        """See `check_width`, and `FieldSource.check`."""
+    def checked(self, notes: list[str]) -> Source:
+        """See `check_width`, and `FieldSource.checked`."""
         if self._source.bits is not None:
-            check_width(self.series.label, self._range, self._source.bits)
-        super().check(notes)
+            check_width(self.label, self._range, self._source.bits)
+        return super().checked(notes)
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
         return from_positions(self._source, samples, notes)
@@ -299,12 +306,12 @@ class OdometryWheel(Source):
     """
 
     def __init__(self, side: Side, source: WheelSource, wheels: WheelGeometry) -> None:
-        super().__init__(Series(source.topic, f"pose on {source.topic}", width=3))
+        super().__init__(source.topic, f"pose on {source.topic}", width=3)
         self._side, self._source, self._wheels = side, source, wheels
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         position, turned = message.pose.pose.position, message.pose.pose.orientation
-        self.series.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
+        self.add(time_ns, log_ns, position.x, position.y, 2 * math.atan2(turned.z, turned.w))
 
     def track(self, samples: Samples, notes: list[str]) -> Track:
         """Rotation of the wheel, rad, starting at zero."""
@@ -491,7 +498,7 @@ def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
         RecordingError: the topic is missing or has the wrong type, or the field is not a valid path.
     """
     if source.joint is not None:
-        velocity = read.add(StatedJoint(source.topic, source.joint, "velocity"))
+        velocity = read.add(JointWheelVelocity(source, source.joint))
         return read.add(JointWheel(read.recording.name, side, source, velocity))
     if source.baked_in is not None:
         return read.add(OdometryWheel(side, source, source.baked_in))
