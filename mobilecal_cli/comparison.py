@@ -12,8 +12,11 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
-from mobilecal_cli.model import BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
+from mobilecal_cli.model import NINE, BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
 from mobilecal_cli.model.arrays import ReadOnly
+
+#: Change of an unobservable parameter, in standard deviations of its nominal value, that no nominal value explains.
+MOST_NOMINAL_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +139,41 @@ def _chance(chi2: float, freedom: int) -> float:
     from scipy.special import chdtrc  # slow to import, and reports do not need it
 
     return float(chdtrc(freedom, chi2))
+
+
+def broken_limits(
+    change: Difference,
+    max_sigma: float | None = None,
+    max_ray_mm: float | None = None,
+    max_heading_deg: float | None = None,
+) -> list[str]:
+    """The limits that a difference exceeds, as text; the one of unobservable parameters always applies.
+
+    Args:
+        max_sigma: limit of any parameter, in standard deviations; None for none.
+        max_ray_mm: limit of the shift of a point 2 m ahead of the camera, mm.
+        max_heading_deg: limit of the change of heading per full turn, deg.
+    """
+    broken = [
+        f"{NINE[k]}, unobservable or fixed in one calibration, by {change.nominal_sigmas[k]:.1f} sigma "
+        f"(limit {MOST_NOMINAL_SIGMAS:g})"
+        for k in np.flatnonzero(change.nominal_sigmas > MOST_NOMINAL_SIGMAS)
+    ]
+    if max_sigma is not None:
+        if not change.known.any():
+            broken.append("no standard deviations for the limit in sigma")
+        blind = np.flatnonzero(change.unobservable)
+        broken += [f"no conclusion about {NINE[k]}: unobservable or fixed" for k in blind]
+        sigmas = np.nan_to_num(np.abs(change.sigmas))
+        worst = int(np.argmax(sigmas))
+        if sigmas[worst] > max_sigma:
+            broken.append(f"{NINE[worst]} by {sigmas[worst]:.1f} sigma (limit {max_sigma:g})")
+    if max_ray_mm is not None and change.ray_m * 1e3 > max_ray_mm:
+        broken.append(f"point 2 m ahead by {change.ray_m * 1e3:.2f} mm (limit {max_ray_mm:g})")
+    turn_deg = abs(math.degrees(change.heading_rad_per_turn))
+    if max_heading_deg is not None and turn_deg > max_heading_deg:
+        broken.append(f"heading per full turn by {turn_deg:.3f} deg (limit {max_heading_deg:g})")
+    return broken
 
 
 @dataclass(frozen=True, slots=True, eq=False)

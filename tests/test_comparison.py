@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.compare import broken_limits
-from mobilecal_cli.comparison import difference, history
+from mobilecal_cli.comparison import broken_limits, difference, history
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, LogSource, Nominal, WheelGeometry
 from mobilecal_cli.report.comparison import Comparison, change_from_nominal, comparison_json, comparison_text

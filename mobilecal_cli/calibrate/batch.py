@@ -22,7 +22,7 @@ from mobilecal_cli import __version__, se3
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import size_bytes
 from mobilecal_cli.calibrate.steps import Report, calibrate
-from mobilecal_cli.calibrate.workers import submitted, workers
+from mobilecal_cli.calibrate.workers import answer, processes
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file, write_files
 from mobilecal_cli.files.interruption import naming_interruptions, note_placed
@@ -207,46 +207,42 @@ AGAIN = "run the same command again: it calibrates only what is missing; with fe
 def run_job(job: FleetJob) -> FleetRow:
     """Calibrate one robot, or return the earlier result for the same recordings and settings.
 
-    The record of a job is completed last, so that any process or machine repeats an interrupted job and skips a
-    finished one. A robot without a result is tried again.
-
-    Raises:
-        OutputError: the record cannot be written.
+    Any process or machine repeats an interrupted job and skips a finished one. A robot without a result is tried again.
     """
-    key, began_s = "", time.perf_counter()  # without a fingerprint the job is repeated
-    owned: list[str] = []  # digests of the results that are the batch's own: the earlier one, and the new one
-
-    def before_writing(report: Report) -> None:
-        owned.append(hashlib.sha256(report.params.encode()).hexdigest())
-        _write_record(job, _Record(params=tuple(owned)))
-
+    began_s = time.perf_counter()
     try:
-        if job.force or owns_result(job):
-            owned.append(_params_digest(job))
-        key = fingerprint(job)
-        done = None if job.force else _finished(job, key)
-        if done is not None:
-            return done
-        _write_record(job, _Record(params=tuple(owned)))
+        key, record, earlier = fingerprint(job), _record(job), _params_digest(job)
+        own = job.force or earlier in record.params
+        there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
+        if there and not job.force and record.row and (key, earlier) == (record.key, record.params[-1]):
+            return replace(record.row, skipped=DONE)
+        rows: list[FleetRow] = []
+
+        def write_record(report: Report) -> None:
+            rows.append(replace(_row(job, report), seconds=round(time.perf_counter() - began_s, 3)))
+            made = hashlib.sha256(report.params.encode()).hexdigest()
+            written = _Record(params=(earlier, made) if own else (made,), key=key, row=rows[0])
+            path = _record_path(job)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_file(path, written.model_dump_json(indent=1).encode() + b"\n", force=True)
+
         with naming_interruptions():
-            report = calibrate(
+            calibrate(
                 job.logs,
                 job.output / job.name,
                 config=load_rig(job.config, job.flags),
                 gates=job.gates,
-                force=bool(owned),
-                before_writing=before_writing,
+                force=own,
+                before_writing=write_record,
             )
-        row = _row(job, report)
+        return rows[0]
     except MobilecalError as error:
         row = FleetRow(job.name, "ERROR", error.exit_code, error.message, hint=error.hint)
     except Exception as error:  # a bug must not stop the other robots
         row = FleetRow(job.name, "ERROR", 1, f"a bug in mobilecal: {type(error).__name__}: {error}")
-    if row.verdict == "ERROR" and (job.output / job.name).is_dir():
+    if (job.output / job.name).is_dir():
         row = replace(row, reason=f"{row.reason} (the files in {job.name}/ are of an earlier run)")
-    row = replace(row, seconds=round(time.perf_counter() - began_s, 3))
-    _write_record(job, _Record(params=tuple(owned), key=key, row=row))
-    return row
+    return replace(row, seconds=round(time.perf_counter() - began_s, 3))
 
 
 def owns_result(job: FleetJob) -> bool:
@@ -255,12 +251,12 @@ def owns_result(job: FleetJob) -> bool:
 
 
 class _Record(BaseModel, frozen=True):
-    """What a batch keeps of a job.
+    """What a batch keeps of the result of a job. It is written before the result, and counts once that is in place.
 
     Attributes:
-        params: SHA-256 of the params.yaml that are results of the batch: before the job, and after it.
-        key: `fingerprint` of the job, once it has ended.
-        row: its row of the table, once it has ended.
+        params: SHA-256 of the params.yaml that are results of the batch: the one that was replaced, and the last one.
+        key: `fingerprint` of the job.
+        row: its row of the table.
     """
 
     params: tuple[str, ...] = ()
@@ -268,20 +264,16 @@ class _Record(BaseModel, frozen=True):
     row: FleetRow | None = None
 
 
+def _record_path(job: FleetJob) -> Path:
+    return job.output / RECORDS / f"{job.name}.json"
+
+
 def _record(job: FleetJob) -> _Record:
     """The record of a job; an empty one if there is none, or one that cannot be read."""
     try:
-        return _Record.model_validate_json(
-            read_text(job.output / RECORDS / f"{job.name}.json", LARGEST_BYTES)
-        )
+        return _Record.model_validate_json(read_text(_record_path(job), LARGEST_BYTES))
     except (ConfigError, ValidationError):
         return _Record()
-
-
-def _write_record(job: FleetJob, record: _Record) -> None:
-    path = job.output / RECORDS / f"{job.name}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, record.model_dump_json(indent=1).encode() + b"\n", force=True)
 
 
 def _params_digest(job: FleetJob) -> str:
@@ -302,15 +294,6 @@ def fingerprint(job: FleetJob) -> str:
     journals = [log.with_name(f"{log.name}-wal") for log in job.logs]  # SQLite reads them with the database
     parts += [sha256_of(path) for path in (*job.logs, *(path for path in journals if path.is_file()))]
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()
-
-
-def _finished(job: FleetJob, key: str) -> FleetRow | None:
-    """The row of an earlier run of the same job with a result, if its outputs still exist."""
-    record = _record(job)
-    there = all((job.output / job.name / name).is_file() for name in OUTPUT_NAMES)
-    if record.row is None or record.row.verdict == "ERROR" or record.key != key or not there:
-        return None
-    return replace(record.row, skipped=DONE) if owns_result(job) else None
 
 
 def _row(job: FleetJob, report: Report) -> FleetRow:
@@ -343,11 +326,13 @@ def in_processes(jobs: Sequence[FleetJob], count: int = os.cpu_count() or 1) -> 
 
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
     """Rows in the order of completion; a pool that breaks yields only part of them."""
-    with workers(count) as pool:
-        futures = [submitted(pool, run_job, job) for job in jobs]
-        for future in as_completed(futures):
+    with processes(count) as submit:
+        if submit is None:  # no process can be started
+            yield from map(run_job, jobs)
+            return
+        for future in as_completed([submit(run_job, job) for job in jobs]):
             with suppress(BrokenProcessPool):
-                yield future.result()
+                yield answer(future)
 
 
 def batch(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -14,7 +15,7 @@ from pathlib import Path
 import cv2
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.workers import FAILED, processes, resources
+from mobilecal_cli.calibrate.workers import FAILED, answer, processes, resources
 from mobilecal_cli.errors import ObservationError, RecordingError
 from mobilecal_cli.model import (
     Board,
@@ -339,7 +340,7 @@ def detect_all(
         progress("detecting the board", searched, total)
 
     detections: list[StationDetections] = []
-    waiting: deque[Callable[[], tuple[list[StationDetections], tuple[str, ...]]]] = deque()
+    waiting: deque[Future[Path]] = deque()
     done, ahead, workers = 0, iter(segments), min(jobs, len(segments) // 2)
     files = tuple(part.opened for part in recording.parts)
     with ExitStack() as stack:
@@ -351,7 +352,7 @@ def detect_all(
             try:
                 for segment in islice(ahead, _AHEAD * workers - len(waiting)):
                     waiting.append(submit(_detect, files, rig, board, segment))
-                detected, damage = waiting.popleft()()
+                detected, damage = answer(waiting.popleft())
             except FAILED:
                 break
             for note in damage:

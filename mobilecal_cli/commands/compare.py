@@ -9,6 +9,7 @@ import typer
 from typer import Option
 
 from mobilecal_cli.commands.options import conclude
+from mobilecal_cli.errors import ConfigError
 
 
 def compare(
@@ -36,16 +37,32 @@ def compare(
         max_heading_deg: Limit on the change of heading per full turn, deg.
         plot: SVG file to write: every parameter over all calibrations.
     """
-    from mobilecal_cli.calibrate.compare import compare as compared
-    from mobilecal_cli.report.comparison import comparison_json, comparison_text
+    from mobilecal_cli.calibrate.load import read_params
+    from mobilecal_cli.comparison import broken_limits, difference, history
+    from mobilecal_cli.export.outputs import check_file, write_file
+    from mobilecal_cli.report.comparison import Comparison, comparison_json, comparison_text, history_plot
 
-    limits = {"max_sigma": max_sigma, "max_ray_mm": max_ray_mm, "max_heading_deg": max_heading_deg}
-    comparison = compared(files, plot=plot, force=force, **limits)
+    if len(files) < 2:
+        raise ConfigError("only one calibration to compare", "give two or more params.yaml files")
+    if plot is not None:
+        check_file(plot, force, files)
+    names, robots = tuple(map(str, files)), tuple(map(read_params, files))
+    differences = tuple(difference(robots[0], robot) for robot in robots[1:])
+    past = history(robots)
+    if plot is not None:
+        labels = [robot.created or name for robot, name in zip(robots, names, strict=True)]
+        write_file(plot, history_plot(labels, past).encode(), force)
+    broken = tuple(
+        f"{name}: {what}"
+        for name, change in zip(names[1:], differences, strict=True)
+        for what in broken_limits(change, max_sigma, max_ray_mm, max_heading_deg)
+    )
+    comparison = Comparison(names, robots, differences, past if len(files) > 2 else None, broken)
     typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
-    if comparison.broken:
+    if broken:
         conclude(
             "FAIL",
-            f"The calibrations differ by more than the limit: {'; '.join(comparison.broken)}.",
+            f"The calibrations differ by more than the limit: {'; '.join(broken)}.",
             "Calibrate again to tell a changed robot from a bad recording.",
             quiet=as_json,
         )

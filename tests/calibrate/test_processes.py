@@ -9,17 +9,18 @@ from pathlib import Path
 
 import pytest
 
-from mobilecal_cli.calibrate.workers import FAILED, processes
+from mobilecal_cli.calibrate.workers import FAILED, answer, processes
 
 _LARGE = 10_000_000  # bytes; a pipe holds 65,536
 
 _CALLER = """
 import os, sys, time
-from mobilecal_cli.calibrate.workers import processes
+from mobilecal_cli.calibrate.workers import answer, processes
 
 if __name__ == "__main__":
     with processes(1) as submit:
-        print(submit(os.getpid)(), submit.args[0], flush=True)
+        done = submit(os.getpid)
+        print(answer(done), done.result().parent, flush=True)
         submit(bytes, {large})
         time.sleep(60)
 """
@@ -44,26 +45,26 @@ else:
 
 def test_tasks_are_done_in_other_processes_and_leave_no_files():
     with processes(2) as submit:
-        folder = submit.args[0]
         results = [submit(bytes.upper, letter * _LARGE) for letter in (b"a", b"b")]
-        assert [result() for result in results] == [b"A" * _LARGE, b"B" * _LARGE]
-        assert submit(os.getpid)() != os.getpid()
+        folder = results[0].result().parent
+        assert list(map(answer, results)) == [b"A" * _LARGE, b"B" * _LARGE]
+        assert answer(submit(os.getpid)) != os.getpid()
         assert list(folder.iterdir()) == []
     assert not folder.exists()
 
 
 def test_an_error_comes_back():
     with processes(1) as submit, pytest.raises(ValueError, match="invalid literal"):
-        submit(int, "one")()
+        answer(submit(int, "one"))
 
 
 def test_a_death_among_large_tasks_is_told():
     with processes(1) as submit:
-        number = submit(os.getpid)()
+        number = answer(submit(os.getpid))
         results = [submit(bytes.upper, b"a" * _LARGE) for _ in range(4)]
         os.kill(number, signal.SIGKILL)
         with pytest.raises(FAILED):
-            results[-1]()
+            answer(results[-1])
 
 
 def _runs(number: str) -> bool:

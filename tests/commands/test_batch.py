@@ -16,7 +16,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
 from mobilecal_cli.calibrate.batch import on_cluster
-from mobilecal_cli.calibrate.steps import calibrate
+from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
@@ -88,8 +88,7 @@ def without_skipped(out):
 
 def records(out):
     """Robot → when its record was completed."""
-    found = (out / batch_module.RECORDS).glob("*.json")
-    return {p.stem: p.stat().st_mtime_ns for p in found if json.loads(p.read_text(encoding="utf-8"))["row"]}
+    return {path.stem: path.stat().st_mtime_ns for path in (out / batch_module.RECORDS).glob("*.json")}
 
 
 def test_a_failure_stops_no_other_robot(local):
@@ -120,7 +119,6 @@ def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     out, _ = local
     before = records(out)
     monkeypatch.setattr(batch_module, "calibrate", only_the_broken_one)
-    monkeypatch.setattr(batch_module, "_write_record", lambda *_: None)
     rows = batch_module.batch(fleet, out, run=in_this_process)
     assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
     assert records(out) == before
@@ -160,7 +158,6 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
     assert len(then) >= ROBOTS_HERE
-    then.pop("broken", None)  # without a result, it is tried again if its worker dies
     assert then.items() <= records(out).items()
 
 
@@ -347,20 +344,16 @@ def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
 
 
 def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_path, monkeypatch):
-    """Each run recorded at its start that whatever is there is its own."""
+    """Before and after the record of the new result was written."""
     source, out = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}"), tmp_path / "out"
 
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    def interrupted_at_the_end(job, report):
-        raise KeyboardInterrupt
-
-    for moment in ("calibrate", "_row"):
+    for moment in ((batch_module, "calibrate"), (Report, "save")):
         batch_module.batch(source, out, run=in_this_process)
-        stop = interrupted if moment == "calibrate" else interrupted_at_the_end
         with monkeypatch.context() as patch:
-            patch.setattr(batch_module, moment, stop)
+            patch.setattr(*moment, interrupted)
             with pytest.raises(KeyboardInterrupt):
                 batch_module.batch(source, out, run=in_this_process, gates=["stations=3"])
         params = out / "a" / "params.yaml"
@@ -389,7 +382,7 @@ def counted(monkeypatch):
         write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
 
     monkeypatch.setattr(batch_module, "calibrate", answer)
-    monkeypatch.setattr(batch_module, "_row", lambda job, _: replace(row(0), name=job.name))
+    monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))
     return ran
 
 
@@ -426,8 +419,9 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert again(gates=["stations=3"])
     assert again()
     record = out / batch_module.RECORDS / "a.json"
-    begun = {"params": json.loads(record.read_text())["params"]}
-    record.write_text(json.dumps(begun))  # killed before the record was complete
+    content = json.loads(record.read_text())
+    content["params"].append("0" * 64)  # killed after the record, before the result that it names
+    record.write_text(json.dumps(content))
     assert again()
     assert not again()
     assert len(counted) == 10
