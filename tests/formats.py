@@ -3,7 +3,10 @@
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
+
 from mobilecal_cli.export.formats import Source, format_of
+from mobilecal_cli.model import AtWork, Budget, Noise, NoiseLevels, Uncertainty
 from mobilecal_cli.targets import Target
 
 HEAD_EYE = tuple(
@@ -16,3 +19,13 @@ HEAD_EYE = tuple(
 def text_of(name, robot):
     """A calibration in a format that needs nothing else."""
     return format_of(name)(Source(robot, Path("params.yaml"), None, None)).content.decode()
+
+
+def small_uncertainty() -> Uncertainty:
+    """An uncertainty of 1e-3 of each parameter, all observable."""
+    noise = NoiseLevels(**Noise.limits("guess"), wider={}, estimated=(), redundancy={})
+    return Uncertainty(
+        np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
+        np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
+        Budget((), np.zeros((0, 9)), {}),
+    )  # fmt: skip

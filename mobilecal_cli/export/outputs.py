@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from itertools import permutations
 from pathlib import Path
 
@@ -14,168 +15,8 @@ from mobilecal_cli.files.interruption import uninterrupted
 from mobilecal_cli.files.placing import Recognize, already_exists, clean_up, partial_of, place
 
 _ANOTHER = "choose another output path"
-
-
-def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Check before the work whether a file can be written.
-
-    Args:
-        inputs: files and directories that the command reads.
-
-    Raises:
-        OutputError: the file exists and `force` is not set, is not a regular file, is an input or in one, or cannot be
-            created.
-    """
-    check_replaceable(path, recognized_file, force)
-    _check_no_input(path, inputs)
-
-
-def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
-    if os.path.lexists(path):
-        real = path.resolve()
-        for given in filter(None, inputs):
-            if real.is_relative_to(given.resolve()) or given.resolve().is_relative_to(real):
-                raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
-
-
-def check_replaceable(path: Path, recognize: Recognize, force: bool) -> None:
-    """Check before the work whether an output can be put at a path; remove what killed runs of it left.
-
-    Args:
-        recognize: raises for anything that may not be replaced.
-
-    Raises:
-        OutputError: something exists there and `force` is not set, or it may not be replaced; or the output cannot be
-            created.
-    """
-    check_parent(path)
-    clean_up(path, recognize)
-    if os.path.lexists(path):
-        recognize(path)
-        if not force:
-            raise already_exists(path)
-
-
-def check_apart(outputs: Mapping[str, Path | None]) -> None:
-    """Check that no output of a command is another one, or inside another one.
-
-    Args:
-        outputs: option or name → path, None without this output.
-
-    Raises:
-        OutputError: two of them are at one path, or one is inside a directory that is replaced as a whole.
-    """
-    # Not Path.resolve(): it stops at links in a circle.
-    given = [(name, path, Path(os.path.realpath(path))) for name, path in outputs.items() if path is not None]
-    for (name, path, real), (other, other_path, other_real) in permutations(given, 2):
-        if real == other_real:
-            raise OutputError(f"{name} {path}: also the path of {other}", "choose a path of its own for each")
-        if real.is_relative_to(other_real):
-            raise OutputError(
-                f"{name} {path}: inside {other} {other_path}, which is replaced as a whole",
-                "choose a path outside of it",
-            )
-
-
-def check_parent(path: Path) -> None:
-    """Check whether something of this name can be created.
-
-    Raises:
-        OutputError: the name is too long, or its directory does not exist or cannot be written.
-    """
-    parent = path.parent
-    try:
-        path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"{path}: cannot be created: {reason}", _ANOTHER) from error
-    if not parent.is_dir():
-        raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise OutputError(f"{path}: no permission to write in {parent}", _ANOTHER)
-
-
-def write_file(path: Path, content: bytes, force: bool) -> None:
-    """Write a file; see `write_files`."""
-    write_files({path: content}, force)
-
-
-def write_files(files: Mapping[Path, bytes], force: bool) -> None:
-    """Write files under temporary names next to them; then put them in place, once all are on the disk.
-
-    Raises:
-        OutputError: see `check_file`; or writing failed.
-    """
-    for path in files:
-        check_file(path, force)
-    partials = {}
-    with ExitStack() as stack:
-        for path, content in files.items():
-            with _writing(path, "output path"):
-                partials[path] = stack.enter_context(partial_of(path, recognized_file))
-                write_synced(partials[path], content)
-        with uninterrupted():
-            for path, partial in partials.items():
-                with _writing(path, "output path"):
-                    place(partial, path, recognized_file, force)
-
-
-@contextmanager
-def _writing(path: Path, option: str) -> Iterator[None]:
-    """Write a path inside the block; an `OSError` is an `OutputError`."""
-    try:
-        yield
-    except OSError as error:
-        hint = f"check free space and permissions, or choose another {option}"
-        raise OutputError(f"{path}: cannot be written: {error.strerror or error}", hint) from error
-
-
-def check_appendable(path: Path, inputs: Iterable[Path | None] = ()) -> None:
-    """Check before the work whether text can be appended to a file.
-
-    Args:
-        inputs: files and directories that the command reads.
-
-    Raises:
-        OutputError: it cannot be created, is not a regular file, or is an input or in one.
-    """
-    check_parent(path)
-    if os.path.lexists(path):
-        recognized_file(path)
-    _check_no_input(path, inputs)
-
-
-def append_text(path: Path, text: str) -> None:
-    """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
-
-    Raises:
-        OutputError: it cannot be written, or is not a regular file; the file is as it was before.
-    """
-    check_appendable(path)
-    size = path.stat().st_size if os.path.lexists(path) else None
-    try:
-        with uninterrupted(), _writing(path, "output path"), path.open("ab") as stream:
-            stream.write(text.encode())
-    except OutputError:
-        if size is not None:
-            os.truncate(path, size)
-        else:
-            path.unlink(missing_ok=True)
-        raise
-
-
-def write_synced(path: Path, content: bytes) -> None:
-    """Write a new file, and flush it to the disk.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    with path.open("xb") as stream:
-        stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+# Files of an output directory: --force never deletes anything else.
+OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
 
 
 def recognized_file(path: Path) -> tuple[str, ...]:
@@ -187,49 +28,6 @@ def recognized_file(path: Path) -> tuple[str, ...]:
     if path.is_symlink() or not path.is_file():
         raise OutputError(f"{path}: exists and is not a regular file", _ANOTHER)
     return ()
-
-
-# Files of an output directory: --force never deletes anything else.
-OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extraction.npz"})
-
-
-def check_output(directory: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
-    """Check before the calibration whether `write_outputs` can write.
-
-    Args:
-        directory: the directory to create.
-        force: whether an existing output directory of mobilecal may be replaced.
-        inputs: files and directories that the command reads.
-
-    Raises:
-        OutputError: the directory exists and may not be replaced, also because an input is in it, or cannot be created.
-    """
-    check_replaceable(directory, recognized_output, force)
-    _check_no_input(directory, inputs)
-    if os.path.lexists(directory) and not os.access(directory, os.W_OK | os.X_OK):
-        raise OutputError(f"{directory}: no permission to replace it", _ANOTHER)
-
-
-def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
-    """Write the files into a new directory, or change nothing.
-
-    The files are written to a temporary directory next to it, which is put in place once all are on the disk.
-
-    Args:
-        directory: the directory to create.
-        files: name → contents.
-        force: replace an existing output directory of mobilecal.
-
-    Raises:
-        OutputError: see `check_output`; or writing failed.
-    """
-    check_output(directory, force)
-    target = Path(os.path.abspath(directory))  # noqa: PTH100  (not resolve(): a link stays one, which is refused)
-    with _writing(directory, "--output"), partial_of(target, recognized_output) as partial:
-        partial.mkdir()
-        for name, content in files.items():
-            write_synced(partial / name, content)
-        place(partial, target, recognized_output, force)
 
 
 def recognized_output(directory: Path) -> tuple[str, ...]:
@@ -279,3 +77,201 @@ def files_in(directory: Path, what: str, is_its: Callable[[Path], bool]) -> tupl
             "choose another output path, or move the directory away",
         )
     return tuple(path.name for path in entries)
+
+
+def check_output(
+    path: Path, force: bool, inputs: Iterable[Path | None] = (), recognize: Recognize = recognized_output
+) -> None:
+    """Check before the work whether an output can be written; remove what killed runs of it left.
+
+    Args:
+        path: the directory or file to create.
+        force: whether an existing output may be replaced.
+        inputs: files and directories that the command reads.
+        recognize: raises for anything that may not be replaced.
+
+    Raises:
+        OutputError: something exists there and may not be replaced, also because it is an input, in one or contains
+            one; or the output cannot be created.
+    """
+    _check_parent(path)
+    clean_up(path, recognize)
+    if os.path.lexists(path):
+        recognize(path)
+        if not force:
+            raise already_exists(path)
+    _check_no_input(path, inputs)
+    if path.is_dir() and not os.access(path, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: no permission to replace it", _ANOTHER)
+
+
+def check_file(path: Path, force: bool, inputs: Iterable[Path | None] = ()) -> None:
+    """Check before the work whether a file can be written; see `check_output`."""
+    check_output(path, force, inputs, recognized_file)
+
+
+def check_appendable(path: Path, inputs: Iterable[Path | None] = ()) -> None:
+    """Check before the work whether text can be appended to a file.
+
+    Args:
+        inputs: files and directories that the command reads.
+
+    Raises:
+        OutputError: it cannot be created, is not a regular file, or is an input or in one.
+    """
+    _check_parent(path)
+    if os.path.lexists(path):
+        recognized_file(path)
+    _check_no_input(path, inputs)
+
+
+def check_apart(outputs: Mapping[str, Path | None]) -> None:
+    """Check that no output of a command is another one, or inside another one.
+
+    Args:
+        outputs: option or name → path, None without this output.
+
+    Raises:
+        OutputError: two of them are at one path, or one is inside a directory that is replaced as a whole.
+    """
+    # Not Path.resolve(): it stops at links in a circle.
+    given = [(name, path, Path(os.path.realpath(path))) for name, path in outputs.items() if path is not None]
+    for (name, path, real), (other, other_path, other_real) in permutations(given, 2):
+        if real == other_real:
+            raise OutputError(f"{name} {path}: also the path of {other}", "choose a path of its own for each")
+        if real.is_relative_to(other_real):
+            raise OutputError(
+                f"{name} {path}: inside {other} {other_path}, which is replaced as a whole",
+                "choose a path outside of it",
+            )
+
+
+def _check_parent(path: Path) -> None:
+    """Check whether something of this name can be created.
+
+    Raises:
+        OutputError: the name is too long, or its directory does not exist or cannot be written.
+    """
+    parent = path.parent
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # a name that is too long, or contains a zero byte
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"{path}: cannot be created: {reason}", _ANOTHER) from error
+    if not parent.is_dir():
+        raise OutputError(f"{path}: {parent} is not a directory", "create it, or choose another output path")
+    if not os.access(parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{path}: no permission to write in {parent}", _ANOTHER)
+
+
+def _check_no_input(path: Path, inputs: Iterable[Path | None]) -> None:
+    if os.path.lexists(path):
+        real = path.resolve()
+        for given in filter(None, inputs):
+            if real.is_relative_to(given.resolve()) or given.resolve().is_relative_to(real):
+                raise OutputError(f"{path}: this command reads {given}", _ANOTHER)
+
+
+def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> None:
+    """Write the files into a new directory, or change nothing.
+
+    Args:
+        directory: the directory to create.
+        files: name → contents.
+        force: replace an existing output directory of mobilecal.
+
+    Raises:
+        OutputError: see `check_output`; or writing failed.
+    """
+
+    def write(folder: Path) -> None:
+        folder.mkdir()
+        for name, content in files.items():
+            write_synced(folder / name, content)
+
+    check_output(directory, force)
+    target = Path(os.path.abspath(directory))  # noqa: PTH100  (not resolve(): a link stays one, which is refused)
+    write_all([(target, recognized_output, write)], force)
+
+
+def write_file(path: Path, content: bytes, force: bool) -> None:
+    """Write a file; see `write_files`."""
+    write_files({path: content}, force)
+
+
+def write_files(files: Mapping[Path, bytes], force: bool) -> None:
+    """Write all files, or change nothing.
+
+    Raises:
+        OutputError: see `check_file`; or writing failed.
+    """
+    for path in files:
+        check_file(path, force)
+    write_all(
+        [(path, recognized_file, partial(write_synced, content=data)) for path, data in files.items()], force
+    )
+
+
+def write_all(outputs: Sequence[tuple[Path, Recognize, Callable[[Path], None]]], force: bool) -> None:
+    """Write outputs to temporary directories next to them; put them in place once all are on the disk.
+
+    Args:
+        outputs: path, what raises for anything there that may not be replaced, and what writes it to another path.
+        force: replace existing outputs.
+
+    Raises:
+        OutputError: writing failed; or an output appeared during the work.
+    """
+    with ExitStack() as stack:
+        partials = []
+        for path, recognize, write in outputs:
+            with _writing(path):
+                partials.append(stack.enter_context(partial_of(path, recognize)))
+                write(partials[-1])
+        with uninterrupted():
+            for written, (path, recognize, _) in zip(partials, outputs, strict=True):
+                with _writing(path):
+                    place(written, path, recognize, force)
+
+
+def write_synced(path: Path, content: bytes) -> None:
+    """Write a new file, and flush it to the disk.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with path.open("xb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def append_text(path: Path, text: str) -> None:
+    """Append to a text file that other programs share, such as the summary of a CI job; create it if it is missing.
+
+    Raises:
+        OutputError: it cannot be written, or is not a regular file; the file is as it was before.
+    """
+    check_appendable(path)
+    size = path.stat().st_size if os.path.lexists(path) else None
+    try:
+        with uninterrupted(), _writing(path), path.open("ab") as stream:
+            stream.write(text.encode())
+    except OutputError:
+        if size is not None:
+            os.truncate(path, size)
+        else:
+            path.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Write a path inside the block; an `OSError` is an `OutputError`."""
+    try:
+        yield
+    except OSError as error:
+        hint = "check free space and permissions, or choose another output path"
+        raise OutputError(f"{path}: cannot be written: {error.strerror or error}", hint) from error

@@ -10,13 +10,12 @@ from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export.outputs import (
     check_file,
-    check_replaceable,
+    check_output,
     files_in,
     recognized_file,
+    write_all,
     write_synced,
 )
-from mobilecal_cli.files.interruption import uninterrupted
-from mobilecal_cli.files.placing import partial_of, place
 from mobilecal_cli.simulate.messages import ROSBAG2, published, write
 from mobilecal_cli.simulate.scenario import Scenario, World
 
@@ -59,7 +58,7 @@ def simulate(
     """
     truth = truth_path(out)
     recognized = recognized_folder if scenario.container in ROSBAG2 else recognized_file
-    check_replaceable(out, recognized, force)
+    check_output(out, force, recognize=recognized)
     if os.path.lexists(out) and not truth.is_file():
         raise OutputError(
             f"{out}: not written by mobilecal simulate: there is no {truth.name}", "choose another name"
@@ -67,16 +66,17 @@ def simulate(
     check_file(truth, force)
     world = world_of(scenario, *scenario.plan())
     messages = published(world, lambda done, total: progress("rendering images", done, total))
-    try:
-        with partial_of(truth, recognized_file) as text, partial_of(out, recognized) as recording:
-            write(scenario.container, recording, messages)
-            write_synced(text, world.truth().encode())
-            with uninterrupted():
-                place(recording, out, recognized, force)
-                place(text, truth, recognized_file, force)
-    except (OSError, sqlite3.Error) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise OutputError(f"{out}: cannot be written: {reason}", "choose another output path") from error
+
+    def write_recording(path: Path) -> None:
+        try:
+            write(scenario.container, path, messages)
+        except sqlite3.Error as error:
+            raise OSError(str(error)) from error
+
+    def write_truth(path: Path) -> None:
+        write_synced(path, world.truth().encode())
+
+    write_all([(out, recognized, write_recording), (truth, recognized_file, write_truth)], force)
     return truth
 
 

@@ -122,7 +122,7 @@ TURN_RADPS = 0.7  # of turns in place
 _MARGIN_PX = 22.0  # around the board in the images, which the detection needs
 _SMALLEST_SQUARE_PX = 11.0  # the detection needs 7
 _NEAREST_M, _FARTHEST_M = 1.05, 2.5  # a stop from the board's center
-_TRIES = 4000  # random legs before a route is given up
+_TRIES, _TURNS_TRIED = 4000, 200  # random legs before a route is given up, at rests and in motion
 _LARGE_TURN_PLANS = 40  # about a third of the plans contain no large turn
 _KNOT_S = 1.0  # between changes of motion on a moving route
 
@@ -195,10 +195,7 @@ class Planner:
         # Other cameras than a stereo pair need not show the board together.
         for camera, T_c_x in list(zip(rig.each, rig.T_c_each, strict=True))[: 2 if rig.calibrated else 1]:
             T_x_k = np.linalg.inv(T_w_c @ T_c_x) @ self.T_w_k
-            points = self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3]
-            if points[:, 2].min() < 0.3:
-                return False
-            at = pixels(camera, points)
+            at = pixels(camera, self._corners_k @ T_x_k[:3, :3].T + T_x_k[:3, 3])
             if at.min() < _MARGIN_PX or np.any(at > np.array([camera.width, camera.height]) - 1 - _MARGIN_PX):
                 return False
             grid = at.reshape(self.board.rows, self.board.columns, 2)
@@ -294,56 +291,48 @@ def plan_stops(planner: Planner, motion: Motion, stations: int) -> Route:
     """
     base: Pose = (0.0, 0.0, 0.0)
     fixed = planner.look_at(base, planner.centre_w, np.zeros(len(planner.robot.joint_names)))
-    stretches: list[Stretch] = [Stretch(REST_S)]
     first = planner.looking(base, motion, fixed)
     if first is None:
         raise ConfigError(
             "the simulated robot cannot see the whole board from its start pose", "use a smaller board"
         )
-    clock, knots_s, knots, rests = REST_S, [0.0, REST_S], [first, first], [(0.0, REST_S)]
+    clock, stretches, rests_s, gazes = REST_S, [Stretch(REST_S)], [(0.0, REST_S)], [first]
     tries = 0
-    while len(rests) < stations:
+    while len(rests_s) < stations:
         tries += 1
         if tries > _TRIES:
             raise ConfigError(
-                f"no route found for motion {motion!r}: only {len(rests)} of {stations} stations see the whole board "
-                f"after {tries} tries",
+                f"no route found for motion {motion!r}: only {len(rests_s)} of {stations} stations see the whole board "
+                f"after {_TRIES} tries",
                 "use fewer stations or a smaller board",
             )
         way = planner.leg(base, motion)
         there = base
         for stretch in way:
             there = moved(there, stretch, stretch.duration_s)
-        if not planner.allowed(there):
-            continue
-        joints = planner.looking(there, motion, fixed)
+        joints = planner.looking(there, motion, fixed) if planner.allowed(there) else None
         if joints is None:
             continue
-        if not way:
-            way = [Stretch(1.5)]
+        way = way or [Stretch(1.5)]
         duration = sum(stretch.duration_s for stretch in way)
         stretches += [*way, Stretch(REST_S)]
-        rests.append((clock + duration, clock + duration + REST_S))
-        knots_s += [clock + duration, clock + duration + REST_S]
-        knots += [joints, joints]
+        rests_s.append((clock + duration, clock + duration + REST_S))
+        gazes.append(joints)
         clock += duration + REST_S
         base = there
-    drive, board = Drive(tuple(stretches)), planner.board
-    return Route(motion, drive, np.array(knots_s), np.array(knots), np.array(rests), planner.T_w_k, board)
+    drive, knots = Drive(tuple(stretches)), np.repeat(gazes, 2, axis=0)  # the head stands still at a stop
+    return Route(motion, drive, np.ravel(rests_s), knots, np.array(rests_s), planner.T_w_k, planner.board)
 
 
 def plan_moving(planner: Planner, duration_s: float) -> Route:
     """Plan a route without rests: the base drives on arcs, and the head follows the board."""
     base: Pose = (0.0, 0.0, 0.0)
     random = planner.random
-    stretches: list[Stretch] = []
-    clock, joints = 0.0, []
-    knots_s = []
+    stretches, gazes, knots_s, clock = list[Stretch](), list[FloatArray](), list[float](), 0.0
     while clock < duration_s:
-        for _ in range(200):
-            stretch = Stretch(
-                _KNOT_S, random.choice([-1, 1]) * random.uniform(0.08, 0.25), random.uniform(-0.45, 0.45)
-            )
+        for _ in range(_TURNS_TRIED):
+            speed = random.choice([-1, 1]) * random.uniform(0.08, 0.25)
+            stretch = Stretch(_KNOT_S, speed, random.uniform(-0.45, 0.45))
             there = moved(base, stretch, _KNOT_S)
             # A head follows the board; a camera on the base must still see it when the base has moved.
             looking = base if planner.robot.joint_names else there
@@ -353,13 +342,13 @@ def plan_moving(planner: Planner, duration_s: float) -> Route:
         else:
             raise ConfigError("no moving route found that keeps the board in view", "use a smaller board")
         stretches.append(stretch)
+        gazes.append(gaze)
         knots_s.append(clock)
-        joints.append(gaze)
         clock, base = clock + _KNOT_S, there
-    knots_s.append(clock)
-    joints.append(joints[-1])
-    drive, no_rests, board = Drive(tuple(stretches)), np.zeros((0, 2)), planner.board
-    return Route("moving", drive, np.array(knots_s), np.array(joints), no_rests, planner.T_w_k, board)
+    knots = np.array([*gazes, gazes[-1]])
+    no_rests = np.zeros((0, 2))
+    drive = Drive(tuple(stretches))
+    return Route("moving", drive, np.array([*knots_s, clock]), knots, no_rests, planner.T_w_k, planner.board)
 
 
 @lru_cache(maxsize=64)

@@ -4,12 +4,11 @@ import json
 import math
 import zipfile
 from dataclasses import replace
+from types import NoneType, UnionType
+from typing import Annotated, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
@@ -20,142 +19,88 @@ from mobilecal_cli.export.extraction import (
     extraction_to_npz,
     snapshots_from_npz,
 )
-from mobilecal_cli.model import (
-    Board,
-    Camera,
-    CameraRig,
-    Corners,
-    Extraction,
-    FixedLink,
-    HeadChain,
-    JointLink,
-    LogSource,
-    Nominal,
-    Observation,
-    Rejection,
-    Rig,
-    Snapshot,
-    Sources,
-    Track,
-    WheelGeometry,
-    WheelSource,
-    WheelTrack,
-)
+from mobilecal_cli.model import Camera, Corners, Extraction, Snapshot
 from tests.report.example import make_extraction, make_hostile
 
-finite = st.floats(-1e11, 1e11)  # what is beyond is refused as damage
-names = st.text(st.characters(), max_size=8)
-int64 = st.integers(-(2**63), 2**63 - 1)
+NUMBERS = [0.0, -0.0, 5e-324, 1 / 3, -1e11, 1e11]  # what is beyond is refused as damage
+TEXTS = ["", "left", "a # 'b' \"c\" {{d}}", "\x00\x1b[31m\u202e", "\udcff", "\u00e4\U0001f916"]
 
 
-def arrays(*shape, elements=finite):
-    return hnp.arrays(np.float64, shape, elements=elements)
+class Anything:
+    """Values of any of the model's types, by its hints: of every field, to the ends of its range.
 
+    Args:
+        seed: of all values.
+    """
 
-cameras = st.builds(
-    Camera,
-    frame_id=names,
-    width=st.integers(1, 9999),
-    height=st.integers(1, 9999),
-    K=arrays(3, 3),
-    D=st.sampled_from([0, 4, 5, 8]).flatmap(arrays),
-    distortion=st.sampled_from(["none", "plumb_bob", "rational_polynomial", "equidistant"]),
-)
-links = st.one_of(
-    st.builds(FixedLink, arrays(4, 4)),
-    st.builds(
-        JointLink, names, arrays(3), st.sampled_from(["revolute", "prismatic"]), finite, finite, arrays(3)
-    ),
-)
-wheel_sources = st.builds(
-    WheelSource,
-    topic=names,
-    joint=st.none() | names,
-    field=st.none() | names,
-    ticks_per_revolution=st.none() | finite,
-    bits=st.sampled_from([None, 8, 16, 32, 64]),
-    sign=st.sampled_from([1, -1]),
-)
-sides = ("left", "right")
-rigs = st.builds(
-    Rig,
-    cameras=st.builds(
-        CameraRig,
-        names=st.just(sides),
-        each=st.tuples(cameras, cameras),
-        T_c_each=st.tuples(arrays(4, 4), arrays(4, 4)),
-        rectified=st.booleans(),
-        R_rect=st.tuples(arrays(3, 3), arrays(3, 3)),
-        reference=st.sampled_from(sides),
-        calibrated=st.booleans(),
-    ),
-    chain=st.builds(HeadChain, names, names, st.lists(links, max_size=4).map(tuple), names, names),
-    nominal=st.builds(
-        Nominal, st.none() | arrays(4, 4), st.none() | st.builds(WheelGeometry, finite, finite, finite)
-    ),
-    sources=st.builds(
-        Sources,
-        image=st.fixed_dictionaries(dict.fromkeys(sides, names)),
-        info=st.fixed_dictionaries(dict.fromkeys(sides, names)),
-        joints=st.lists(names, max_size=2).map(tuple),
-        wheels=st.fixed_dictionaries(dict.fromkeys(sides, wheel_sources)),
-    ),
-    setting_sources=st.dictionaries(names, names, max_size=3),
-    noise=st.dictionaries(names, finite, max_size=3),
-    prior_sigmas=st.dictionaries(names, finite | st.just(math.inf), max_size=3),
-)
+    def __init__(self, seed: int) -> None:
+        self.random = np.random.default_rng(seed)
+        self.sizes: dict[str, int] = {}  # of the arrays: the same in the whole extraction
 
+    def few(self, of, least=0):
+        """A tuple of up to two values; half of them are empty, so that a type that contains itself ends."""
+        return tuple(self.of(of) for _ in range(max(self.random.choice([0, 0, 1, 2]), least)))
 
-def corner_sets(m):
-    return st.builds(Corners, arrays(m, 2), finite, st.integers(0, 99))
+    def array(self, dtype, shape):
+        size = [
+            self.sizes.setdefault(n, int(self.random.integers(1, 6))) if isinstance(n, str) else n
+            for n in shape
+        ]
+        if dtype is np.float64:
+            return self.random.choice([*NUMBERS, *self.random.normal(size=6)], size)
+        return self.random.integers(0, 2, size).astype(dtype)
 
+    def of(self, hint):
+        kind, of = get_origin(hint), get_args(hint)
+        if dataclasses.is_dataclass(hint):
+            return getattr(self, hint.__name__, self.value)(hint)
+        if kind is Annotated:
+            shape = [size for size in hint.__metadata__ if isinstance(size, int | str)]
+            return self.array(get_args(get_args(hint.__origin__)[1])[0], shape or [3])
+        if kind in (Union, UnionType):
+            return self.of(of[self.random.integers(len(of))])
+        if kind is Literal:
+            return of[self.random.integers(len(of))]
+        if kind is tuple:
+            return self.few(of[0])
+        if kind is not None:  # a mapping
+            return dict(zip(self.few(of[0]), self.few(of[1], 2), strict=False))
+        return {
+            NoneType: lambda: None,
+            bool: lambda: bool(self.random.integers(2)),
+            int: lambda: int(self.random.integers(-(2**63), 2**63 - 1)),
+            float: lambda: float(self.array(np.float64, ())),
+            str: lambda: str(self.random.choice(TEXTS)),
+        }[hint]()
 
-def observations(m, j):
-    return st.builds(
-        Observation,
-        log=st.integers(0, 9),
-        station=st.integers(0, 999),
-        time_ns=int64,
-        at_rest=st.booleans(),
-        joints=arrays(j),
-        joints_std=arrays(j),
-        views=st.tuples(corner_sets(m), corner_sets(m)),
-        points_c=arrays(m, 3),
-        points_cov=arrays(m, 3, 3),
-        T_c_k=arrays(4, 4),
-        T_c_k_cov=arrays(6, 6),
-        square_m=finite,
-        reprojection_px=finite,
-    )
+    def value(self, cls, **given):
+        hints = get_type_hints(cls, include_extras=True)
+        return cls(**{f.name: given.get(f.name) or self.of(hints[f.name]) for f in dataclasses.fields(cls)})
 
+    def Track(self, cls):
+        n = int(self.random.integers(1, 6))
+        return cls(np.sort(np.append(self.random.integers(1, 2**62, n), 0)), self.array(np.float64, [n + 1]))
 
-joint_tracks = st.integers(0, 5).flatmap(
-    lambda n: st.builds(Track, hnp.arrays(np.int64, n, elements=int64), arrays(n))
-)
-tracks = st.builds(WheelTrack, joint_tracks, joint_tracks).filter(lambda track: len(track.time_ns))
+    def Camera(self, cls):
+        self.sizes.pop("n", None)
+        return self.value(cls)
 
+    def CameraRig(self, cls):
+        pair = {"names": ("left", "right"), "each": (self.of(Camera), self.of(Camera)), "reference": "right"}
+        self.sizes["C"] = 2
+        return self.value(cls, **pair)
 
-def in_order(extraction):
-    """Its stations by recording and time, all of recordings that it has."""
-    count = len(extraction.wheels)
-    stations = (replace(o, log=o.log % count) for o in extraction.observations * bool(count))
-    return replace(extraction, observations=tuple(sorted(stations, key=lambda o: (o.log, o.time_ns))))
+    def Rig(self, cls):
+        return self.value(cls, prior_sigmas={"focal_left": math.inf, "clock": self.of(float)})
 
+    def Observation(self, cls):
+        return self.value(cls, views=(self.of(Corners), self.of(Corners)))
 
-extractions = st.builds(
-    Extraction,
-    rig=rigs,
-    board=st.builds(Board, st.integers(2, 5), st.integers(2, 5), st.none() | finite),
-    observations=st.tuples(st.integers(1, 6), st.integers(0, 3)).flatmap(
-        lambda size: st.lists(observations(*size), max_size=3).map(tuple)
-    ),
-    wheels=st.lists(tracks, max_size=2).map(tuple),
-    rejections=st.lists(st.builds(Rejection, names, names, names, int64, int64), max_size=3).map(tuple),
-    notes=st.lists(names, max_size=3).map(tuple),
-    logs=st.lists(st.builds(LogSource, names, names), max_size=2).map(tuple),
-    counts=st.dictionaries(names, int64, max_size=3),
-    joint_tracks=st.lists(st.lists(joint_tracks, max_size=2).map(tuple), max_size=2).map(tuple),
-).map(in_order)
+    def Extraction(self, cls):
+        made = replace(self.value(cls), motions=())  # which only notebooks have
+        count = len(made.wheels)
+        stations = (replace(o, log=o.log % count) for o in made.observations * bool(count))
+        return replace(made, observations=tuple(sorted(stations, key=lambda o: (o.log, o.time_ns))))
 
 
 def assert_same(a, b, where="extraction"):
@@ -166,7 +111,7 @@ def assert_same(a, b, where="extraction"):
             assert_same(getattr(a, field.name), getattr(b, field.name), f"{where}.{field.name}")
     elif isinstance(a, np.ndarray):
         assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), where
-        assert not b.flags.writeable, where
+        assert a.flags.writeable == b.flags.writeable, where
     elif isinstance(a, tuple):
         assert len(a) == len(b), where
         for i, (x, y) in enumerate(zip(a, b, strict=True)):
@@ -206,9 +151,9 @@ def with_header(change):
     return written(content)
 
 
-@settings(max_examples=25, deadline=None)
-@given(extractions)
-def test_every_field_comes_back(extraction):
+@pytest.mark.parametrize("seed", range(60))
+def test_every_field_comes_back(seed):
+    extraction = Anything(seed).of(Extraction)
     data = extraction_to_npz(extraction)
     assert_same(extraction, extraction_from_npz(data))
     assert extraction_to_npz(extraction) == data
@@ -333,7 +278,7 @@ def test_cut_and_flipped_files_only_raise_recording_errors():
     data = extraction_to_npz(make_extraction(n=2))
     rng = np.random.default_rng(3)
     refused = 0
-    for trial in range(300):
+    for trial in range(120):
         if trial % 3 == 0:
             damaged = data[: rng.integers(len(data))]
         else:
@@ -344,7 +289,7 @@ def test_cut_and_flipped_files_only_raise_recording_errors():
             extraction_from_npz(damaged)
         except RecordingError:
             refused += 1
-    assert refused > 250  # what is left are bytes of the zip's own bookkeeping that nothing reads
+    assert refused > 100  # what is left are bytes of the zip's own bookkeeping that nothing reads
 
 
 @pytest.mark.parametrize(

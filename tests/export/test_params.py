@@ -14,17 +14,8 @@ from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.export.text import decimal, dump, quoted
-from mobilecal_cli.model import (
-    AtWork,
-    Budget,
-    EstimatedConstant,
-    JointLink,
-    LogSource,
-    Noise,
-    NoiseLevels,
-    Parameters,
-    Uncertainty,
-)
+from mobilecal_cli.model import EstimatedConstant, JointLink, LogSource, Parameters
+from tests.formats import small_uncertainty
 from tests.report.example import HOSTILE, make_extraction, make_hostile, make_solution, params_of
 
 GOLDEN = Path(__file__).parent / "golden"
@@ -209,16 +200,10 @@ CONSTANTS = {
 
 def with_constants(solution, extraction):
     """A solution with constants: one of a sliding joint with a strange name, and two that the user fixed."""
-    noise = NoiseLevels(**Noise.limits("guess"), wider={}, estimated=(), redundancy={})
-    uncertainty = Uncertainty(
-        np.eye(9) * 1e-6, np.eye(9) * 1e-6, np.ones(9, bool), np.zeros((0, 9)), np.ones(9), np.ones(9), noise, np.zeros(9, bool),
-        np.ones(9), np.ones(9), np.zeros(9, bool), np.ones(9), AtWork(*[1e-3] * 7), np.eye(6), (),
-        Budget((), np.zeros((0, 9)), {}),
-    )  # fmt: skip
     lift = JointLink("lift # 1", np.array([0.0, 0, 1]), "prismatic")
     chain = dataclasses.replace(extraction.rig.chain, links=(lift, *extraction.rig.chain.links))
     rig = dataclasses.replace(extraction.rig, chain=chain)
-    found = dataclasses.replace(solution, uncertainty=uncertainty, constants=CONSTANTS)
+    found = dataclasses.replace(solution, uncertainty=small_uncertainty(), constants=CONSTANTS)
     return found, dataclasses.replace(extraction, rig=rig)
 
 

@@ -1,5 +1,6 @@
 """Recordings: the same values in every container, the same bytes from the same seed, and no partial output."""
 
+import shutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -15,7 +16,7 @@ from mobilecal_cli.readers import open_recording, read_description, read_images,
 from mobilecal_cli.se3 import from_quaternion_xyzw
 from mobilecal_cli.simulate.messages import START_NS
 from mobilecal_cli.simulate.record import simulate, truth_path
-from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS
+from mobilecal_cli.simulate.robot import JOINT_NOISE_RAD, ROBOTS, urdf_text
 from mobilecal_cli.simulate.route import base_in_world
 from mobilecal_cli.simulate.scenario import Scenario, World
 from mobilecal_cli.targets import Container
@@ -25,8 +26,8 @@ SMALL = Scenario(stations=2, pictures_per_rest=1, seed=4)
 SUFFIXES = {"mcap": ".mcap", "bag": ".bag", "rosbag2": ""}
 
 
-def recorded(folder: Path, scenario: Scenario, name: str = "log") -> Path:
-    out = folder / f"{name}{SUFFIXES[scenario.container.split('-')[0]]}"
+def recorded(folder: Path, scenario: Scenario) -> Path:
+    out = folder / f"log{SUFFIXES[scenario.container.split('-')[0]]}"
     simulate(scenario, out)
     return out
 
@@ -67,6 +68,18 @@ def once(tmp_path_factory):
     return cache(lambda scenario: recorded(tmp_path_factory.mktemp("once"), scenario))
 
 
+@pytest.fixture
+def copied(once, tmp_path):
+    """The recording of a scenario in the test's own directory."""
+
+    def copy(scenario: Scenario) -> Path:
+        source = once(scenario)
+        shutil.copytree(source.parent, tmp_path, dirs_exist_ok=True)
+        return tmp_path / source.name
+
+    return copy
+
+
 @pytest.fixture(scope="module")
 def reference(once):
     return contents(once(SMALL), SMALL)
@@ -82,7 +95,7 @@ def test_every_container_holds_the_same_values(once, reference, container):
         assert [name for name, _ in pairs] == [name for name, _ in wanted]
         for (name, value), (_, same) in zip(pairs, wanted, strict=True):
             assert np.array_equal(value, same), name
-    assert description.urdfs == reference[0].urdfs
+    assert description.urdfs == reference[0].urdfs == {"/robot_description": urdf_text(ROBOTS["paper"]())}
     assert signals.notes == ()
 
 
@@ -162,12 +175,9 @@ def test_a_moving_route_is_seen_ten_times_a_second_with_both_cameras_at_once(tmp
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(once, name):
-    scenario = replace(SMALL, robot=name)
-    robot, _ = scenario.plan()
-    with open_recording([once(scenario)]) as recording:
-        description = read_description(recording)
-    urdf = parse_urdf(description.urdfs["/robot_description"])
+def test_the_urdf_draws_the_head_chain_and_the_nominal_wheels(name):
+    robot = ROBOTS[name]()
+    urdf = parse_urdf(urdf_text(robot))
     path = urdf.path(robot.base_frame, robot.head_frame)
     assert tuple(joint.name for joint in path if joint.name in robot.joint_names) == robot.joint_names
     nominal = robot.nominal_wheels
@@ -220,9 +230,9 @@ def test_what_is_there_is_refused_before_any_work(tmp_path):
             simulate(SMALL, Path(name))
 
 
-def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):
+def test_force_replaces_a_recording_but_never_what_is_none(tmp_path, copied):
     scenario = replace(SMALL, container="rosbag2")
-    out = recorded(tmp_path, scenario)
+    out = copied(scenario)
     before = truth_path(out).read_bytes()
     simulate(replace(scenario, seed=5), out, force=True)
     assert truth_path(out).read_bytes() != before
@@ -234,21 +244,19 @@ def test_force_replaces_a_recording_but_never_what_is_none(tmp_path):
         simulate(SMALL, out, force=True)
     assert (out / "thesis.tex").read_text() == "precious"
     # Nor what was not simulated.
-    out = recorded(tmp_path, SMALL, "other")
+    out = copied(SMALL)
     truth_path(out).unlink()
     before = out.read_bytes()
-    with pytest.raises(
-        OutputError, match=r"not written by mobilecal simulate: there is no other\.truth\.yaml"
-    ):
+    with pytest.raises(OutputError, match=r"not written by mobilecal simulate: there is no log\.truth\.yaml"):
         simulate(SMALL, out, force=True)
     assert out.read_bytes() == before
 
 
 @pytest.mark.parametrize(("container", "existing"), [("mcap", True), ("bag", False), ("rosbag2", True)])
-def test_a_failure_leaves_everything_as_it_was(tmp_path, monkeypatch, container, existing):
+def test_a_failure_leaves_everything_as_it_was(tmp_path, copied, monkeypatch, container, existing):
     scenario = replace(SMALL, container=container)
     if existing:
-        recorded(tmp_path, scenario)
+        copied(scenario)
     before = files(tmp_path)
 
     def full(*_: object) -> str:
