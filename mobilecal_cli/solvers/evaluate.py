@@ -19,8 +19,8 @@ from mobilecal_cli.model import (
     Solution,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.residuals import at_constants, dead_reckoned, residuals_of
-from mobilecal_cli.solvers.transfer import camera_motion
+from mobilecal_cli.solvers.residuals import at_constants, residuals_of
+from mobilecal_cli.solvers.transfer import camera_motion, dead_reckoned
 
 #: Below this path length or rotation, the relative error of dead reckoning is mostly noise.
 _LEAST_M, _LEAST_RAD = 0.2, 0.35

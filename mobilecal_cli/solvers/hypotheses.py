@@ -28,7 +28,7 @@ from mobilecal_cli.model import (
     sampled,
 )
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings
-from mobilecal_cli.solvers.residuals import dead_reckoned
+from mobilecal_cli.solvers.transfer import dead_reckoned
 
 SIDES = ("right", "left")
 STILL, MOVED = 1e-4, 0.05  # rad or m: a reading that stays the same, and one that changes

@@ -20,13 +20,14 @@ from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import MotionSeen, integrate
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, planar_pose
-from mobilecal_cli.likelihood.state import State, planar
+from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
 from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
+from mobilecal_cli.solvers.transfer import dead_reckoned, leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
+_MOST_ANSWERS = 4  # of the grid, on all legs
 MAX_ROUNDS = 200  # of a start that does not reach a fixed point
 _TRANSLATION_SCALE_M = 0.1  # a component of t_X near zero must not keep the iteration from converging
 _SCOUT_LEGS, _SCOUT_ROUNDS = 40, 40  # at most: the starts are many, and only lead to a guess
@@ -38,16 +39,12 @@ _ANOTHER = 0.05  # relative change of the wheel ratios: a leg that unwraps other
 ROUNDS = 12  # where a comparison or an optimization follows, which needs no fixed point
 
 
-#: Wheel ratios (aR, aL) = (rR/b, -rL/b) to start from (eq. 11), and their origin.
-Start = tuple[FloatArray, str]
-
-
-def grid_of_starts() -> list[Start]:
-    """Starts over the common scale r/b, from tiny wheels far apart to huge ones close together.
+def grid_of_starts() -> list[FloatArray]:
+    """Wheel ratios (aR, aL) = (rR/b, -rL/b) to start from (eq. 11), from tiny wheels far apart to huge ones together.
 
     Neighbors are 15 % apart: the guess next to the truth unwraps legs of up to 360 degrees.
     """
-    return [(scale * np.array([1.0, -1.0]), "grid") for scale in (0.0, *np.geomspace(0.02, 2.0, 34))]
+    return [scale * np.array([1.0, -1.0]) for scale in (0.0, *np.geomspace(0.02, 2.0, 34))]
 
 
 def change(before: Parameters, after: Parameters) -> float:
@@ -68,32 +65,32 @@ def _iterate(rounds: Rounds, ratios: FloatArray, tolerance: float, limit: int) -
     return history
 
 
-def _scouted(pairs: MotionPairs, starts: list[Start]) -> list[Start]:
+def _scouted(pairs: MotionPairs, starts: list[FloatArray]) -> list[FloatArray]:
     """Where the starts lead on the legs that turn least, which are hard to unwrap wrongly; best first."""
     Phi = pairs.steps.totals_rad
     by_turn = np.argsort(np.abs(Phi[:, 0] - Phi[:, 1]), kind="stable")
     least = np.sort(by_turn[: max(4, min(_SCOUT_LEGS, len(Phi) // 2))])
     scout, whole = Rounds(pairs.select(least)), Rounds(pairs)
-    scouted: list[tuple[float, Start]] = []
-    for start, origin in starts:
+    scouted: list[tuple[float, FloatArray]] = []
+    for start in starts:
         for rounds in (scout, whole):
             history = _iterate(rounds, start, PAPER_TOLERANCE, _SCOUT_ROUNDS)
             if not history:
                 continue
             ratios = ratios_of(history[-1].wheels)
-            if any(np.allclose(ratios, other, rtol=0.02, atol=0) for _, (other, _) in scouted):
+            if any(np.allclose(ratios, other, rtol=0.02, atol=0) for _, other in scouted):
                 continue
             # Two rounds on all legs show how well the guess explains the others.
             onward = _iterate(whole, ratios, PAPER_TOLERANCE, 2)
             if onward:
-                scouted.append((point_rms_m(pairs, onward[-1]), (ratios, origin)))
+                scouted.append((point_rms_m(pairs, onward[-1]), ratios))
     return [start for _, start in sorted(scouted, key=lambda item: item[0])]
 
 
-def _answers(pairs: MotionPairs, starts: list[Start]) -> Iterator[LinearEstimate]:
+def _answers(pairs: MotionPairs, starts: list[FloatArray], origin: str) -> Iterator[LinearEstimate]:
     """Where each start leads, without its rivals."""
     rounds = Rounds(pairs)
-    for ratios, origin in starts:
+    for ratios in starts:
         history = _iterate(rounds, ratios, FIXED_POINT, MAX_ROUNDS)
         if history:
             steps = [math.inf, *(change(a, b) for a, b in itertools.pairwise(history))]
@@ -125,10 +122,10 @@ def linear_estimate(pairs: MotionPairs, nominal: WheelGeometry | None = None) ->
     Raises:
         SolveError: no start leads anywhere.
     """
-    starts: list[Start] = [] if nominal is None else [(ratios_of(nominal), "nominal")]
-    answers = list(_answers(pairs, starts))
+    starts = [] if nominal is None else [ratios_of(nominal)]
+    answers = list(_answers(pairs, starts, "nominal"))
     if nominal is None or not any(_unambiguous(pairs, nominal, answer) for answer in answers):
-        answers += _answers(pairs, _scouted(pairs, starts + grid_of_starts())[:4])
+        answers += _answers(pairs, _scouted(pairs, grid_of_starts())[:_MOST_ANSWERS], "grid")
     if not answers:
         raise SolveError(
             f"the iterative linear method found no answer on {len(pairs.legs)} legs between stations",
@@ -201,48 +198,29 @@ def initial_state(data: Dataset, parameters: Parameters, inliers: Inliers) -> St
 
     After an outlier leg, the images of the board place the base.
     """
-    pairs = data.pairs
-    motion = integrate(pairs.steps, parameters.wheels)
-    T_vi_vj, psi = base_motion(motion), motion.psi_rad
-    count = data.stations
-    T_w_v = np.broadcast_to(np.eye(4), (count, 4, 4)).copy()
-    heading = np.zeros(count)
+    pairs, stations = data.pairs, np.arange(data.stations)
+    T_w_v, heading = dead_reckoned(pairs, parameters.wheels), np.zeros(data.stations)
+    for (i, j), psi in zip(pairs.legs, integrate(pairs.steps, parameters.wheels).psi_rad, strict=True):
+        heading[j] = heading[i] + psi
     T_v_k = pairs.T_v_h @ parameters.T_h_c @ pairs.T_c_k
-    boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4)).copy()
-    known = np.zeros(data.logs, dtype=np.bool_)
-    into = {int(j): leg for leg, (_, j) in enumerate(data.legs)}
-    starts = [s for s in range(count) if s not in into or not inliers.legs[into[s]]]
-    for start, end in zip(starts, [*starts[1:], count], strict=True):
-        members = np.arange(start, end)
-        driven = [into[s] for s in range(start + 1, end)]
-        T_w_v[members], heading[members] = _dead_reckoning(motion.t_m[driven], psi[driven])
-        seeing = members[inliers.views[members]]
-        board = data.log[start]
-        if start in into and known[board] and len(seeing):
-            # T_w_v with the board where it is known to be, flattened, at this stretch's start.
-            placed = boards[board] @ se3.inverse(T_v_k[seeing]) @ se3.inverse(T_w_v[seeing])
-            shift = _median_pose(placed)
+    boards: dict[int, FloatArray] = {}
+    driven_to = np.isin(stations, data.legs[inliers.legs, 1])
+    for members in np.split(stations, np.flatnonzero(~driven_to)[1:]):
+        log, seeing = int(data.log[members[0]]), members[inliers.views[members]]
+        if log in boards and len(seeing):
+            # These and later stations, moved along the floor to where the board is known to be.
+            shift = _median_pose(boards[log] @ se3.inverse(T_w_v[seeing] @ T_v_k[seeing]))
             flat = np.array([*shift[:2, 3], heading_of(shift)])
-            T_w_v[members], heading[members] = planar_pose(flat) @ T_w_v[members], heading[members] + flat[2]
-        elif start in into:
-            leg = into[start]
-            shift = T_w_v[data.legs[leg, 0]] @ T_vi_vj[leg]
-            heading[members] += heading[data.legs[leg, 0]] + psi[leg]
-            T_w_v[members] = shift @ T_w_v[members]
-        if not known[board] and len(seeing):
-            boards[board] = _median_pose(T_w_v[seeing] @ T_v_k[seeing])
-            known[board] = True
-    for board in np.intersect1d(np.flatnonzero(~known), data.log):
-        boards[board] = _median_pose((T_w_v @ T_v_k)[data.log == board])
+            later = (data.log == log) & (stations >= members[0])
+            T_w_v[later] = planar_pose(flat) @ T_w_v[later]
+            heading[later] += flat[2]
+        elif len(seeing):
+            boards[log] = _median_pose(T_w_v[seeing] @ T_v_k[seeing])
+    for log in np.setdiff1d(data.log, list(boards)).tolist():
+        boards[log] = _median_pose((T_w_v @ T_v_k)[data.log == log])
+    T_w_k = np.stack([boards.get(log, np.eye(4)) for log in range(data.logs)])
     base = np.concatenate([T_w_v[:, :2, 3], heading[:, None]], axis=1)
-    return State.without_errors(data, parameters, boards, base)
-
-
-def _dead_reckoning(t_m: FloatArray, psi_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Poses (n + 1, 4, 4) in the first one's frame, and headings (n + 1,), along n legs one after the other."""
-    heading = np.append(0.0, np.cumsum(psi_rad))
-    xy = np.concatenate([np.zeros((1, 2)), np.cumsum(planar(heading[:-1], t_m), axis=0)])
-    return planar_pose(np.column_stack([xy, heading])), heading
+    return State.without_errors(data, parameters, T_w_k, base)
 
 
 def _median_pose(T: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
@@ -140,11 +141,7 @@ class Rounds:
         """A rotation R_h_c that brings the axis of all the camera's turns onto the vertical; its yaw is arbitrary."""
         axes = se3.log_so3(self._T_ci_cj[:, :3, :3])
         n_c = np.linalg.svd(axes, full_matrices=False)[2][0] * self._common_axis
-        v, cosine = np.cross(n_c, self._vertical_h), float(n_c @ self._vertical_h)
-        if cosine < -1 + 1e-9:
-            other = np.cross(n_c, np.eye(3)[np.argmin(np.abs(n_c))])
-            return se3.rotation_about(other / np.linalg.norm(other), np.array(math.pi))
-        return np.eye(3) + se3.skew(v) + se3.skew(v) @ se3.skew(v) / (1 + cosine)
+        return np.asarray(Rotation.align_vectors(self._vertical_h[None], n_c[None])[0].as_matrix())
 
     def rotation(self, psi_rad: FloatArray) -> FloatArray:
         """Step 2: R_X from the head's rotations, R_hi_hj = R_v_hi^T Rz(psi_ij) R_v_hj (eq. 8)."""
@@ -215,20 +212,19 @@ class Rounds:
                 weight[3] = _LEG_M / (WHEEL_SIGMA * mean[3])
         return mean, weight
 
-    def _rotations(self, ratios: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Rotation and wheel ratios after each round, without end unless the ratios become useless."""
+    def run(self, ratios: FloatArray) -> Iterator[Parameters]:
+        """The parameters after each round, without end unless the iteration breaks down."""
         while True:
             psi = self._Phi @ ratios  # eq. 10
             R_h_c = self.rotation(psi)
             ratios = self.ratios(R_h_c, psi)
             if not np.all(np.isfinite(ratios)) or np.min(np.abs(ratios)) < _NO_RATIO:
                 return
-            yield R_h_c, ratios
-
-    def run(self, ratios: FloatArray) -> Iterator[Parameters]:
-        """The parameters after each round, without end unless the iteration breaks down."""
-        each = (self.translation(*round_) for round_ in self._rotations(ratios))
-        return itertools.takewhile(lambda parameters: not _without_size(parameters.wheels), each)
+            parameters = self.translation(R_h_c, ratios)
+            # Practically zero: the legs do not show that the base drives and turns.
+            if np.abs(parameters.wheels.vector).min() < NO_SIZE_M:
+                return
+            yield parameters
 
     def after(self, ratios: FloatArray, rounds: int) -> Parameters:
         """The parameters after some rounds.
@@ -236,16 +232,10 @@ class Rounds:
         Raises:
             SolveError: the iteration breaks down.
         """
-        last = next(itertools.islice(self._rotations(ratios), rounds - 1, None), None)
-        parameters = None if last is None else self.translation(*last)
-        if parameters is None or _without_size(parameters.wheels):
+        parameters = next(itertools.islice(self.run(ratios), rounds - 1, None), None)
+        if parameters is None:
             raise SolveError(
                 f"the iterative linear method breaks down on these {len(self._pairs.legs)} legs",
                 "record stations between which the base turns and drives and the head pans and tilts",
             )
         return parameters
-
-
-def _without_size(wheels: WheelGeometry) -> bool:
-    """Whether a radius or the separation is practically zero: the legs do not show that the base drives and turns."""
-    return bool(np.abs(wheels.vector).min() < NO_SIZE_M)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.camera import project, project_with_jacobian
-from mobilecal_cli.kinematics import head_jacobian, integrate
+from mobilecal_cli.kinematics import head_jacobian
 from mobilecal_cli.likelihood.corners import blocks_of, board_poses, corner_residuals, of_camera
 from mobilecal_cli.likelihood.dataset import Dataset, dataset_of
 from mobilecal_cli.likelihood.effects import TIMES, CameraEffect
@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
     Residuals,
     WheelGeometry,
 )
-from mobilecal_cli.solvers.transfer import base_motion, camera_motion
+from mobilecal_cli.solvers.transfer import camera_motion, dead_reckoned
 
 _TRIANGULATION_STEPS = 8  # quadratic convergence: a displacement of ten pixels leaves 1e-6 px after three
 _STILL_M = 1e-9
@@ -144,15 +144,6 @@ def at_constants(extraction: Extraction, parameters: Parameters, constants: Mapp
     boards = np.broadcast_to(np.eye(4), (data.logs, 4, 4))
     state = State.without_errors(data, parameters, boards, np.zeros((data.stations, 3)))
     return at_state(replace(state, constants={row.name: constants[row.name] for row in rows}))
-
-
-def dead_reckoned(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
-    """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
-    T_w_v = np.broadcast_to(np.eye(4), pairs.T_v_h.shape).copy()
-    T_vi_vj = base_motion(integrate(pairs.steps, wheels))
-    for (i, j), T in zip(pairs.legs, T_vi_vj, strict=True):
-        T_w_v[j] = T_w_v[i] @ T
-    return T_w_v
 
 
 def residuals_of(

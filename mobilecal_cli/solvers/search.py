@@ -41,8 +41,7 @@ from mobilecal_cli.solvers.hypotheses import (
 from mobilecal_cli.solvers.initial import ROUNDS, initial_with_prior, linear_estimate
 from mobilecal_cli.solvers.linear import InitialPrior, Rounds, nominal_of, ratios_of
 from mobilecal_cli.solvers.readings import FEWEST_STATIONS, Readings, readings_of
-from mobilecal_cli.solvers.residuals import dead_reckoned
-from mobilecal_cli.solvers.transfer import leg_rms_m, point_rms_m, refine_lm
+from mobilecal_cli.solvers.transfer import dead_reckoned, leg_rms_m, point_rms_m, refine_lm
 
 #: Misfit of recordings that fit: up to 0.012 with noisy wheels, 0.3 px, and constants as far off as their priors.
 FITS = 0.02

@@ -1,29 +1,39 @@
 """Transfer error: the corners of a station predicted in the one before by the parameters alone (eqs. 18 and 19).
 
-And its minimum: by Levenberg-Marquardt with analytic derivatives, or by Powell's method as in the paper.
+And its minimum: by Levenberg-Marquardt, or by Powell's method as in the paper.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+from scipy.optimize import least_squares, minimize
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Arcs, integrate
 from mobilecal_cli.likelihood.measurements import MotionPairs, planar_pose
-from mobilecal_cli.model import FloatArray, Parameters, Refinement
+from mobilecal_cli.model import FloatArray, Parameters, Refinement, WheelGeometry
 
-_MAX_STEPS = 100
-_LEAST_GAIN_M, _LEAST_GAIN = 1e-15, 1e-12  # of the point rms, and over it: a smaller one is rounding
-# Over the diagonal of the normal matrix: from a start that is nearly a minimum, down to rounding, up to no step at all.
-_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 1e-15, 1e8
+_MOST_STEPS = 100
+_LEAST_GAIN, _LEAST_STEP = 1e-12, 1e-11  # relative, of the cost and of the parameters
+_STEP = 1e-5  # of a difference: rad, m
 
 
 def base_motion(motion: Arcs) -> FloatArray:
     """T_vi_vj of each leg: (L, 4, 4)."""
     return planar_pose(np.column_stack([motion.t_m, motion.psi_rad]))
+
+
+def dead_reckoned(pairs: MotionPairs, wheels: WheelGeometry) -> FloatArray:
+    """T_w_v of every station, w being the base at its log's first observation: (N, 4, 4)."""
+    T_w_v = np.broadcast_to(np.eye(4), pairs.T_v_h.shape).copy()
+    T_vi_vj = base_motion(integrate(pairs.steps, wheels))
+    for (i, j), T in zip(pairs.legs, T_vi_vj, strict=True):
+        T_w_v[j] = T_w_v[i] @ T
+    return T_w_v
 
 
 def camera_motion(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
@@ -55,43 +65,10 @@ def leg_rms_m(pairs: MotionPairs, parameters: Parameters) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.sum(residuals_m(pairs, parameters) ** 2, axis=-1), axis=-1)))
 
 
-def residuals_with_jacobian(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray]:
-    """`residuals_m` and their derivatives.
-
-    Returns:
-        (L, M, 3) residuals and (L, M, 3, 9) derivatives by a step of the parameters, see `Parameters.plus`.
-    """
-    i, j = pairs.legs.T
-    motion = integrate(pairs.steps, parameters.wheels)
-    d_psi, d_t = motion.by_wheels()
-    X = parameters.T_h_c
-    T_vj_cj = pairs.T_v_h[j] @ X
-    T_ci_vi = se3.inverse(pairs.T_v_h[i] @ X)
-    T_ci_vj = T_ci_vi @ base_motion(motion)
-    points_j = pairs.points_c[j]
-    predicted = se3.act(T_ci_vj @ T_vj_cj, points_j)
-
-    J = np.empty((*predicted.shape, 9))
-    # A step turns and shifts the points in the head's frame at j; X^-1 undoes the same at i.
-    R_ci_h = X[:3, :3].T
-    R_ci_hj = T_ci_vj[:, None, :3, :3] @ pairs.T_v_h[j][:, None, :3, :3]
-    J[..., :3] = R_ci_h @ se3.skew(predicted @ X[:3, :3].T) - R_ci_hj @ se3.skew(points_j @ X[:3, :3].T)
-    J[..., 3:6] = R_ci_hj - R_ci_h
-    # A larger psi turns the point about vi's z axis after it is at vj: d(Rz p)/dpsi = z x (Rz p).
-    points_vj = se3.act(T_vj_cj, points_j)
-    Rz = se3.rotation_z(motion.psi_rad)
-    turned = np.einsum("lab,lmb->lma", Rz, points_vj)
-    swept = np.stack([-turned[..., 1], turned[..., 0], np.zeros_like(turned[..., 0])], axis=-1)
-    d_t3 = np.concatenate([d_t, np.zeros((len(d_t), 1, 3))], axis=1)
-    in_vi = swept[..., None] * d_psi[:, None, None, :] + d_t3[:, None]
-    J[..., 6:] = np.einsum("lab,lmbk->lmak", T_ci_vi[:, :3, :3], in_vi)
-    return predicted - pairs.points_c[i], J
-
-
-def _normal_equations(pairs: MotionPairs, parameters: Parameters) -> tuple[FloatArray, FloatArray, float]:
-    residuals, J = residuals_with_jacobian(pairs, parameters)
-    flat = J.reshape(-1, 9)
-    return flat.T @ flat, flat.T @ residuals.reshape(-1), rms_m(residuals)
+def _derivatives(function: Callable[[FloatArray], FloatArray], x: FloatArray) -> FloatArray:
+    """(n, k) of a function (k,) → (n,), by central differences."""
+    differences = [function(x + step) - function(x - step) for step in _STEP * np.eye(len(x))]
+    return np.array(differences).T / (2 * _STEP)
 
 
 def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
@@ -100,33 +77,34 @@ def refine_lm(pairs: MotionPairs, start: Parameters) -> Refinement:
     Raises:
         SolveError: no minimum within 100 steps.
     """
-    parameters, damping = start, _FIRST_DAMPING
-    H, gradient, rms = _normal_equations(pairs, parameters)
-    history, evaluations = [rms], 1
-    while len(history) <= _MAX_STEPS:
-        scale = np.sqrt(np.diag(H))
-        scale[scale == 0] = 1.0  # these legs do not show the parameter: it stays
-        step = -np.linalg.solve(H / np.outer(scale, scale) + damping * np.eye(9), gradient / scale) / scale
-        trial = parameters.plus(step)
-        H_trial, gradient_trial, rms_trial = _normal_equations(pairs, trial)
-        evaluations += 1
-        if rms_trial <= rms:
-            gain = rms - rms_trial
-            parameters, H, gradient, rms = trial, H_trial, gradient_trial, rms_trial
-            history.append(rms)
-            damping = max(damping / 10, _LEAST_DAMPING)
-            if gain <= _LEAST_GAIN_M + _LEAST_GAIN * rms:
-                break
-        else:
-            damping *= 10
-            if damping > _LARGEST_DAMPING:
-                break  # no step helps any more: the minimum, to rounding
-    else:
+    history = []
+
+    def residuals(x: FloatArray) -> FloatArray:
+        return residuals_m(pairs, start.plus(x)).ravel()
+
+    def jacobian(x: FloatArray) -> FloatArray:
+        """Of the start, and of each point that is better than the one before."""
+        history.append(point_rms_m(pairs, start.plus(x)))
+        return _derivatives(residuals, x)
+
+    least = least_squares(
+        residuals,
+        np.zeros(9),
+        jacobian,
+        x_scale="jac",
+        ftol=_LEAST_GAIN,
+        xtol=_LEAST_STEP,
+        gtol=None,
+        max_nfev=_MOST_STEPS,
+    )
+    parameters = start.plus(least.x)
+    rms = point_rms_m(pairs, parameters)
+    if not least.success:
         raise SolveError(
-            f"the refinement did not converge in {_MAX_STEPS} steps: point rms {rms * 1e3:.3f} mm",
+            f"the refinement did not converge in {_MOST_STEPS} steps: point rms {rms * 1e3:.3f} mm",
             "use --method ml, which tolerates outliers and finds what does not fit",
         )
-    return Refinement("lm", parameters, np.array(history), rms, evaluations)
+    return Refinement("lm", parameters, np.array([*history, rms]), rms, least.nfev)
 
 
 def refine_powell(pairs: MotionPairs, start: Parameters) -> Refinement:
@@ -138,9 +116,8 @@ def refine_powell(pairs: MotionPairs, start: Parameters) -> Refinement:
     Raises:
         SolveError: no minimum within scipy's limits.
     """
-    from scipy.optimize import minimize  # heavy, and for this method alone
-
-    H, _, rms = _normal_equations(pairs, start)
+    J = _derivatives(lambda x: residuals_m(pairs, start.plus(x)).ravel(), np.zeros(9))
+    H, rms = J.T @ J, point_rms_m(pairs, start)
     scale = np.sqrt(np.diag(H))
     values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     count = H.shape[0]

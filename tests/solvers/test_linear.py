@@ -37,7 +37,7 @@ def test_nominal_wheels_ten_percent_off(factor):
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (5.0, -5.0), (-0.44, 0.45), (0.01, -0.01), (0.45, 0.45)])
 def test_from_any_start(start, monkeypatch):
-    starts = [(np.array(start), "start"), *grid_of_starts()]
+    starts = [np.array(start), *grid_of_starts()]
     monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", lambda: starts)
     estimate = linear_estimate(make_pairs(2, long_way_round=True))
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
@@ -57,10 +57,9 @@ def test_legs_that_turn_by_up_to_three_hundred_degrees_and_more(seed):
 # A start eleven times too large, (5, -5), unwraps wrongly on its own: it needs the grid, as the test above shows.
 @pytest.mark.parametrize("start", [(0.0, 0.0), (0.01, -0.01), (-0.44, 0.45), (1.0, -1.0)])
 def test_the_bare_iteration_needs_no_grid_when_legs_turn_little(start, monkeypatch):
-    monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", lambda: [(np.array(start), "start")])
+    monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", lambda: [np.array(start)])
     monkeypatch.setattr("mobilecal_cli.solvers.initial._scouted", lambda pairs, starts: starts)
     estimate = linear_estimate(make_pairs(3))
-    assert estimate.start_from == "start"
     assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
 
 

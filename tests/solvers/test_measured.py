@@ -187,7 +187,7 @@ def test_measured_poses_and_motions_have_a_report():
     nominal = T_V_C @ se3.transform(se3.rotation_z(np.array(0.005)), np.array([0.001, 0.001, 0.0]))
     for extraction in (
         from_poses([recorded], tuple(robot.wheels.vector * 1.001), chain_of(robot)),
-        from_motions(legs(150, 1), (0.0206, 0.0206, 0.0885), nominal),
+        from_motions(legs(60, 1), (0.0206, 0.0206, 0.0885), nominal),
     ):
         report = Report(Data(extraction, (), {}), fitted(extraction))
         assert report.verdict.level == "PASS"

@@ -208,9 +208,7 @@ def test_a_recording_whose_corners_are_all_wrong_is_left_out(stations):
     assert nees(found) < 3
 
 
-@pytest.mark.parametrize(
-    ("recordings", "stations", "method"), [(4, 1, "ml"), (2, 2, "ml"), (2, 2, "linear"), (2, 2, "lm")]
-)
+@pytest.mark.parametrize(("recordings", "stations", "method"), [(4, 1, "ml"), (2, 2, "linear")])
 def test_too_few_legs(recordings, stations, method):
     extraction = joined(*(recorded("standard", seed, stations=stations) for seed in range(recordings)))
     with pytest.raises(SolveError, match=rf"with {recordings * (stations - 1)} legs .* \(at least 3 legs"):
@@ -289,15 +287,14 @@ def test_the_information_of_all_recordings_is_the_sum_of_that_of_each():
     assert np.allclose(sum(normal.s for normal in each) / scale, lin.normal.s / scale, atol=1e-6)
 
 
-@pytest.mark.parametrize(("extra", "most"), [(0, 1e-3), (1, 0.4)])
-def test_recordings_without_legs_change_hardly_anything(extra, most):
+def test_recordings_without_legs_change_hardly_anything():
     """A single station shows the cameras and the board. Means of recordings were subtracted that these do not have: noise levels up to five times as large."""
     noise = Noise(0.1, 0.003, 0.0, 3.5e-4, floor_rad=0.0017, floor_m=0.0005)
     other, whole = (simulated("standard", noise, stations=16, seed=seed) for seed in (1, 2))
-    few = replace(other, observations=other.observations[:extra])
+    none, one = (replace(other, observations=other.observations[:count]) for count in (0, 1))
     alone = solve(whole)
-    for together in (joined(few, whole), joined(few, few, whole), joined(whole, few)):
-        found = solve(together)
+    for parts, most in (((none, whole), 1e-3), ((one, one, whole), 0.4), ((whole, one), 0.4)):
+        found = solve(joined(*parts))
         assert np.abs(found.parameters.minus(alone.parameters) / alone.uncertainty.std).max() < most
         assert found.uncertainty.std == pytest.approx(alone.uncertainty.std, rel=0.02)
         for level in ("floor_rad", "floor_m", "wheel_share"):

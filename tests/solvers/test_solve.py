@@ -35,7 +35,7 @@ def test_residuals_and_the_world_fit_together():
     robot = ROBOTS["paper"]()
     route = plan_route(robot)
     extraction = ideal_extraction(robot, route, Noise(pixel_px=0.2), seed=1)
-    solution = solve(extraction)
+    solution = solve(extraction, "lm")
     residuals = solution.residuals
     whole = np.sqrt(np.mean(residuals.leg_point_rms_m**2))
     assert whole == pytest.approx(solution.point_rms_m)
