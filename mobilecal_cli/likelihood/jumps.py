@@ -84,12 +84,12 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
     for j, name in enumerate(data.chain.joints):
         parts[f"joint {name}"] = of_images(delta, views.by_own[:, :, j : j + 1])
     parts["board"] = of_images(delta, se3.adjoint(lin.state.T_c_k))
-    for name, own in _poses(data).items():
-        parts[name] = of_images([6 + k for k in own], np.eye(len(own)))
-    for name, shape in _shapes(data).items():
-        # A step of a prior sigma shows as well as the least step of a pose that is regarded.
-        units = math.sqrt(_FAINT) * lin.priors.scales[views.columns[shape]]
-        parts[name] = of_images([6 + k for k in shape], np.diag(units))
+    for name, own in _constants(data).items():
+        # Of the board, a step of a prior sigma shows as well as the least step of a pose that is regarded.
+        sigmas = math.sqrt(_FAINT) * lin.priors.scales[views.columns[own]]
+        parts[name] = of_images(
+            [6 + k for k in own], np.diag(sigmas if name in BETWEEN else np.ones(len(own)))
+        )
     for name, radii in WHEELS.items():
         if name != BOTH_WHEELS or data.logs > 1:
             no_images = np.zeros((*views.pull.shape, len(radii)))
@@ -99,26 +99,21 @@ def _parts(lin: Posterior) -> dict[str, _Part]:
 
 def traced(lin: Posterior) -> Posterior:
     """The same point, with all constants that a jump may change traced: see `Images`."""
-    of_parts = (*_poses(lin.data).values(), *_shapes(lin.data).values())
-    return lin.tracing(tuple(6 + k for of_part in of_parts for k in of_part))
+    return lin.tracing(tuple(6 + k for of_part in _constants(lin.data).values() for k in of_part))
 
 
-def _shapes(data: Dataset) -> dict[str, list[int]]:
-    """Which of the direct constants are the board's size and shape, where recordings may differ in them."""
-    shapes = dict[str, list[int]]()
+def _constants(data: Dataset) -> dict[str, list[int]]:
+    """Which of the direct constants are a part: a camera's pose in the first one; the board's size, or its shape.
+
+    Those of the board where recordings may differ in them.
+    """
+    parts, names = dict[str, list[int]](), data.cameras.names
     for k, (_, name, effect) in enumerate(data.layout.direct):
-        if isinstance(effect, BoardEffect) and data.logs > 1:
-            shapes.setdefault(SIZE if name == "square_scale" else SHAPE, []).append(k)
-    return shapes
-
-
-def _poses(data: Dataset) -> dict[str, list[int]]:
-    """Camera → which of the direct constants are its pose in the first camera."""
-    names, poses = data.cameras.names, dict[str, list[int]]()
-    for k, (_, _, effect) in enumerate(data.layout.direct):
         if isinstance(effect, CameraEffect) and effect.camera and effect.of in POSE:
-            poses.setdefault(camera_words(names[effect.camera]), []).append(k)
-    return poses
+            parts.setdefault(camera_words(names[effect.camera]), []).append(k)
+        elif isinstance(effect, BoardEffect) and data.logs > 1:
+            parts.setdefault(SIZE if name == "square_scale" else SHAPE, []).append(k)
+    return parts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -175,7 +170,7 @@ def _scores(lin: Posterior, part: _Part, stations: Sequence[int] | IntArray, las
 
     rows, (k, m) = data.stations * data.base_width, base.shape[2:]
     flat = base.reshape(rows, k * m)
-    solved = normal.chain.solve(base.reshape(*base.shape[:2], k * m))
+    solved = normal.stations.solve(base.reshape(*base.shape[:2], k * m))
     log = data.log[first[:, 0]]
     shared += normal.board_by_shared[log].mT @ board
     for total, by in ((shared, normal.base_by_shared), (board, normal.base_by_board)):
@@ -217,11 +212,11 @@ def slides(data: Dataset, jump: Jump) -> bool:
 
 def turning(data: Dataset, jump: Jump) -> BoolArray:
     """(m,) which numbers of a step are a rotation about the axes of its part, rad."""
-    poses = _poses(data)
-    if jump.part in poses:
-        effects = (data.layout.direct[k][2] for k in poses[jump.part])
+    constants = _constants(data)
+    if jump.part in constants:
+        effects = (data.layout.direct[k][2] for k in constants[jump.part])
         return np.array([isinstance(effect, CameraEffect) and effect.of == "turn" for effect in effects])
-    turns = not slides(data, jump) and jump.part not in (*WHEELS, *BETWEEN)
+    turns = not slides(data, jump) and jump.part not in WHEELS
     return np.arange(len(jump.value)) < (3 if turns else 0)
 
 
@@ -260,7 +255,7 @@ def shift(written: Posterior, covariance: FloatArray, lin: Posterior, jump: Jump
 
 
 def _own_sigmas(lin: Posterior, jump: Jump) -> float:
-    covariance, size, poses = lin.covariance, np.abs(jump.value), _poses(lin.data)
+    covariance, size, constants = lin.covariance, np.abs(jump.value), _constants(lin.data)
     variance = np.diag(covariance)
     if jump.part == "head mount":
         return _in_sigmas(size, variance[:6])
@@ -269,9 +264,11 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
     if jump.part in WHEELS:  # alone: all three may have a common scale that hardly shows
         known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
         return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))
-    if jump.part in poses:  # its rotation, by what is known before: the images alone show far smaller drifts
+    if (
+        jump.part in constants
+    ):  # a rotation, by what is known before: the images alone show far smaller drifts
         turns = turning(lin.data, jump)
-        columns = lin.views.columns[np.array(poses[jump.part])[turns]]
+        columns = lin.views.columns[np.array(constants[jump.part])[turns]]
         return _in_sigmas(size[turns], lin.priors.scales[columns] ** 2)
     return 0.0
 

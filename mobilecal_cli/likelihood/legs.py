@@ -63,12 +63,11 @@ class Legs:
 
 def _steps(state: State, processes: Processes) -> tuple[Increments, Increments]:
     """Steps of the legs between the errors of readings at their ends: as read, and as the wheels drove."""
-    data, clock_s = state.data, state.clock_s("wheels")
-    i, j = data.legs.T
+    data, (i, j) = state.data, state.data.legs.T
     errors = state.base[:, ENCODERS]
     if np.any(state.base[:, STAMP:]):
-        errors = errors + data.wheel_rates(clock_s) * state.base[:, STAMP:]
-    read = data.steps(clock_s).with_ends(-errors[i], errors[j])
+        errors = errors + state.rates[:, -2:] * state.base[:, STAMP:]
+    read = data.steps(state.clock_s("wheels")).with_ends(-errors[i], errors[j])
     even, (right, left) = state.evened(read), (1 + mean_scales(state, processes))[read.leg].T
     return read, replace(even, right_rad=right * even.right_rad, left_rad=left * even.left_rad)
 
@@ -118,7 +117,7 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     )
     by_clock = np.zeros((count, 3))
     if data.base_width > STAMP:
-        rates = data.wheel_rates(state.clock_s("wheels"))
+        rates = state.rates[:, -2:]
         by_start[:, :, STAMP] = np.einsum("lab,lb->la", by_start[:, :, ENCODERS], rates[i])
         by_end[:, :, STAMP] = np.einsum("lab,lb->la", by_end[:, :, ENCODERS], rates[j])
         by_clock = by_start[:, :, STAMP] + by_end[:, :, STAMP]

@@ -16,8 +16,8 @@ from mobilecal_cli.likelihood.legs import Legs, all_covariances, linearize_legs
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import Processes, processes_of
 from mobilecal_cli.likelihood.state import State, Step
-from mobilecal_cli.likelihood.views import Views, images_of, linearize_views
-from mobilecal_cli.model import EXACT, FloatArray, IntArray, Noise
+from mobilecal_cli.likelihood.views import Views, linearize_views
+from mobilecal_cli.model import EXACT, FloatArray, Noise
 
 _LEGS = ("legs", "leg_covariance")  # what does not depend on the images, or on which measurements are used
 FREE_JOINT = 1.0  # rad or m: sigma of a rejected joint reading
@@ -135,19 +135,12 @@ class Linearization:
 
     def with_inliers(self, inliers: Inliers) -> Self:
         """The same point with other inliers."""
-        along, known = processes_of(self.state, self.noise, inliers), {}
-        corners, before = inliers.used_corners, self.inliers.used_corners
-        differ = (corners != before).any(axis=(1, 2)) | (inliers.views != self.inliers.views)
-        gone = differ & (before.any(axis=(1, 2)) | self.inliers.views)
-        if "views" in self.__dict__ and not gone.any():
-            known["views"] = self.views
-            if differ.any():
-                at = np.flatnonzero(differ)
-                images = images_of(
-                    self.state, inliers, self.noise, self.rates, at, self.group[at], self.traced
-                )
-                known["views"] = self.views.with_further(at, images)
-        return self.changed(_LEGS, known, inliers=inliers, processes=along)
+        before, after = self.inliers, inliers
+        same = np.array_equal(before.views, after.views) and np.array_equal(
+            before.used_corners, after.used_corners
+        )
+        along = processes_of(self.state, self.noise, inliers)
+        return self.changed((*_LEGS, "views") if same else _LEGS, inliers=inliers, processes=along)
 
     def tracing(self, unknowns: tuple[int, ...]) -> Self:
         """The same point with the information of the images kept station by station for further unknowns."""
@@ -168,12 +161,8 @@ class Linearization:
     @cached_property
     def views(self) -> Views:
         """Residuals of the images."""
-        return linearize_views(self.state, self.inliers, self.noise, self.rates, self.group, self.traced)
-
-    @property
-    def group(self) -> IntArray:
-        """(N,) see `Images.group`."""
-        return np.arange(self.data.stations) if self.apart else self.data.log
+        group = np.arange(self.data.stations) if self.apart else self.data.log
+        return linearize_views(self.state, self.inliers, self.noise, self.rates, group, self.traced)
 
     @cached_property
     def legs(self) -> Legs:

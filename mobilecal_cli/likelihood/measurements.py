@@ -25,7 +25,7 @@ from mobilecal_cli.model import (
 )
 
 LEAST_DEPTH_M = 0.01  # of a point that a camera may show
-_RATE_INTERVAL_S = 0.04  # rates are differences over this time
+_RATE_NS = 40_000_000  # rates of wheels are differences over this time
 _SMOOTH_NS = 80_000_000  # rates in an image are differences of means over about this time
 _SMOOTHER = np.geomspace(0.25, 2.5, 41)  # times it: those that are compared
 _LEAST_ENCODER_SHARE = 1e-3  # of a wheel without steps next to one with steps: keeps the matrices regular
@@ -286,63 +286,52 @@ class Measurements:
         offset_ns = np.rint(1e9 * np.asarray(time_offset_s)).astype(np.int64)
         return np.asarray(self.times_ns + self.moving * offset_ns)
 
-    def _each_joint(self) -> Iterator[tuple[BoolArray, int, Track, int]]:
-        """Stations of each recording, (N,), and the column, track and width of each joint there."""
-        for number, of_log in enumerate(zip(self.joint_tracks, self.joint_widths_ns, strict=True)):
-            for j, (track, width_ns) in enumerate(zip(*of_log, strict=True)):
-                yield self.log == number, j, track, width_ns
+    @cached_property
+    def _in_motion(self) -> list[tuple[BoolArray, int, Track, int, int]]:
+        """Stations in motion of each recording, (N,), with column, track and widths of each joint, and of its wheels.
+
+        Rates are differences over the first width; those in images, of means over the second.
+        """
+        parts = []
+        for number, (joints, widths_ns) in enumerate(
+            zip(self.joint_tracks, self.joint_widths_ns, strict=True)
+        ):
+            mine, wheels = self.moving & (self.log == number), self.tracks[number]
+            of_log = zip((*joints, wheels.right, wheels.left), (*widths_ns, _RATE_NS, _RATE_NS), strict=True)
+            for column, (track, width_ns) in enumerate(of_log if mine.any() else ()):
+                parts.append((mine, column, track, width_ns, _smooth_width_ns(track, self.times_ns[mine])))
+        return parts
 
     def joint_shift(self, time_offset_s: FloatArray | float) -> FloatArray:
         """(N, J) motion of the joints from each station's stamp to its stamp by another clock."""
         shift, after = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
-        for mine, j, track, width_ns in self._each_joint():
-            shift[mine, j] = track.mean(after[mine], width_ns) - track.mean(self.times_ns[mine], width_ns)
+        for mine, column, track, width_ns, _ in self._in_motion:
+            if column < shift.shape[1]:
+                before = track.mean(self.times_ns[mine], width_ns)
+                shift[mine, column] = track.mean(after[mine], width_ns) - before
         return shift
 
-    def joint_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
-        """(N, J) joint rates at the stations, 0 at rest, rad/s or m/s."""
-        rates, stamps_ns = np.zeros_like(self.joints), self.stamps_ns(time_offset_s)
-        for mine, j, track, width_ns in self._each_joint():
-            at, half = stamps_ns[mine & self.moving], width_ns // 2
-            rates[mine & self.moving, j] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
-        return rates
-
-    def wheel_rates(self, time_offset_s: FloatArray | float) -> FloatArray:
-        """(N, 2) rates of the right and left wheel at the stations, 0 at rest, rad/s."""
-        rates = np.zeros((self.stations, 2))
-        late, early = (self.stamps_ns(time_offset_s + side * _RATE_INTERVAL_S / 2) for side in (1, -1))
-        for number, track in enumerate(self.tracks):
-            mine = self.log == number
-            for k, wheel in enumerate((track.right, track.left)):
-                rates[mine, k] = (wheel.at(late[mine]) - wheel.at(early[mine])) / _RATE_INTERVAL_S
-        return rates
-
-    @cached_property
-    def _moved_by(self) -> list[tuple[BoolArray, list[Track], list[int]]]:
-        """Stations in motion of each recording, (N,), its joints and its wheels, and the intervals of their rates."""
-        parts = []
-        for number, (joints, wheels) in enumerate(zip(self.joint_tracks, self.tracks, strict=True)):
-            mine, tracks = self.moving & (self.log == number), [*joints, wheels.right, wheels.left]
-            if mine.any():
-                parts.append(
-                    (mine, tracks, [_smooth_width_ns(track, self.times_ns[mine]) for track in tracks])
-                )
-        return parts
-
-    def rates_in_images(self, joints_s: FloatArray, wheels_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(N, J) rates of the joints and (N, 2) of the wheels while rows are exposed one after another, or cameras.
-
-        Steps of encoders within 40 ms look like motion: in a read-out of 20 ms, the board seemed turned by 0.3 degrees.
+    def rates(
+        self, joints_s: FloatArray | float, wheels_s: FloatArray | float, in_images: bool = False
+    ) -> FloatArray:
+        """(N, J + 2) rates of the joints, and of the right and left wheel, at the stations; 0 at rest, rad/s or m/s.
 
         Args:
-            joints_s, wheels_s: (N,) or (1,) offsets of their clocks.
+            joints_s, wheels_s: offsets of their clocks, also of one for each station.
+            in_images: while rows are exposed one after another, or cameras. Steps of encoders within 40 ms look like
+                motion there: in a read-out of 20 ms, the board seemed turned by 0.3 degrees.
         """
-        rates = np.zeros((self.stations, self.joints.shape[1] + 2))
-        stamps_ns = (*[self.stamps_ns(joints_s)] * self.joints.shape[1], *[self.stamps_ns(wheels_s)] * 2)
-        for mine, tracks, widths_ns in self._moved_by:
-            for j, (track, width_ns) in enumerate(zip(tracks, widths_ns, strict=True)):
-                rates[mine, j] = _smooth_rate(track, stamps_ns[j][mine], width_ns)
-        return rates[:, :-2], rates[:, -2:]
+        joints = self.joints.shape[1]
+        rates = np.zeros((self.stations, joints + 2))
+        joints_ns, wheels_ns = self.stamps_ns(joints_s), self.stamps_ns(wheels_s)
+        for mine, column, track, width_ns, smooth_ns in self._in_motion:
+            at = (joints_ns if column < joints else wheels_ns)[mine]
+            if in_images:
+                rates[mine, column] = _smooth_rate(track, at, smooth_ns)
+            else:
+                half = width_ns // 2
+                rates[mine, column] = (track.at(at + half) - track.at(at - half)) / (2e-9 * half)
+        return rates
 
     # -- legs -------------------------------------------------------------------------------------
 

@@ -8,10 +8,10 @@ for the shared parameters is left, however many recordings there are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
-from mobilecal_cli.likelihood.chain import Chain
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
@@ -21,6 +21,64 @@ from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
 _FREE_BOARD = 100.0  # m, rad: sigma of a board that no used image shows, which nothing else depends on
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockTridiagonal:
+    """A positive definite matrix of N x N blocks of size B that couples each station to the next only.
+
+    Stations are eliminated one after another: given the next one, a station has the covariance S^-1 of what is left,
+    and the mean ``x_i = S_i^-1 r_i + K_i x_j`` with ``K_i = -S_i^-1 off_i``.
+
+    Attributes:
+        inverse: (N, B, B) S^-1 of each station.
+        K: (N, B, B) each; the last is not used.
+    """
+
+    inverse: FloatArray
+    K: FloatArray
+
+    @classmethod
+    def of(cls, D: FloatArray, off: FloatArray) -> Self:
+        """The matrix with some blocks.
+
+        Args:
+            D: (N, B, B) diagonal blocks.
+            off: (N, B, B), off[i] couples i (rows) to i + 1 (columns); the last is not used.
+
+        Raises:
+            LinAlgError: not positive definite.
+        """
+        inverse, K = np.empty_like(D), np.empty_like(D)
+        for i, left in enumerate(D):
+            if i:
+                left = left + off[i - 1].T @ K[i - 1]
+            np.linalg.cholesky(left)
+            inverse[i] = np.linalg.inv(left)
+            K[i] = -inverse[i] @ off[i]
+        return cls(inverse, K)
+
+    def solve(self, right: FloatArray) -> FloatArray:
+        """(N, B, R) right sides → (N, B, R)."""
+        x = right.copy()
+        for i in range(1, len(x)):
+            x[i] += self.K[i - 1].T @ x[i - 1]
+        x = self.inverse @ x
+        for i in reversed(range(len(x) - 1)):
+            x[i] += self.K[i] @ x[i + 1]
+        return x
+
+    def covariance(self) -> tuple[FloatArray, FloatArray]:
+        """Blocks of the inverse on and next to its diagonal.
+
+        Returns:
+            (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
+        """
+        own, cross = self.inverse.copy(), np.zeros_like(self.inverse)
+        for i in reversed(range(len(own) - 1)):
+            cross[i] = self.K[i] @ own[i + 1]
+            own[i] += cross[i] @ self.K[i].T
+        return own, cross
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +94,7 @@ class NormalEquations:
         base_by_board: (N, B, 6) that by the board of the recording.
         board_by_shared: (logs, 6, P) derivative of the boards by the shared parameters.
         board_covariance: (logs, 6, 6) of the boards for known shared parameters.
-        chain: information of the stations' base blocks.
+        stations: information of the stations' base blocks.
         E_inverse: (N, E, E) covariance of the stations' own errors for a known rest.
         E_base, E_board, E_shared: (N, E, B), (N, E, 6) and (N, E, P) their information with base, board, and shared
             parameters; in the last one the board follows.
@@ -50,7 +108,7 @@ class NormalEquations:
     base_by_board: FloatArray
     board_by_shared: FloatArray
     board_covariance: FloatArray
-    chain: Chain
+    stations: BlockTridiagonal
     E_inverse: FloatArray
     E_base: FloatArray
     E_board: FloatArray
@@ -155,9 +213,9 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         diagonal = np.arange(matrix.shape[-1])
         matrix[..., diagonal, diagonal] *= 1 + damping
 
-    # The chain, then the boards.
-    chain = Chain.of(D, off)
-    solved = chain.solve(np.concatenate([C, CK, b[..., None]], axis=2))
+    # The stations, then the boards.
+    stations = BlockTridiagonal.of(D, off)
+    solved = stations.solve(np.concatenate([C, CK, b[..., None]], axis=2))
     Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
     CKt = CK.mT
     V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
@@ -173,7 +231,7 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
         base_by_board=-YK,
         board_by_shared=-Z,
         board_covariance=V,
-        chain=chain,
+        stations=stations,
         E_inverse=E_inverse,
         E_base=E_base,
         E_board=E_board,

@@ -1,6 +1,7 @@
 """What the likelihood says of the parameters at one point: normal equations, covariances, steps.
 
-And covariances of the predicted measurements, for redundancies and for outlier tests.
+And covariances of the predicted measurements, for redundancies and for outlier tests; and the directions of the shared
+parameters that the measurements show.
 """
 
 from __future__ import annotations
@@ -14,15 +15,18 @@ import numpy as np
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import ERRORS
 from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station_rows
+from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import Images
-from mobilecal_cli.model import FloatArray, IntArray
+from mobilecal_cli.model import NINE, FloatArray, IntArray
+
+_SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
 
 
 class Posterior(Linearization):
     """The likelihood at one point with its normal equations solved.
 
-    What follows from it are functions: `budget`, `evidence`, `jumps`, `observability`, `residual_tests`, `suggest`.
+    What follows from it are functions: `budget`, `evidence`, `jumps`, `residual_tests`, `suggest`.
     """
 
     def eliminated(self, damping: float = 0.0) -> NormalEquations:
@@ -178,7 +182,7 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
-    known, cross = normal.chain.covariance()
+    known, cross = normal.stations.covariance()
     own = known + _sandwich(with_board, V)
     cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
@@ -207,3 +211,44 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
         errors=of_errors,
         before=before,
     )
+
+
+@solvable()
+def directions(lin: Posterior, user_weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Singular directions of the information about the nine, the constants (with their priors) eliminated.
+
+    Noisy readings look like a little motion: a leg without a turn seems to turn by as much as its noise, and so seems
+    to show the separation to 100 %. Over n such legs that makes a squared singular value of ``WHEEL_SIGMA^2 n`` of the
+    wheels' share of a direction, with a scatter of ``WHEEL_SIGMA^2 sqrt(2 n)``. A direction is observable if it shows
+    more than this, and five times the scatter, and a drawing.
+
+    Args:
+        lin: where.
+        user_weight: (P,) inverse variances of priors that count as measurements: the user's, and the constants'.
+
+    Returns:
+        (9,) falling singular values: prior sigma of a nominal value over standard deviation along each direction of
+        the free parameters; and the unobservable directions, (K, 9) rows, orthonormal in units of these sigmas: of
+        which the measurements show less than a drawing, or no more than their noise alone would.
+
+    Raises:
+        SolveError: the constants are not determined.
+    """
+    nine = len(NINE)
+    scales, fixed = lin.priors.scales[:nine], lin.priors.fixed
+    S = lin.normal.S + np.diag(user_weight)
+    others = nine + np.flatnonzero(~fixed[nine:])
+    own = np.diag(S)[others]
+    unit = 1 / np.sqrt(np.where(own > 0, own, 1.0))  # far from the optimum, rounding may exceed what is known
+    across = S[:nine, others] * unit
+    inner = S[np.ix_(others, others)] * np.outer(unit, unit)
+    reduced = S[:nine, :nine] - across @ np.linalg.solve(inner, across.T)
+    kept = np.eye(nine)[:, ~fixed[:nine]]
+    values, vectors = np.linalg.eigh(kept.T @ (reduced * np.outer(scales, scales)) @ kept)
+    order = np.argsort(-values)
+    singular = np.sqrt(np.maximum(values[order], 0.0))
+    along = (kept @ vectors[:, order]).T
+    legs = len(lin.data.legs)
+    by_noise = WHEEL_SIGMA**2 * (legs + _SCATTERS * np.sqrt(2 * legs))
+    least = np.sqrt(1 + by_noise * np.sum(along[:, 6:] ** 2, axis=1))
+    return singular, along[singular < least]

@@ -129,8 +129,13 @@ class State:
         if np.any(offset_s):
             joints = joints + data.joint_shift(offset_s)
         if np.any(self.base[:, STAMP:]):
-            joints = joints + data.joint_rates(offset_s) * self.base[:, STAMP:]
+            joints = joints + self.rates[:, :-2] * self.base[:, STAMP:]
         return joints
+
+    @cached_property
+    def rates(self) -> FloatArray:
+        """(N, J + 2) rates of the joints, and of the right and left wheel, at the stations, rad/s or m/s."""
+        return self.data.rates(self.clock_s("joints"), self.clock_s("wheels"))
 
     @cached_property
     def chain_change(self) -> ChainChange:
@@ -221,11 +226,11 @@ class State:
             return rates
         T_v_c = self.frames.T_v_h @ self.parameters.T_h_c
         into_camera = -se3.adjoint(se3.inverse(T_v_c)) * data.moving[:, None, None]
-        clocks_s = self.clock_s("wheels"), self.clock_s("joints")
+        clocks_s = self.clock_s("joints"), self.clock_s("wheels")
         for twist, delay_s in zip(rates, self.camera_change.delay_s[:, 0], strict=True):
-            of_wheels, of_joints = (clock + delay_s / 2 for clock in clocks_s)
-            joints, rolled = data.rates_in_images(of_joints, of_wheels)
-            rolled = rolled * wheels.vector[:2]
+            joints_s, wheels_s = (clock + delay_s / 2 for clock in clocks_s)
+            in_images = data.rates(joints_s, wheels_s, in_images=True)
+            joints, rolled = in_images[:, :-2], in_images[:, -2:] * wheels.vector[:2]
             twist[:, 2] = (rolled[:, 0] - rolled[:, 1]) / wheels.separation_m
             twist[:, 3] = rolled.mean(axis=1)
             twist += (self.frames.by_joints() @ joints[..., None])[..., 0]

@@ -64,17 +64,6 @@ class Images:
         rows = self.rows[:, :6]
         return np.concatenate([rows, np.concatenate([rows[:, :, 6:].mT, self.direct], axis=2)], axis=1)
 
-    def with_further(self, stations: IntArray, other: Images) -> Self:
-        """The same with the images of some stations that had none; the other's groups are these ones."""
-        changed = {
-            name: getattr(self, name).copy() for name in ("rows", "pull", "cost", "direct", "gradient")
-        }
-        for name in ("rows", "pull", "cost"):
-            changed[name][stations] = getattr(other, name)
-        for name in ("direct", "gradient"):
-            changed[name][: len(other.direct)] += getattr(other, name)
-        return replace(self, **changed)
-
     def shifted(self, traced: FloatArray, direct: FloatArray | float = 0.0) -> Self:
         """The same after a step of the unknowns, to first order.
 
@@ -224,8 +213,7 @@ def _pose_columns(state: State) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     by_base[data.first] = 0.0  # the world is the base at its first station
     by_base[..., FLOOR] = by_own[..., joints:]
     if data.base_width > STAMP:
-        rates = data.joint_rates(state.clock_s("joints"))
-        by_base[..., STAMP] = (by_own[..., :joints] @ rates[..., None])[..., 0]
+        by_base[..., STAMP] = (by_own[..., :joints] @ state.rates[:, :-2, None])[..., 0]
 
     by_shared = np.zeros((count, 6, layout.size))
     by_shared[:, :3, :3] = by_shared[:, 3:6, 3:6] = -X[:3, :3].T

@@ -13,9 +13,8 @@ from mobilecal_cli.kinematics import MotionSeen, head_eye_words, motion_seen, un
 from mobilecal_cli.likelihood import jumps, nuisance
 from mobilecal_cli.likelihood.budget import expected_gradient
 from mobilecal_cli.likelihood.dataset import Dataset, Inliers, dataset_of
-from mobilecal_cli.likelihood.observability import directions
 from mobilecal_cli.likelihood.patterns import patterns
-from mobilecal_cli.likelihood.posterior import Posterior
+from mobilecal_cli.likelihood.posterior import Posterior, directions
 from mobilecal_cli.likelihood.priors import Priors
 from mobilecal_cli.likelihood.processes import LENGTHS
 from mobilecal_cli.likelihood.state import State

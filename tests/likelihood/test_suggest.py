@@ -17,7 +17,7 @@ from mobilecal_cli.solvers import Constraints, solve
 from mobilecal_cli.solvers.inference import Inference
 from mobilecal_cli.solvers.maximum_likelihood import robust_fit
 from tests.extractions import Noise, in_view, simulated
-from tests.robots import CONFIGURATIONS, chain_of, true_nominal
+from tests.robots import CONFIGURATIONS, chain_of
 
 NOISE = Noise(0.1, 0.003, 0.0, 1e-4, floor_rad=1e-3, floor_m=5e-4)
 
@@ -38,12 +38,6 @@ def test_they_name_what_is_worst_and_would_help():
     assert best.worst == "separation"
     assert best.turn_rad != 0
     assert best.std_then < 0.01
-
-
-def test_nothing_is_suggested_where_all_is_fixed():
-    extraction = simulated(noise=NOISE, seed=1)
-    extraction = replace(extraction, rig=replace(extraction.rig, nominal=true_nominal(paper_robot())))
-    assert solve(extraction, constraints=Constraints(fixed=dict.fromkeys(NINE))).suggestions == ()
 
 
 @pytest.mark.parametrize("configuration", [(1, "none"), (2, "none"), (1, "pan")])
@@ -84,6 +78,8 @@ def test_a_camera_that_does_not_show_the_board_tells_nothing():
     assert not stops.data.seen[2:, 2].any()
     for A in suggest._shown(stops):
         assert np.abs(A).max() < 1e12
+    all_fixed = np.zeros_like(lin.covariance)
+    assert suggest.suggestions(lin, all_fixed) == ()
 
 
 def test_a_stop_that_the_base_turns_far_for_is_among_the_suggested():
