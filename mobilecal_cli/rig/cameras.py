@@ -304,13 +304,7 @@ _BASELINE_ADVICE = (
 )
 
 
-def optical_frame(name: str, info: CameraInfo) -> str:
-    """Name of a camera's optical frame, made of the camera's own where the driver states none."""
-    return info.frame_id or f"{name}_optical_frame"
-
-
 def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
-    frame = optical_frame(name, info)
     if info.width <= 0 or info.height <= 0:
         raise ConfigError(
             f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
@@ -319,11 +313,11 @@ def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
     if rectified:
         if not info.P.any():
             raise RecordingError(
-                f"the images are rectified, but P in the camera info of {frame!r} is all zeros",
+                f"the images are rectified, but P in the camera info of {info.frame_id!r} is all zeros",
                 "use the raw images (cameras.NAME.image in rig.yaml), which need only K and D, or record P",
             )
-        return Camera(frame, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
-    return Camera(frame, info.width, info.height, info.K, info.D, info.distortion)
+        return Camera(info.frame_id, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
+    return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
 
 def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: str = "left") -> CameraRig:
