@@ -27,7 +27,6 @@ from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
 from mobilecal_cli.rig.names import (
     COMPRESSION_WORDS,
     mirrored,
-    numbered_pairs,
     pairs,
     require_topic,
     side_of,
@@ -177,18 +176,20 @@ def _pair(
         ConfigError: several stereo cameras.
     """
     possible = pairs(present)
-    numbered = [pair for pair in numbered_pairs(present) if pair not in possible]
     # A number says less than a side: its camera infos must be those of a pair.
-    possible += [pair for pair in numbered if _has_baseline(pair, config, description)]
+    possible += [
+        pair
+        for pair in pairs(present, numbered=True)
+        if pair not in possible and _has_baseline(pair, config, description)
+    ]
     candidates = [
         pair for pair in possible if all(pair[side] == chosen.get(side, pair[side]) for side in SIDES)
     ]
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
         candidates = fitting or candidates
-    candidates = [
-        pair for pair in candidates if present[pair["left"]].type == present[pair["right"]].type
-    ] or candidates
+    alike = [pair for pair in candidates if len({present[topic].type for topic in pair.values()}) == 1]
+    candidates = alike or candidates
     if not candidates:
         return None
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
