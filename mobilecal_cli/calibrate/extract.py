@@ -116,7 +116,7 @@ def _with_topics(recording: Recording, survey: Survey) -> Survey:
         errors.setdefault("wheels" if name in wheels else "joints", error)
     survey.lacks += errors.items()
     if "wheels" in errors:
-        survey.wheels = None
+        survey.sources = replace(survey.sources, wheels={})
     return survey
 
 

@@ -103,7 +103,7 @@ def inspect(
             findings += _without_height(rig)
             covered = _covered(rig, times, findings)
             motion = _motion(recording, rig, times, findings, notes)
-        if survey is not None and survey.images is not None:
+        if survey is not None and survey.sources.image:
             progress("images", 0, None)
             board, of_board = sample_board(recording, survey)
             findings += of_board

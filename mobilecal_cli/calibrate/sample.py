@@ -39,7 +39,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
         survey: of a recording whose image topics are known; the board's size is found in the images if its
             configuration does not state it.
     """
-    images, cameras, config = survey.images or {}, survey.cameras, survey.config
+    images, cameras, config = survey.sources.image, survey.cameras, survey.config
     board, stated_m = config.board.stated, config.board.square_m
     start, end = recording.start_ns, recording.end_ns
     if start is None or end is None:

@@ -81,7 +81,7 @@ def draft(
         progress("topics", 0, None)
         survey = describe(recording, config, joints_too=True)
         board = None
-        if survey.images is not None:
+        if survey.sources.image:
             progress("images", 0, None)
             board, _ = sample_board(recording, survey)
         made = draft_rig(

@@ -381,22 +381,12 @@ class Drift:
     """Relative error of dead reckoning against the cameras, over all pairs of stations of a log.
 
     Attributes:
-        m_per_m: rms position error over the rms path length; None if the base hardly drove.
-        rad_per_rad: rms heading error over the rms rotation; None if the base hardly turned.
+        mm_per_m: rms position error over the rms path length; None if the base hardly drove.
+        deg_per_turn: rms heading error over the rms rotation, for a full turn; None if the base hardly turned.
     """
 
-    m_per_m: float | None
-    rad_per_rad: float | None
-
-    @property
-    def mm_per_m(self) -> float | None:
-        """Position error per path length in mm per m."""
-        return None if self.m_per_m is None else self.m_per_m * 1e3
-
-    @property
-    def deg_per_turn(self) -> float | None:
-        """Heading error per full turn in degrees."""
-        return None if self.rad_per_rad is None else self.rad_per_rad * 360
+    mm_per_m: float | None
+    deg_per_turn: float | None
 
 
 #: A larger corner error of an evaluation counts as this, px, as does a corner predicted behind the camera.

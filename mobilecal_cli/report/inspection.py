@@ -280,9 +280,9 @@ def _known(survey: Survey | None) -> dict[str, str]:
     said: dict[str, str] = {}
     if survey is None:
         return said
-    cameras, wheels = survey.cameras, survey.wheels
-    if survey.images is not None:
-        said["cameras"] = " and ".join(dict.fromkeys(survey.images.values()))
+    sources, cameras, wheels = survey.sources, survey.cameras, survey.sources.wheels
+    if sources.image:
+        said["cameras"] = " and ".join(dict.fromkeys(sources.image.values()))
     if cameras is not None:
         sides = ", ".join(
             f"{name} {camera.width} x {camera.height} {camera.distortion}"
@@ -291,15 +291,15 @@ def _known(survey: Survey | None) -> dict[str, str]:
         kind = "rectified" if cameras.rectified else "raw"
         baseline = "" if cameras.baseline_m is None else f"; baseline {cameras.baseline_m * 1e3:.1f} mm"
         said["camera infos"] = f"{sides}; {kind} images{baseline}"
-    if wheels is not None:
+    if wheels:
         said["wheels"] = ", ".join(f"{side} {wheels[side].where} on {wheels[side].topic}" for side in SIDES)
     if survey.head is not None:
         chain = survey.head.chain
         said["head chain"] = f"{chain.base_frame} to {chain.head_frame}, from the {survey.head.origin}"
         if not chain.joints:
             said["joints"] = f"camera fixed to {chain.base_frame}"
-        elif survey.joints is not None:
-            topics = [*survey.joints, *(source.topic for source in survey.elsewhere.values())]
+        else:
+            topics = [*sources.joints, *(source.topic for source in sources.elsewhere.values())]
             said["joints"] = f"{listed(chain.joints)} on {listed(dict.fromkeys(topics))}"
     return said
 
@@ -308,7 +308,7 @@ def _measured(inspection: Inspection) -> dict[str, str]:
     said = {}
     if inspection.covered is not None:
         covered, images = inspection.covered
-        first, *others = (inspection.survey and inspection.survey.images) or SIDES
+        first, *others = (inspection.survey and inspection.survey.sources.image) or SIDES
         of_others = "".join(f"{name} images, " for name in others)
         said["time"] = (
             f"{covered} of {images} {first} images are within the time of {of_others}joints and wheels"

@@ -27,7 +27,6 @@ from mobilecal_cli.rig.config import CAMERA_NAME, RigConfig
 from mobilecal_cli.rig.names import (
     COMPRESSION_WORDS,
     mirrored,
-    numbered_pairs,
     pairs,
     require_topic,
     side_of,
@@ -177,18 +176,20 @@ def _pair(
         ConfigError: several stereo cameras.
     """
     possible = pairs(present)
-    numbered = [pair for pair in numbered_pairs(present) if pair not in possible]
     # A number says less than a side: its camera infos must be those of a pair.
-    possible += [pair for pair in numbered if _has_baseline(pair, config, description)]
+    possible += [
+        pair
+        for pair in pairs(present, numbered=True)
+        if pair not in possible and _has_baseline(pair, config, description)
+    ]
     candidates = [
         pair for pair in possible if all(pair[side] == chosen.get(side, pair[side]) for side in SIDES)
     ]
     if config.cameras.rectified is not None:
         fitting = [pair for pair in candidates if is_rectified(pair["left"]) == config.cameras.rectified]
         candidates = fitting or candidates
-    candidates = [
-        pair for pair in candidates if present[pair["left"]].type == present[pair["right"]].type
-    ] or candidates
+    alike = [pair for pair in candidates if len({present[topic].type for topic in pair.values()}) == 1]
+    candidates = alike or candidates
     if not candidates:
         return None
     cameras: dict[tuple[str, ...], dict[Side, str]] = {}  # pairs that differ only in the form of their images
@@ -304,13 +305,7 @@ _BASELINE_ADVICE = (
 )
 
 
-def optical_frame(name: str, info: CameraInfo) -> str:
-    """Name of a camera's optical frame, made of the camera's own where the driver states none."""
-    return info.frame_id or f"{name}_optical_frame"
-
-
 def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
-    frame = optical_frame(name, info)
     if info.width <= 0 or info.height <= 0:
         raise ConfigError(
             f"camera info of the {camera_words(name)}: the image size is {info.width} x {info.height} pixels",
@@ -319,11 +314,11 @@ def _camera(name: str, info: CameraInfo, rectified: bool) -> Camera:
     if rectified:
         if not info.P.any():
             raise RecordingError(
-                f"the images are rectified, but P in the camera info of {frame!r} is all zeros",
+                f"the images are rectified, but P in the camera info of {info.frame_id!r} is all zeros",
                 "use the raw images (cameras.NAME.image in rig.yaml), which need only K and D, or record P",
             )
-        return Camera(frame, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
-    return Camera(frame, info.width, info.height, info.K, info.D, info.distortion)
+        return Camera(info.frame_id, info.width, info.height, info.P[:, :3], np.zeros(0), "none")
+    return Camera(info.frame_id, info.width, info.height, info.K, info.D, info.distortion)
 
 
 def stereo_rig(left: CameraInfo, right: CameraInfo, rectified: bool, reference: str = "left") -> CameraRig:

@@ -42,7 +42,7 @@ from mobilecal_cli.rig.head import pan_and_tilt
 from mobilecal_cli.rig.names import counters, joint_state_names, named_as, tick_counters
 from mobilecal_cli.rig.resolve import Part, Survey
 from mobilecal_cli.rig.settings import link_settings, pose_settings, wheel_settings
-from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, wheel_distance_m
+from mobilecal_cli.rig.wheels import counter_width, nominal_wheels, urdf_wheels, wheel_distance_m
 
 _WIDTH = 100
 #: Names in a comment; a robot has fewer, and the file must stay short enough to be read.
@@ -252,8 +252,8 @@ def _board(draft: Draft) -> None:
 
 def _square(draft: Draft, board: BoardView) -> None:
     """The size of the squares is only suggested: the stereo baseline that it is measured with may be wrong."""
-    images, sides, measured_m = draft.survey.images, board.squares_m, board.square_m
-    if images is not None and tuple(images) != SIDES:
+    images, sides, measured_m = draft.survey.sources.image, board.squares_m, board.square_m
+    if images and tuple(images) != SIDES:
         draft.lines.append(
             "  # square_m: 0.08  # measured with a ruler: cameras that are no stereo pair do not show it"
         )
@@ -268,19 +268,21 @@ def _square(draft: Draft, board: BoardView) -> None:
 
 
 def _cameras(draft: Draft) -> None:
-    images, infos, description = draft.survey.images, draft.survey.infos, draft.survey.description
+    sources, description = draft.survey.sources, draft.survey.description
     present = (topic.name for topic in description.topics if topic.type in IMAGES)
     draft.lines.append(_listing("image topics in the recording", present))
-    if images is None:
+    if not sources.image:
         named = named_cameras(description)
         several = "\n".join(f"{name}: {{image: {_quoted(topic)}}}" for name, topic in named.items())
         draft.ask_for("cameras", "cameras", several or CamerasConfig.example)
         return
-    for name, image in images.items():
-        entry = {"image": image} | ({"info": infos[name]} if name in infos else {})
+    for name, image in sources.image.items():
+        entry = {"image": image} | ({"info": sources.info[name]} if name in sources.info else {})
         draft.fill(f"cameras.{name}", entry, "recording: names and types of the topics")
     draft.ask_for("camera infos", "cameras")
-    draft.lines.append(f"  reference: {next(iter(images))}  # default: camera of the head-eye transform")
+    draft.lines.append(
+        f"  reference: {next(iter(sources.image))}  # default: camera of the head-eye transform"
+    )
     draft.fill("cameras.rectified", draft.survey.rectified, "name of the image topic")
 
 
@@ -288,17 +290,17 @@ def _wheels(draft: Draft) -> None:
     draft.lines.append(
         "# sign: -1 is for a wheel whose readings decrease when driving forward; a calibration names it"
     )
-    sources, description = draft.survey.wheels, draft.survey.description
+    sources, description = draft.survey.sources.wheels, draft.survey.description
     counted = counters(description.numbers)
     ticks = tick_counters(counted)
-    if sources is not None and sources["left"].assumed:
+    if sources and sources["left"].assumed:
         why = "recording: no wheels, and the only odometry that is named as theirs"
         draft.fill("wheels.odometry", sources["left"].topic, why)
         draft.lines += [
             "  # odometry_separation_m: 0.4  # wheel_separation in the driver; it only scales the difference of the",
             "  # multipliers of the left and right radius",
         ]
-    elif sources is not None:
+    elif sources:
         for side in SIDES:
             kind = "counters of a known driver" if sources[side].field else "the only joints named as wheels"
             draft.fill(f"wheels.{side}", wheel_settings(sources[side]), f"recording: {kind}")
@@ -340,8 +342,8 @@ def _joints(draft: Draft) -> None:
     survey, names = draft.survey, joint_state_names(draft.survey.description)
     draft.lines.append(_listing("joints in the recording's joint states", names))
     chain = None if survey.head is None else survey.head.chain
-    if survey.joints and len(survey.joints) == 1 and not survey.elsewhere:
-        draft.fill("joints.topic", survey.joints[0], "recording: the only one with the head's joints")
+    if len(survey.sources.joints) == 1 and not survey.sources.elsewhere:
+        draft.fill("joints.topic", survey.sources.joints[0], "recording: the only one with the head's joints")
     found = _tried(lambda: pan_and_tilt(survey.config, names)) or ("", "")
     for role, name in zip(("pan", "tilt"), (chain.pan, chain.tilt) if chain else found, strict=True):
         if name:
@@ -380,8 +382,9 @@ def _nominal(draft: Draft) -> None:
     texts = [read_urdf(survey.config), *(text for _, text in sorted(survey.description.urdfs.items()))]
     text = next(filter(None, texts), None)
     urdf = None if text is None else _tried(lambda: parse_urdf(text))  # the given one, or a recorded one
+    joints = (urdf and _tried(lambda: urdf_wheels(urdf, survey.sources.wheels))) or {}
     if urdf is not None and drawn.wheels is None:
-        drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, survey.wheels or {}, urdf.root)))
+        drawn = replace(drawn, wheels=_tried(lambda: nominal_wheels(urdf, joints, urdf.root)))
     draft.lines.append(
         "# nominal values: for what the recording does not determine, and to unwrap large turns"
     )
@@ -393,7 +396,7 @@ def _nominal(draft: Draft) -> None:
         source = "URDF: fixed joints from the head to the camera's frame"
         draft.fill("nominal.head_eye", pose_settings(drawn.T_h_reference), source)
     if drawn.wheels is None:
-        apart = urdf and _tried(lambda: wheel_distance_m(urdf, survey.wheels or {}, urdf.root))
+        apart = urdf and _tried(lambda: wheel_distance_m(urdf, joints, urdf.root))
         told = "" if not apart else f"; the URDF's wheel joints are {apart:.10g} m apart, radii are not in it"
         sizes = {"radius_left_m": TODO, "radius_right_m": TODO, "separation_m": apart or TODO}
         draft.ask("nominal.wheels", f"measure the wheels with a ruler{told}", f"wheels: {_flow(sizes)}")

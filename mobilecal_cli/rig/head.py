@@ -30,7 +30,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.ranges import POSITION
 from mobilecal_cli.rig.config import ChainLink, RigConfig
 from mobilecal_cli.rig.names import HEAD_WORDS, PAN_WORDS, TILT_WORDS, joint_state_names, require_topic, words
-from mobilecal_cli.rig.wheels import nominal_wheels, side_centres, unread_wheels, urdf_wheels
+from mobilecal_cli.rig.wheels import WheelJoints, as_drawn, nominal_wheels, side_centres, urdf_wheels
 
 #: A base link that is nearer to the place and the heading of the vehicle frame is this frame: rounding in a URDF.
 _MIDWAY_M, _AHEAD_DEG = 1e-6, 1e-4
@@ -48,6 +48,7 @@ class Head:
         chain: base to head.
         urdf: its URDF, None for a chain given in the configuration.
         drawn: nominal values of the URDF.
+        wheels: sources of the wheels, with what the URDF tells of them.
         origin: source of the chain, in words.
         notes: remarks for the report.
     """
@@ -55,6 +56,7 @@ class Head:
     chain: HeadChain
     urdf: Urdf | None
     drawn: Nominal
+    wheels: dict[Side, WheelSource]
     origin: str
     notes: tuple[str, ...]
 
@@ -79,7 +81,7 @@ def head_of(
         base, head = config.head.base_frame or "base_link", config.head.head_frame or "head_link"
         chain = HeadChain(base, head, tuple(_chain_link(link) for link in config.head.chain), pan, tilt)
         _check_configured(config, chain)
-        return Head(chain, None, Nominal(), "head.chain of the configuration", ())
+        return Head(chain, None, Nominal(), wheels, "head.chain of the configuration", ())
     origin, notes = "head.urdf of the configuration", []
     read = {*joint_state_names(description), *config.joints.fields}
     if urdf_text is None and not description.urdfs:
@@ -102,7 +104,9 @@ def head_of(
             pan, tilt = pan_and_tilt(config, list(urdf.joints))
         base = _base_of(config, urdf)
     head = _head_link_of(config, urdf, base, pan, tilt, camera_frame, read)
-    offset, offset_notes = _vehicle_offset(urdf, wheels, base)
+    wheel_joints = urdf_wheels(urdf, wheels)
+    wheels = as_drawn(wheels, wheel_joints, config, urdf, base)
+    offset, offset_notes = _vehicle_offset(urdf, wheel_joints, wheels, base)
     chain = HeadChain(base, head, (*offset, *chain_links(urdf, base, head)))
     _check_configured(config, chain)
     notes += [
@@ -115,8 +119,8 @@ def head_of(
     pan, tilt = (name if name in chain.joints else "" for name in (pan, tilt))
     chain = replace(chain, pan=pan, tilt=tilt)
     T_h_c = None if camera_frame == head else fixed_pose(urdf, head, camera_frame)  # no frame of its own
-    drawn = Nominal(T_h_c, nominal_wheels(urdf, wheels, base))
-    return Head(chain, urdf, drawn, origin, (*notes, *offset_notes))
+    drawn = Nominal(T_h_c, nominal_wheels(urdf, wheel_joints, base))
+    return Head(chain, urdf, drawn, wheels, origin, (*notes, *offset_notes))
 
 
 def _moving_transforms(
@@ -223,23 +227,23 @@ def _named_head(urdf: Urdf, carried: str) -> str:
 
 
 def _vehicle_offset(
-    urdf: Urdf, sources: Mapping[Side, WheelSource], base: str
+    urdf: Urdf, joints: WheelJoints, sources: Mapping[Side, WheelSource], base: str
 ) -> tuple[list[FixedLink], list[str]]:
     """The link from the vehicle frame v to the base link, none if they are the same, and notes on it.
 
     The vehicle frame lies midway between the wheels, with x perpendicular to the axle. If the URDF's base link
     differs, the offset is computed from the origins of the wheel joints.
     """
-    links, notes, wheels = [], [], urdf_wheels(urdf, sources)
-    if len(wheels) == 2:
-        unread = [name for each in unread_wheels(urdf, sources).values() for name in each or ()]
+    links, notes = [], []
+    if joints:
+        unread = [name for source in sources.values() for name in source.unread or ()]
         if unread:
             notes.append(
                 f"According to the URDF, the robot has further wheels that are not read: {listed(unread)}. The vehicle "
                 "frame is midway between all wheels, and the base turns with slip. If they are casters, set "
                 "wheels.left.unread and wheels.right.unread to []."
             )
-        T_base_v = vehicle_frame(*side_centres(urdf, base, wheels))
+        T_base_v = vehicle_frame(*side_centres(urdf, joints, base))
         shift, turn = T_base_v[:2, 3], math.degrees(math.atan2(T_base_v[1, 0], T_base_v[0, 0]))
         if float(np.linalg.norm(shift)) >= _MIDWAY_M or abs(turn) >= _AHEAD_DEG:
             links.append(FixedLink(se3.inverse(T_base_v)))
@@ -247,7 +251,7 @@ def _vehicle_offset(
                 f"The URDF's {base} is not midway between the wheels. The vehicle frame is placed there, "
                 f"at x {shift[0] * 1e3:.1f} mm, y {shift[1] * 1e3:.1f} mm, rotated by {turn:.2f} degrees."
             )
-        axle = urdf.path(base, urdf.joints[wheels["left"][0]].parent)
+        axle = urdf.path(base, urdf.joints[joints["left"][0]].parent)
         moving = [joint.name for joint in axle if joint.kind != "fixed"]
         if moving:  # as on a robot that steers its axle
             notes.append(
@@ -335,7 +339,7 @@ def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
 
 
 def joint_sources(
-    config: RigConfig, description: RobotDescription, chain: HeadChain, urdf: Urdf | None
+    config: RigConfig, description: RobotDescription, head: Head
 ) -> tuple[tuple[str, ...], dict[str, JointField | JointTransform]]:
     """JointState topics with the chain's joints, and the sources of those that are read elsewhere.
 
@@ -346,6 +350,7 @@ def joint_sources(
         ConfigError: a configured joint is not in the chain.
         RecordingError: a topic or a joint is missing; the hint lists those present.
     """
+    chain = head.chain
     elsewhere: dict[str, JointField | JointTransform] = {}
     for name, source in config.joints.fields.items():
         if name not in chain.joints:
@@ -360,7 +365,7 @@ def joint_sources(
     told = {*joint_state_names(description), *elsewhere}
     kinds = {link.joint: link.kind for link in chain.links if isinstance(link, JointLink)}
     tf = [info.name for info in description.topics if info.type == TRANSFORMS and info.name.endswith("/tf")]
-    drawn = urdf.joints if tf and urdf is not None else {}
+    drawn = head.urdf.joints if tf and head.urdf is not None else {}
     for name, kind in kinds.items():
         joint = drawn.get(name)
         if joint is not None and joint.mimic is None and name not in told:

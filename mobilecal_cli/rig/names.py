@@ -46,31 +46,22 @@ def mirrored(name: str) -> tuple[str, ...]:
     return tuple("*" if word in _SIDES or word in _NUMBERED else word for word in _uncompressed(name))
 
 
-def pairs(names: Iterable[str]) -> list[dict[Side, str]]:
-    """All pairs of names that differ only in the side, and perhaps in the compression."""
-    by_key: dict[tuple[str, ...], dict[Side, list[str]]] = {}
-    for name in sorted(names):
-        side = side_of(name)
-        if side is not None:
-            by_key.setdefault(mirrored(name), {"left": [], "right": []})[side].append(name)
-    return [
-        {"left": left, "right": right}
-        for members in by_key.values()
-        for left, right in product(members["left"], members["right"])
-    ]
+def pairs(names: Iterable[str], numbered: bool = False) -> list[dict[Side, str]]:
+    """All pairs of names that differ only in the side, and perhaps in the compression.
 
-
-def numbered_pairs(names: Iterable[str]) -> list[dict[Side, str]]:
-    """All pairs of names of cameras that differ only in two consecutive numbers, and perhaps in the compression.
-
-    The lower number is the left one.
+    If asked, those of cameras that differ in two consecutive numbers: the lower one is the left one.
     """
     by_key: dict[tuple[str, ...], dict[int, list[str]]] = {}
     for name in sorted(names):
         numbers = {int(number) for _, number in _NUMBERED_CAMERA.findall(name)}
-        if len(numbers) == 1:
-            key = _uncompressed(_NUMBERED_CAMERA.sub(r"\1*", name))
-            by_key.setdefault(key, {}).setdefault(numbers.pop(), []).append(name)
+        side = side_of(name)
+        if numbered and len(numbers) == 1:
+            key, place = _uncompressed(_NUMBERED_CAMERA.sub(r"\1*", name)), numbers.pop()
+        elif side is not None and not numbered:
+            key, place = mirrored(name), SIDES.index(side)
+        else:
+            continue
+        by_key.setdefault(key, {}).setdefault(place, []).append(name)
     two = (sorted(members.items()) for members in by_key.values() if len(members) == 2)
     return [
         {"left": left, "right": right}

@@ -267,20 +267,25 @@ def _odometry(config: RigConfig, description: RobotDescription, topic: str) -> d
 
 
 def as_drawn(
-    sources: Mapping[Side, WheelSource], config: RigConfig, urdf: Urdf, base: str
+    sources: Mapping[Side, WheelSource], joints: WheelJoints, config: RigConfig, urdf: Urdf, base: str
 ) -> dict[Side, WheelSource]:
-    """Sources with the wheels of the URDF that are not read.
+    """Sources with the wheels of the URDF that are not read, and those of odometry with its separation.
 
-    And assumed wheels with the separation of the URDF, unless the configuration states it.
+    The driver of odometry reads all wheels. Of counters, which no joint names, any of the joints are read. The
+    separation of assumed wheels is that of the URDF, unless the configuration states it.
     """
-    drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, sources, base)
-    unread = unread_wheels(urdf, sources)
-    changed = {side: replace(source, unread=unread[side]) for side, source in sources.items()}
-    if drawn is not None and drawn in ranges.WHEEL_SEPARATION:
-        for side, source in changed.items():
-            if source.assumed and source.baked_in is not None:
-                wheels = replace(source.baked_in, separation_m=drawn)
-                changed[side] = replace(source, baked_in=wheels, separation_share=WHEEL_SIGMA)
+    drawn = None if config.wheels.odometry_separation_m else wheel_distance_m(urdf, joints, base)
+    read = {part.joint for source in sources.values() for part in source.every}
+    changed: dict[Side, WheelSource] = {}
+    for side, source in sources.items():
+        if source.baked_in is None:
+            others = [name for name in joints.get(side, ()) if name not in read]
+            counted = 0 if source.joint else len(source.every)
+            source = replace(source, unread=tuple(others[counted:]) or source.unread)
+        elif source.assumed and drawn is not None and drawn in ranges.WHEEL_SEPARATION:
+            wheels = replace(source.baked_in, separation_m=drawn)
+            source = replace(source, baked_in=wheels, separation_share=WHEEL_SIGMA)
+        changed[side] = source
     return changed
 
 
@@ -300,7 +305,11 @@ def _no_wheels(description: RobotDescription, odometry: Sequence[str]) -> Record
     )
 
 
-def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...]]:
+#: Joints of the wheels of each side; empty where they are unknown.
+WheelJoints = Mapping[Side, tuple[str, ...]]
+
+
+def urdf_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> WheelJoints:
     """Wheel joints of the URDF: of those that are read the whole set, otherwise the set found by name.
 
     Wheels that are not read carry the base, too: it turns about the middle of all. Joints that are named for the other
@@ -342,51 +351,32 @@ def _alike(urdf: Urdf, name: str, others: Collection[str]) -> bool:
     return not radius_m or all(abs(radius_m - m) < _ALIKE * radius_m for m in others_m if m)
 
 
-def unread_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource]) -> dict[Side, tuple[str, ...] | None]:
-    """Wheel joints of the URDF beyond those that are read; None where there are none. The driver of odometry has all.
-
-    Of counters, which no joint names, any of them.
-    """
-    wheels, read = urdf_wheels(urdf, sources), {part.joint for s in sources.values() for part in s.every}
-    unread: dict[Side, tuple[str, ...] | None] = {}
-    for side, source in sources.items():
-        others = [name for name in wheels.get(side, ()) if name not in read]
-        counted = 0 if source.joint else len(source.every)
-        unread[side] = source.unread if source.baked_in else tuple(others[counted:]) or source.unread
-    return unread
-
-
-def side_centres(
-    urdf: Urdf, base: str, wheels: Mapping[Side, Sequence[str]]
-) -> tuple[FloatArray, FloatArray]:
+def side_centres(urdf: Urdf, joints: WheelJoints, base: str) -> tuple[FloatArray, FloatArray]:
     """Mean center of the left and of the right wheels in base coordinates, (3,) each, m.
 
     Raises:
         ConfigError: the link of a wheel is not connected to the base.
     """
-    centres = {
-        side: [urdf.pose(base, urdf.joints[name].child)[:3, 3] for name in wheels[side]] for side in SIDES
-    }
-    left, right = (np.mean(centres[side], axis=0) for side in SIDES)
+    poses = ([urdf.pose(base, urdf.joints[name].child) for name in joints[side]] for side in SIDES)
+    left, right = (np.mean(T, axis=0)[:3, 3] for T in poses)
     return left, right
 
 
-def wheel_distance_m(urdf: Urdf, sources: Mapping[Side, WheelSource], base: str) -> float | None:
-    """Distance of the URDF's wheel joints, m; None if it has no pair of them."""
-    wheels = urdf_wheels(urdf, sources)
-    if len(wheels) < 2:
+def wheel_distance_m(urdf: Urdf, joints: WheelJoints, base: str) -> float | None:
+    """Distance of the wheel joints, m; None without them."""
+    if not joints:
         return None
-    left, right = side_centres(urdf, base, wheels)
+    left, right = side_centres(urdf, joints, base)
     return float(np.linalg.norm(left - right)) or None
 
 
-def nominal_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource], base: str) -> WheelGeometry | None:
+def nominal_wheels(urdf: Urdf, joints: WheelJoints, base: str) -> WheelGeometry | None:
     """Nominal wheels of the URDF: separation from the wheel joints, radii from the wheels' cylinders."""
-    wheels, separation = urdf_wheels(urdf, sources), wheel_distance_m(urdf, sources, base)
+    separation = wheel_distance_m(urdf, joints, base)
     if separation is None:
         return None
     radii = {}
-    for side, names in wheels.items():
+    for side, names in joints.items():
         drawn = [urdf.cylinder_radius_m.get(urdf.joints[name].child) or 0.0 for name in names]
         if not all(drawn):
             return None
@@ -394,6 +384,6 @@ def nominal_wheels(urdf: Urdf, sources: Mapping[Side, WheelSource], base: str) -
             where = f"URDF: link {urdf.joints[name].child!r}, cylinder radius"
             ranges.WHEEL_RADIUS.check(where, radius_m)
         radii[side] = sum(drawn) / len(drawn)
-    left, right = (" and ".join(repr(name) for name in wheels[side]) for side in SIDES)
+    left, right = (" and ".join(repr(name) for name in joints[side]) for side in SIDES)
     ranges.WHEEL_SEPARATION.check(f"URDF: distance of {left} and {right}", separation)
     return WheelGeometry(radii["right"], radii["left"], separation)

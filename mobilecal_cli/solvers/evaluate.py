@@ -124,12 +124,13 @@ def _drift(
         covered_m.append(so_far[0][second] - so_far[0][first])
         turned_rad.append(so_far[1][second] - so_far[1][first])
     return Drift(
-        _over(np.concatenate(place_m), np.concatenate(covered_m), _LEAST_M),
-        _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD),
+        _over(np.concatenate(place_m), np.concatenate(covered_m), _LEAST_M, 1e3),
+        _over(np.concatenate(heading_rad), np.concatenate(turned_rad), _LEAST_RAD, 360),
     )
 
 
-def _over(error: FloatArray, covered: FloatArray, least: float) -> float | None:
+def _over(error: FloatArray, covered: FloatArray, least: float, unit: float) -> float | None:
+    """Error over what was covered, in some unit; None if less than the least was covered."""
     if not len(covered) or covered.max() < least:
         return None
-    return float(np.sqrt(np.mean(error**2) / np.mean(covered**2)))
+    return float(np.sqrt(np.mean(error**2) / np.mean(covered**2))) * unit

@@ -36,8 +36,8 @@ EVALUATION = Evaluation(
     translation_m=np.array([0.006, 0.008]),
     driven_m=1.5,
     turned_rad=0.2,
-    before=Drift(0.05, None),
-    after=Drift(0.004, None),
+    before=Drift(50.0, None),
+    after=Drift(4.0, None),
 )
 
 
@@ -86,7 +86,7 @@ def test_figures_of_an_evaluation():
     assert figures["translation_rms_mm"] == pytest.approx(np.sqrt(50))
     assert figures["drift_mm_per_m"] == pytest.approx(4.0)
     assert figures["drift_deg_per_turn"] is None
-    turned = evaluated_figures(replace(EVALUATION, after=Drift(None, 0.01)))
+    turned = evaluated_figures(replace(EVALUATION, after=Drift(None, 3.6)))
     assert turned["drift_deg_per_turn"] == pytest.approx(3.6)
     data = json.loads(json_text(like(EvaluationData, EVALUATION)))
     assert data["drift_before"] == {"mm_per_m": pytest.approx(50), "deg_per_turn": None}
@@ -217,7 +217,7 @@ def test_metrics_are_the_numbers_in_si_units_in_theirs(report, solution):
         "observable": 9,
         "hold_out.rotation_rms_deg": np.sqrt(np.mean(EVALUATION.rotation_rad**2)),
         "hold_out.translation_rms_mm": np.sqrt(np.mean(EVALUATION.translation_m**2)),
-        "hold_out.drift_mm_per_m": EVALUATION.after.m_per_m,
+        "hold_out.drift_mm_per_m": EVALUATION.after.mm_per_m / 1e3,
     }.items():
         assert report.metrics[name] == pytest.approx(value * PER_SI[METRICS[name].unit]), name
     for parameter in PARAMETERS:

@@ -255,7 +255,7 @@ def test_names_with_control_characters(odd):
 def test_a_draft_of_very_many_and_very_long_names_can_be_read_again():
     """It listed them all, and was larger than a rig.yaml may be."""
     names = [*HEAD_ONLY["/joint_states"], "wheel_left_joint", "wheel_right_joint"]
-    for more in ([f"finger_{k}_joint" for k in range(10_000)], ["x" * 10**6]):
+    for more in ([f"finger_{k}_joint" for k in range(2000)], ["x" * 10**5]):
         for kept in (names, names[1:]):
             draft = drafted(description(joint_names={"/joint_states": (*kept, *more)}))
             assert len(draft.text) < 20_000

@@ -6,6 +6,7 @@ import pytest
 
 from mobilecal_cli import se3
 from mobilecal_cli.errors import ConfigError, MobilecalError, RecordingError
+from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.kinematics import head_pose
 from mobilecal_cli.model import (
     CameraInfo,
@@ -36,6 +37,7 @@ URDF = """<robot name="r">
 AT_BASE = URDF.format(x=0)
 JOINTS = ("wheel_left_joint", "wheel_right_joint", "head_pan_joint", "head_tilt_joint", "arm_pan")
 HEAD_ONLY = {"/joint_states": ("head_pan_joint", "head_tilt_joint")}
+FRONT = ("front_left_wheel", "front_right_wheel")
 TF = TopicInfo("/tf", "tf2_msgs/msg/TFMessage", 100)
 
 
@@ -375,58 +377,35 @@ def test_explicit_chain_needs_no_urdf():
     assert head_pose(rig.chain, np.array([np.pi / 2]))[:3, 0] == pytest.approx([0, 1, 0], abs=1e-15)
 
 
-@pytest.mark.parametrize(
-    ("sections", "changes", "error", "words_"),
-    [
-        (
-            {},
-            {"images": ("/camera/image", "/depth/image"), "infos": {"/camera/camera_info": info()}},
-            ConfigError,
-            "one camera does not show",
-        ),
-        ({}, {"images": ()}, RecordingError, "no image topics were recorded"),
-        ({}, {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
-        ({"cameras": {"left": {"image": "/nope"}}}, {}, RecordingError, "/nope contains no images"),
-        (
-            {"cameras": {"front": {"image": "/nope"}}},
-            {},
-            RecordingError,
-            "cameras.front.image: the topic /nope",
-        ),
-        ({"cameras": {"left": {"info": "/nope"}}}, {}, RecordingError, "/nope contains no camera info"),
-        ({}, {"infos": {}}, RecordingError, "no camera info for the left"),
-        ({}, {"urdf": None}, RecordingError, "the head chain is unknown"),
-        ({}, {"urdf": "<robot"}, ConfigError, "not valid XML"),
-        ({}, {"joint_names": {"/joint_states": JOINTS[:3]}}, RecordingError, "no joint state for 'head_tilt"),
-        ({"joints": {"topic": "/nope"}}, {}, RecordingError, "/nope contains no joint states"),
-        ({"wheels": {"left": {"joint": "nope"}}}, {}, RecordingError, "no joint 'nope'"),
-        (
-            {"wheels": {"left": {"topic": "/nope", "field": "data"}}},
-            {},
-            RecordingError,
-            "/nope contains no messages",
-        ),
-        (
-            {},
-            {"joint_names": {"/joint_states": JOINTS[1:]}},
-            RecordingError,
-            "no joint is named as a left or right wheel",
-        ),
-        (
-            {},
-            {"joint_names": {"/joint_states": (*JOINTS, "front_left_wheel", "front_right_wheel")}},
-            ConfigError,
-            "several pairs of joints could be the wheels",
-        ),
-        ({"head": {"head_frame": "nope"}}, {}, ConfigError, "no link 'nope'"),
-        ({"head": {"head_frame": OPTICAL}}, {"urdf": WITH_CAMERA}, ConfigError, f"{OPTICAL} is the frame of"),
-        ({"wheels": {"left": {"unread": ["rear"]}}}, {}, ConfigError, "left.unread: the URDF has no joint"),
-    ],
-)
-def test_what_is_missing_is_named(sections, changes, error, words_):
+ALONE = {"images": ("/camera/image",), "infos": {"/camera/camera_info": info()}}
+#: rig.yaml, what the recording has in place of the usual, and the error.
+MISSING = [
+    ("", ALONE, ConfigError, "one camera does not show"),
+    ("", {"images": ()}, RecordingError, "no image topics were recorded"),
+    ("", {"joint_names": {}}, RecordingError, "no joint is named as a left or right wheel"),
+    ("", {"joint_names": {"/joint_states": JOINTS[1:]}}, RecordingError, "no joint is named as a left or"),
+    ("", {"joint_names": {"/joint_states": (*JOINTS, *FRONT)}}, ConfigError, "several pairs of joints could"),
+    ("", {"joint_names": {"/joint_states": JOINTS[:3]}}, RecordingError, "no joint state for 'head_tilt"),
+    ("", {"infos": {}}, RecordingError, "no camera info for the left"),
+    ("", {"urdf": None}, RecordingError, "the head chain is unknown"),
+    ("", {"urdf": "<robot"}, ConfigError, "not valid XML"),
+    ("cameras: {left: {image: /nope}}", {}, RecordingError, "left.image: the topic /nope contains no images"),
+    ("cameras: {front: {image: /nope}}", {}, RecordingError, "cameras.front.image: the topic /nope"),
+    ("cameras: {left: {info: /nope}}", {}, RecordingError, "/nope contains no camera info"),
+    ("joints: {topic: /nope}", {}, RecordingError, "/nope contains no joint states"),
+    ("wheels: {left: {joint: nope}}", {}, RecordingError, "no joint 'nope'"),
+    ("wheels: {left: {topic: /nope, field: data}}", {}, RecordingError, "/nope contains no messages"),
+    ("wheels: {left: {unread: [rear]}}", {}, ConfigError, "left.unread: the URDF has no joint"),
+    ("head: {head_frame: nope}", {}, ConfigError, "no link 'nope'"),
+    (f"head: {{head_frame: {OPTICAL}}}", {"urdf": WITH_CAMERA}, ConfigError, f"{OPTICAL} is the frame of"),
+]
+
+
+@pytest.mark.parametrize(("text", "changes", "error", "said"), MISSING)
+def test_what_is_missing_is_named(text, changes, error, said):
     with pytest.raises(error) as caught:
-        resolve_rig(config(**sections), description(**changes))
-    assert words_ in caught.value.message
+        resolve_rig(config(**(load_yaml(text) or {})), description(**changes))
+    assert said in caught.value.message
     assert caught.value.hint
 
 

@@ -47,8 +47,8 @@ def test_the_truth_predicts_exactly_and_does_not_drift(exact):
     assert found.legs.tolist() == [[0, k, k + 1] for k in range(11)]
     for errors in (found.reprojection_px, found.rotation_rad, found.translation_m):
         assert np.abs(errors).max() < 1e-6
-    assert found.after.m_per_m < 1e-9
-    assert found.after.rad_per_rad < 1e-9
+    assert found.after.mm_per_m < 1e-6
+    assert found.after.deg_per_turn < 1e-6
     assert found.before is None
 
 
@@ -59,9 +59,9 @@ def test_drift_of_large_wheels_on_a_straight_way(exact):
     found = evaluate(extraction, true, WheelGeometry(0.102, 0.102, 0.5))
     assert found.driven_m == pytest.approx(1.0)
     assert found.turned_rad == pytest.approx(0.0)
-    assert found.before.m_per_m == pytest.approx(0.02)
-    assert found.after.m_per_m == pytest.approx(0.0, abs=1e-12)
-    assert found.before.rad_per_rad is None  # it hardly turned
+    assert found.before.mm_per_m == pytest.approx(20)
+    assert found.after.mm_per_m == pytest.approx(0.0, abs=1e-9)
+    assert found.before.deg_per_turn is None  # it hardly turned
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_drift_is_not_measured_against_the_wheels_under_test(exact, factor, refe
     )
     found = evaluate(ahead(exact), wrong, None, reference=reference)
     assert found.driven_m == pytest.approx(1.0)
-    assert found.after.m_per_m == pytest.approx(abs(factor - 1))
+    assert found.after.mm_per_m == pytest.approx(1e3 * abs(factor - 1))
 
 
 def test_drift_of_a_narrow_base_turning_in_place(exact):
@@ -86,9 +86,9 @@ def test_drift_of_a_narrow_base_turning_in_place(exact):
     true = Parameters(TRUTH.T_h_c, WheelGeometry(0.1, 0.1, 0.5))
     found = evaluate(extraction, true, WheelGeometry(0.1, 0.1, 0.4))
     assert found.turned_rad == pytest.approx(1.2)
-    assert found.before.rad_per_rad == pytest.approx(0.25)
-    assert found.after.rad_per_rad == pytest.approx(0.0, abs=1e-9)
-    assert found.before.m_per_m is None  # it hardly drove
+    assert found.before.deg_per_turn == pytest.approx(90)
+    assert found.after.deg_per_turn == pytest.approx(0.0, abs=1e-6)
+    assert found.before.mm_per_m is None  # it hardly drove
 
 
 def test_a_turned_camera_is_seen_as_such(exact):
