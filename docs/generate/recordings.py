@@ -77,7 +77,10 @@ def _said(text: str, folder: Path) -> str:
     return text.replace(f"{folder}/", "").replace("|", "\\|")
 
 
+def page(bags: Path) -> str:
+    """The whole page."""
+    return "\n".join([HEAD, *conformance(bags / "mcap_conformance"), *others(bags)]) + "\n"
+
+
 if __name__ == "__main__":
-    bags = Path(sys.argv[1]) / "bags"
-    lines = [HEAD, *conformance(bags / "mcap_conformance"), *others(bags)]
-    TARGET.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    TARGET.write_text(page(Path(sys.argv[1]) / "bags"), encoding="utf-8")

@@ -102,16 +102,14 @@ def _work(
     case.value = -1
 
 
-def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
-    """Try so many cases."""
-    workers = workers or os.cpu_count() or 1
+def hunt(every: dict[str, Target], count: int, first: int = 0) -> Haul:
+    """Try so many cases of some targets."""
+    workers = os.cpu_count() or 1
     # A process that dies is replaced by a fork of one that has all modules.
     context = mp.get_context("forkserver")
     context.set_forkserver_preload(["tests.fuzz.hunt"])
     reports = context.SimpleQueue()  # what a process put is there, even if it dies next
     haul, last = Haul(), first + count
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
-        every = targets(Path(temporary))
 
     def start(at: int) -> tuple[mp.Process, mp.Value]:
         case = context.Value("q", at)
@@ -147,7 +145,9 @@ def hunt(count: int, first: int = 0, workers: int | None = None) -> Haul:
 def main() -> None:
     """Print what a hunt of COUNT cases found."""
     count, first = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
-    haul = hunt(count, first)
+    with tempfile.TemporaryDirectory(prefix="fuzz-") as temporary:
+        every = targets(Path(temporary))
+    haul = hunt(every, count, first)
     names = sorted({name for name, _ in haul.outcomes})
     kinds = sorted({outcome for _, outcome in haul.outcomes})
     print(f"| input | {' | '.join(kinds)} |\n|{' --- |' * (len(kinds) + 1)}")

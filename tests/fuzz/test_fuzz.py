@@ -10,21 +10,26 @@ from tests.fuzz.hunt import hunt
 from tests.fuzz.targets import Target, place, targets
 
 
-def checked(count: int, first: int) -> None:
-    haul = hunt(count, first)
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return targets(tmp_path_factory.mktemp("sound"))
+
+
+def checked(sound, count: int, first: int) -> None:
+    haul = hunt(sound, count, first)
     assert haul.findings == []
     assert sum(haul.outcomes.values()) == count
     kinds = {outcome for _, outcome in haul.outcomes}
     assert kinds >= {"read", "RecordingError", "ConfigError"}
 
 
-def test_a_few_hundred():
-    checked(300, 0)
+def test_a_few_hundred(sound):
+    checked(sound, 300, 0)
 
 
 @pytest.mark.slow
-def test_a_hundred_thousand():
-    checked(100_000, 1_000_000)
+def test_a_hundred_thousand(sound):
+    checked(sound, 100_000, 1_000_000)
 
 
 def blunder(path):
@@ -35,11 +40,10 @@ def blunder(path):
     raise RecordingError("as it should be", "")
 
 
-def test_the_hunt_sees_bugs_and_crashes(monkeypatch):
+def test_the_hunt_sees_bugs_and_crashes():
     """A product with an undocumented error and a crash: both are found, and the hunt goes on."""
     planted = {"planted": Target({"x": bytes(300)}, "x", blunder)}
-    monkeypatch.setattr("tests.fuzz.hunt.targets", lambda folder: planted)
-    haul = hunt(16)
+    haul = hunt(planted, 16)
     assert sum(haul.outcomes.values()) == 16
     assert haul.outcomes["planted", "RecordingError"] > 0
     assert haul.outcomes["planted", "FOUND KeyError"] > 0
@@ -47,10 +51,10 @@ def test_the_hunt_sees_bugs_and_crashes(monkeypatch):
     assert len(haul.findings) == 16 - haul.outcomes["planted", "RecordingError"]
 
 
-def test_every_sound_input_is_read(tmp_path):
+def test_every_sound_input_is_read(sound, tmp_path):
     """What is refused before any damage would never be hunted through."""
     refused = {}
-    for name, target in targets(tmp_path / "sound").items():
+    for name, target in sound.items():
         try:
             target.use(place(target, target.files, tmp_path / "input"))
         except MobilecalError as error:

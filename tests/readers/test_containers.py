@@ -23,8 +23,8 @@ ITEMS = r.world()
 
 
 @pytest.fixture(params=r.CONTAINERS)
-def path(request, tmp_path) -> Path:
-    return r.CONTAINERS[request.param](tmp_path / "log", ITEMS)
+def path(request, in_container) -> Path:
+    return in_container(request.param)
 
 
 def check_contents(recording) -> None:

@@ -24,9 +24,8 @@ FILES = [
 
 
 @pytest.fixture(scope="module")
-def originals(tmp_path_factory) -> dict[str, bytes]:
-    folder = tmp_path_factory.mktemp("originals")
-    return {name: r.CONTAINERS[name](folder / name, ITEMS).read_bytes() for name in FILES}
+def originals(in_container) -> dict[str, bytes]:
+    return {name: in_container(name).read_bytes() for name in FILES}
 
 
 def written(folder: Path, data: bytes, name: str = "damaged") -> Path:

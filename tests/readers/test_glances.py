@@ -18,9 +18,29 @@ def blocks_of(recording):
     return [b for p in recording.parts if isinstance(p, BlockStorage) for b in p.blocks]
 
 
-@pytest.fixture(params=r.CONTAINERS)
-def recording(request, tmp_path):
-    with open_recording([r.CONTAINERS[request.param](tmp_path / "log", ITEMS)]) as opened:
+#: One of each way to find messages.
+WAYS = [
+    *(
+        "bag",
+        "rosbag2-sqlite3",
+        "rosbag2-sqlite3-message",
+        "rosbag2-mcap",
+        "rosbag2-mcap-message",
+        "mcap-zstd",
+    ),
+    *(
+        "mcap-unchunked",
+        "mcap-unchunked-no-summary",
+        "mcap-no-summary",
+        "mcap-no-index-at-all",
+        "mcap-half-summary",
+    ),
+]
+
+
+@pytest.fixture(params=WAYS)
+def recording(request, in_container):
+    with open_recording([in_container(request.param)]) as opened:
         yield opened
 
 

@@ -36,7 +36,7 @@ def encoded(pictures, kind: str) -> list[bytes]:
     context.height, context.width = pictures[0].shape
     context.pix_fmt, context.framerate, context.time_base = "yuv420p", Fraction(10), Fraction(1, 10)
     quiet = {"x265-params": "log-level=none:bframes=0"} if kind == "h265" else {}
-    context.options = {"tune": "zerolatency", "crf": "12", "preset": "veryfast", "g": "100", **quiet}
+    context.options = {"tune": "zerolatency", "crf": "12", "preset": "ultrafast", "g": "100", **quiet}
     packets = []
     for picture in pictures:
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="gray")

@@ -8,8 +8,8 @@ from array import array
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import count, islice, pairwise
+from dataclasses import dataclass, field, replace
+from itertools import chain, count, islice, repeat
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,9 +32,10 @@ from mobilecal_cli.readers.messages.types import Payload
 _MOST_MESSAGES = 2**19
 #: Bytes of the file that may be decompressed to find log times that are not in an index.
 UNINDEXED_BYTES = 2**26
+_NO_SHIFT = np.zeros(1, dtype=np.int64)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """Part of the file that is read at once: a chunk, or neighboring messages outside chunks.
 
@@ -44,8 +45,8 @@ class Block:
         is_chunk: whether it is a chunk record; otherwise it consists of plain records.
         start_ns, end_ns: log times of its messages.
         channels: ids of the channels with messages in it, None if unknown.
-        first, last: numbers of its messages that count; the others come before and after a step of the clock.
-        shift_ns: what log times are later than stored, because the recorder's clock stepped back.
+        shift_ns: (n,) what the log times of its messages are later than stored, because the recorder's clock stepped
+            back; those of further ones like the last.
     """
 
     offset: int
@@ -54,13 +55,12 @@ class Block:
     start_ns: int
     end_ns: int
     channels: frozenset[int] | None
-    first: int = 0
-    last: int | None = None
-    shift_ns: int = 0
+    shift_ns: IntArray = field(default_factory=lambda: _NO_SHIFT)
 
-
-class _UnindexedError(Exception):
-    """Log times are not in an index, and too many bytes would be read for them."""
+    def shifted(self, log_ns: IntArray) -> IntArray:
+        """(n,) log times of its messages from those that are stored."""
+        own = self.shift_ns[: len(log_ns)]
+        return log_ns + np.pad(own, (0, len(log_ns) - len(own)), mode="edge")
 
 
 class BlockStorage(Storage):
@@ -190,27 +190,20 @@ class BlockStorage(Storage):
             self.compare_counts(topics, read)
 
     def log_times(self) -> IntArray:
-        try:
-            parts = [times for _, times in self._times(self.blocks)]
-        except _UnindexedError:
-            parts = []
-        return np.concatenate([np.zeros((2, 0), np.int64), *parts], axis=1)
+        return np.concatenate([np.zeros((2, 0), np.int64), *(self._times(self.blocks) or ())], axis=1)
 
-    def _times(self, blocks: Iterable[Block]) -> Iterator[tuple[Block, IntArray]]:
-        """Blocks in file order, each with (2, n) channel ids and log times of its messages.
-
-        Raises:
-            _UnindexedError: they are not available without reading all.
-        """
-        unindexed = 0
-        for block in sorted(blocks, key=lambda block: (block.offset, block.first)):
+    def _times(self, blocks: Iterable[Block]) -> list[IntArray] | None:
+        """(2, n) channel ids and log times of each block's messages; None if too much would be read for them."""
+        every, unindexed = [], 0
+        for block in blocks:
             times = self.indexed(block)
             if not times.size:
                 unindexed += block.size
                 if unindexed > UNINDEXED_BYTES:
-                    raise _UnindexedError
+                    return None
                 times = self.scanned(block, self.note)
-            yield block, times
+            every.append(times)
+        return every
 
     def indexed(self, block: Block) -> IntArray:
         """(2, n) channel ids and log times of a block's messages, by the index of a chunk; none without one."""
@@ -222,8 +215,8 @@ class BlockStorage(Storage):
             return np.zeros((2, 0), dtype=np.int64)
         channel = np.repeat([number for number, _ in entries], [len(some) for _, some in entries])
         log_ns, place = np.concatenate([some for _, some in entries]).T
-        order = np.argsort(place, kind="stable")[block.first : block.last]
-        return np.stack([channel[order], log_ns[order] + block.shift_ns])
+        order = np.argsort(place, kind="stable")
+        return np.stack([channel[order], block.shifted(log_ns[order])])
 
     def scanned(self, block: Block, note: Callable[[str], None]) -> IntArray:
         """As `indexed`, from the messages themselves, up to the first damage, which `note` receives."""
@@ -235,33 +228,24 @@ class BlockStorage(Storage):
 
     def _undo_steps(self) -> None:
         """Let log times go on in the order of the file where the recorder's clock stepped back."""
-        try:
-            if not self._goes_back():
-                return
-            blocks, parts = zip(*self._times(self.blocks), strict=True)
-        except _UnindexedError:
+        self.blocks.sort(key=lambda block: block.offset)
+        times = self._times(self.blocks) if self._goes_back() else None
+        if times is None:
             return
-        channel, log_ns = np.concatenate(parts, axis=1)
-        shift_ns = self.shifts_of(channel, log_ns)
-        if not shift_ns.any():
-            return
-        ends = np.cumsum([len(times.T) for times in parts])[:-1]
-        times_of = np.split(np.stack([log_ns + shift_ns, shift_ns]), ends, axis=1)
-        self.blocks.clear()
-        for block, (own_ns, own_shift_ns) in zip(blocks, times_of, strict=True):
-            steps = (np.flatnonzero(np.diff(own_shift_ns)) + 1).tolist()
-            for first, last in pairwise([0, *steps, len(own_ns)]):
-                if first < last:
-                    own, shift = own_ns[first:last], int(own_shift_ns[first])
-                    part = replace(block, start_ns=int(own.min()), end_ns=int(own.max()))
-                    self.blocks.append(replace(part, first=first, last=last, shift_ns=shift))
+        shift_ns = self.shifts_of(*np.concatenate(times, axis=1))
+        if shift_ns.any():
+            ends = np.cumsum([len(own.T) for own in times])[:-1]
+            own_shifts = np.split(shift_ns, ends)
+            self.blocks = [
+                _shifted(block, log_ns + own_ns, own_ns)
+                for block, (_, log_ns), own_ns in zip(self.blocks, times, own_shifts, strict=True)
+                if len(own_ns)
+            ]
 
     def delay(self, shift_ns: int) -> None:
         self.shift_ns += shift_ns
         self.blocks = [
-            replace(
-                b, start_ns=b.start_ns + shift_ns, end_ns=b.end_ns + shift_ns, shift_ns=b.shift_ns + shift_ns
-            )
+            _shifted(b, np.array([b.start_ns, b.end_ns]) + shift_ns, b.shift_ns + shift_ns)
             for b in self.blocks
         ]
         self.set_time_range()
@@ -269,22 +253,24 @@ class BlockStorage(Storage):
     def _goes_back(self) -> bool:
         """Whether log times of a channel may go back, judged by as few indexes as possible."""
         latest_ns = 0
-        for block in sorted(self.blocks, key=lambda block: block.offset):
+        for block in self.blocks:
             if block.start_ns < latest_ns - LEAST_STEP_NS:
                 return True
             latest_ns = max(latest_ns, block.end_ns)
-        long = [block for block in self.blocks if block.end_ns - block.start_ns > LEAST_STEP_NS]
-        return any(goes_back(*times) for _, times in self._times(long))
+        long = (block for block in self.blocks if block.end_ns - block.start_ns > LEAST_STEP_NS)
+        return any(goes_back(*times) for times in self._times(long) or ())
 
     def _messages_of(self, block: Block, note: Callable[[str], None]) -> Iterator[tuple[int, int, Payload]]:
         """Messages of a block up to the first damage, which `note` receives."""
         returned = 0
+        *shifts_ns, last_ns = block.shift_ns.tolist()
         try:
             messages = self.parse(self.load(block))
-            for number, time_ns, payload in islice(messages, block.first, block.last or _MOST_MESSAGES):
+            shifted = zip(messages, chain(shifts_ns, repeat(last_ns)), strict=False)
+            for (number, time_ns, payload), shift_ns in islice(shifted, _MOST_MESSAGES):
                 returned += 1
-                yield number, time_ns + block.shift_ns, payload
-            if block.last is None and next(messages, None) is not None:
+                yield number, time_ns + shift_ns, payload
+            if next(messages, None) is not None:
                 raise ValueError(f"more than {_MOST_MESSAGES} messages")
         except MemoryError:
             raise
@@ -300,6 +286,11 @@ class BlockStorage(Storage):
         if self.blocks:
             self.start_ns = min(block.start_ns for block in self.blocks)
             self.end_ns = max(block.end_ns for block in self.blocks)
+
+
+def _shifted(block: Block, log_ns: IntArray, shift_ns: IntArray) -> Block:
+    """A block with other log times."""
+    return replace(block, start_ns=int(log_ns.min()), end_ns=int(log_ns.max()), shift_ns=shift_ns)
 
 
 def _spread(blocks: list[Block], within_bytes: int) -> list[Block]:

@@ -152,7 +152,8 @@ class SqliteStorage(Storage):
             self._log, self.counts = _listed(self._connection.execute(select))
         except (sqlite3.Error, OverflowError):
             self._pages = self._leaf_pages()
-            self._log, self.counts = _listed(row[:4] for row in self._pages.rows.values())
+            self._log = _Log(*self._pages.rows[:, :4].T.copy())
+            self.counts = Counter(self._log.channel.tolist())
             self.note(f"the message table is damaged; {self.counts.total()} messages could be read")
         self._log.log_ns[:] += self.shifts_of(self._log.channel, self._log.log_ns)
         self.delay(0)

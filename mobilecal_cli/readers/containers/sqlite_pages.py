@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import os
 import struct
+from array import array
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import BinaryIO, NamedTuple
+
+import numpy as np
 
 from mobilecal_cli.readers.containers.storage import SIZE_LIMIT
 
@@ -51,7 +54,7 @@ class LeafPages:
     """An SQLite file that is read page by page.
 
     Attributes:
-        rows: row number → row; those whose pages are all in the file, by their numbers.
+        rows: (n, 6) those whose pages are all in the file, as `LeafRow`, by their numbers.
     """
 
     def __init__(self, stream: BinaryIO) -> None:
@@ -62,21 +65,23 @@ class LeafPages:
         self._usable = self._size - header[_RESERVED]
         self._end = os.fstat(self._file).st_size
         self._most_further = _MOST_SHARED * self._end // self._size
-        whole: dict[int, LeafRow] = {}
+        whole = array("q")
         for begin in range(0, self._end, self._size):
             for row in self._rows_on(begin):
-                if row.row not in whole and self._is_whole(row):
-                    whole[row.row] = row
-        self.rows = dict(sorted(whole.items()))
+                if self._is_whole(row):
+                    whole.extend(row)
+        every = np.array(whole, dtype=np.int64).reshape(-1, len(LeafRow._fields))
+        self.rows = every[np.unique(every[:, 0], return_index=True)[1]]
 
     def _read(self, begin: int, end: int) -> bytes:
         return os.pread(self._file, end - begin, begin)
 
     def data(self, number: int) -> bytes | None:
         """Data of a row, None if it is not there."""
-        row = self.rows.get(number)
-        if row is None:
+        place = int(np.searchsorted(self.rows[:, 0], number))
+        if place == len(self.rows) or self.rows[place, 0] != number:
             return None
+        row = LeafRow(*self.rows[place].tolist())
         pieces, left = [self._read(row.begin, row.end)], row.size - (row.end - row.begin)
         for page in self._further_pages(row):
             pieces.append(self._read(page + 4, page + min(left + 4, self._usable)))
