@@ -51,7 +51,6 @@ from mobilecal_cli.report.numbers import (
 from mobilecal_cli.report.use import (
     FIGURES,
     MOTION,
-    Figure,
     missing_motion,
     motion_cure,
     next_step_of,
@@ -130,7 +129,6 @@ def mistake(case: Case, metric: Metric) -> Iterator[Check]:
         measured="{}: point error {} of the distance to the board, {} when corrected".format(diagnosis.cause, *said),
         at_limit="no mistake found",
         why=f"The recording does not fit the robot's description: {diagnosis.cause}.",
-        passes=False,
     )  # fmt: skip
 
 
@@ -188,7 +186,6 @@ def blind_camera(case: Case, metric: Metric) -> Iterator[Check]:
             part=name,
             measured=f"{have} of {count}{where}",
             why=f"The {words} shows the board at {have} of {count} stations{where}: {effect}.",
-            passes=False,
             beyond=outcome,
         )  # fmt: skip
 
@@ -779,7 +776,6 @@ def head_chain(case: Case, metric: Metric) -> Iterator[Check]:
                 measured="ends before a joint that moves the camera",
                 at_limit="all joints that move the camera",
                 why=f"{why}.",
-                passes=False,
                 beyond="fail" if noisy else "warning",
             )  # fmt: skip
 
@@ -973,28 +969,24 @@ def outliers_as_noise(case: Case, metric: Metric) -> Iterator[Check]:
 criterion(*(metric for metric in _NOISE if metric is not _HEIGHT), of_change=True)(noise)
 
 
-def _moves(case: Case, figure: Figure) -> tuple[bool, bool]:
-    """Whether motion of the head, and of the base, improves an expected error."""
-    fixed = np.zeros(9, bool) if case.solution.uncertainty is None else case.solution.uncertainty.fixed
-    of_camera_alone = figure.of_camera and figure.field != "point_m"
-    return figure.of_camera and not fixed[:6].all(), not of_camera_alone and not fixed[6:].all()
-
-
 @criterion(*(Metric(figure.name, figure.unit, section="limits") for figure in FIGURES), of_change=True)
 def expected_errors(case: Case, *metrics: Metric) -> Iterator[Check]:
     """Whether each expected error in use is within its limit; the least certain first."""
-    if case.solution.uncertainty is None:
+    uncertainty = case.solution.uncertainty
+    if uncertainty is None:
         return
     limited = {use.figure: use for use in uses(case.solution, case.gates)}
     of = dict(zip(FIGURES, metrics, strict=True))
     for figure, metric in of.items():
         if figure not in limited:
-            yield metric.check(figure.of(case.solution.uncertainty.at_work))
+            yield metric.check(figure.of(uncertainty.at_work))
     for use in sorted(limited.values(), key=lambda use: -use.share):
         figure, value = use.figure, f"{std_text(use.value)} {use.figure.unit}"
+        by_head = figure.of_camera and not uncertainty.fixed[:6].all()
+        by_base = figure.field not in ("camera_m", "camera_rad") and not uncertainty.fixed[6:].all()
         yield of[figure].check(
             use.value, use.limit, f"expected error: {figure.meaning}",
-            motion_cure(case.solution.motion, *_moves(case, figure))
+            motion_cure(case.solution.motion, by_head, by_base)
             or next_step_of(use, case.solution, case.extraction),
             measured=value if use.value else "fixed by the user",
             why=f"The expected error (1 sigma) of the {figure.meaning} is {value} "

@@ -148,7 +148,6 @@ def _unsolved(error: MobilecalError) -> Iterator[Check]:
         measured="none",
         at_limit="all nine parameters",
         why=f"This recording cannot be solved by itself: {error.message}.",
-        passes=False,
         beyond="not_enough",
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Annotated, Any, Literal, TypeAlias, TypeVar, cast, dataclass_transform
 
 import numpy as np
@@ -121,17 +121,20 @@ class Table(JsonValue):
     ) -> Table:
         """A table in a section of the page, with a heading and a note above it.
 
-        The heads are the labels of the columns, each with its kind in front ("number:1 sigma").
+        The heads are the labels of the columns, each with its kind in front ("number:1 sigma"). Columns without any
+        text are left out.
         """
-        kinds = ((kind or "text", label) for kind, _, label in (head.rpartition(":") for head in heads))
-        columns = tuple((label, cast(Kind, kind)) for kind, label in kinds)
-        return cls(section=section, title=title, note=note, heads=columns, rows=tuple(rows))
-
-    def without_empty_columns(self) -> Table:
-        """The table without the columns that have no text."""
-        shown = [k for k in range(len(self.heads)) if not self.rows or any(row[k] for row in self.rows)]
-        rows = tuple(tuple(row[k] for k in shown) for row in self.rows)
-        return replace(self, heads=tuple(self.heads[k] for k in shown), rows=rows)
+        columns = [
+            (head, cells) for head, cells in zip(heads, zip(*rows, strict=True), strict=False) if any(cells)
+        ]
+        kinds = ((kind or "text", label) for kind, _, label in (head.rpartition(":") for head, _ in columns))
+        return cls(
+            section=section,
+            title=title,
+            note=note,
+            heads=tuple((label, cast(Kind, kind)) for kind, label in kinds),
+            rows=tuple(zip(*(cells for _, cells in columns), strict=True)),
+        )
 
     def lines(self) -> list[str]:
         """The table for the terminal, escaped: each column as wide as its cells, numbers with their points aligned."""

@@ -174,7 +174,7 @@ def numbers_table(numbers: Sequence[NumberData]) -> Table:
     rows = [
         (n.label, n.value_text, f"± {n.std_text}" if n.std_text else "", n.unit, n.state) for n in numbers
     ]
-    return Table.of(("parameter", "strong:value", "number:1 sigma", "unit", ""), rows).without_empty_columns()
+    return Table.of(("parameter", "strong:value", "number:1 sigma", "unit", ""), rows)
 
 
 def stations_text(extraction: Extraction) -> str:

@@ -30,8 +30,8 @@ def table(make: _Make) -> _Make:
 
 
 def tables(case: Case) -> tuple[Table, ...]:
-    """All tables that have rows; columns without any text are left out."""
-    return tuple(each.without_empty_columns() for make in _TABLES for each in make(case) if each.rows)
+    """All tables that have rows."""
+    return tuple(each for make in _TABLES for each in make(case) if each.rows)
 
 
 @table

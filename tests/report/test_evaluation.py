@@ -14,6 +14,7 @@ from mobilecal_cli.export.params import params_yaml
 from mobilecal_cli.model import LogSource, Provenance, WheelGeometry, WheelTrack
 from mobilecal_cli.solvers import solve
 from tests.extractions import Noise, simulated
+from tests.report.example import with_uncertainty
 
 NOISE = Noise(pixel_px=0.2, wheel_rad_per_sqrt_rad=0.005, joint_rad=3e-4)
 
@@ -39,6 +40,13 @@ def verdict(folder, solution, made, evaluated):
 def with_wheels(solution, right=1.0, left=1.0, separation=1.0):
     wheels = WheelGeometry.of(solution.parameters.wheels.vector * [right, left, separation])
     return replace(solution, parameters=replace(solution.parameters, wheels=wheels))
+
+
+def with_corner_error(solution, px):
+    residuals = solution.residuals
+    every = np.full_like(residuals.leg_reprojection_px, px)
+    residuals = replace(residuals, leg_reprojection_px=every)
+    return replace(solution, residuals=residuals, reprojection_rms_px=px)
 
 
 def with_turned_camera(solution, axis):
@@ -121,9 +129,34 @@ def test_a_short_recording_is_not_enough(tmp_path):
     assert found.next_step == "Record at least ten stations."
 
 
-def test_a_noisy_recording_is_not_enough(tmp_path):
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda s: with_uncertainty(s, reference_covariance=400 * s.uncertainty.reference_covariance),
+            "This recording gives the camera rotation to ",
+        ),
+        (
+            lambda s: with_uncertainty(s, observable=np.array([False] + [True] * 8)),
+            "The camera rotation is unobservable in this recording.",
+        ),
+        (
+            lambda s: with_corner_error(s, 40.0),
+            "No parameters explain this recording: the best leave 40.0 px",
+        ),
+        (None, "This recording cannot be solved by itself: too noisy."),
+    ],
+)
+def test_a_poor_recording_is_not_enough(tmp_path, monkeypatch, change, says):
     """The recording contradicts itself: the calibration is not to blame."""
-    noise = replace(NOISE, wheel_rad_per_sqrt_rad=0.03)
-    noisy = simulated("standard", noise, stations=8, seed=1)
-    noisy = replace(noisy, logs=(LogSource("1.mcap", "1"),))
-    assert verdict(tmp_path, *calibrated(0), noisy).level == "NOT ENOUGH"
+    own, made = calibrated(1)
+
+    def poor(_):
+        if change is None:
+            raise SolveError("too noisy", "record again")
+        return change(own)
+
+    monkeypatch.setattr("mobilecal_cli.calibrate.evaluate.solve", poor)
+    found = verdict(tmp_path, *calibrated(0), made)
+    assert found.level == "NOT ENOUGH"
+    assert found.reason.startswith(says)
