@@ -153,6 +153,8 @@ def _extracted(
         description = survey.description
         survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
         rig = complete_rig(survey)
+    if earlier:
+        _refuse_other_robot(earlier[0], name, rig)
     for log in earlier:
         for plan in plans:
             if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
@@ -221,20 +223,7 @@ def extract(
     for parts in recordings:
         with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:
             pieces = _extracted(extracted, recording, config, progress, jobs)
-        first, new = (extracted or pieces)[0], pieces[0]
-        if new.rig.chain.joints != first.rig.chain.joints:
-            raise ConfigError(
-                f"head joints of {parts[0]}: {', '.join(new.rig.chain.joints) or 'none'}; of {logs[0]}: "
-                f"{', '.join(first.rig.chain.joints) or 'none'}",
-                "give recordings of one robot only",
-            )
-        if new.rig.cameras.names != first.rig.cameras.names:
-            raise ConfigError(
-                f"cameras of {parts[0]}: {', '.join(new.rig.cameras.names)}; of {logs[0]}: "
-                f"{', '.join(first.rig.cameras.names)}",
-                "give recordings with the same cameras, or name the cameras that all have in rig.yaml",
-            )
-        other = _other_cameras(first, new)
+        other = _other_cameras((extracted or pieces)[0], pieces[0])
         extracted += [replace(piece, notes=(*piece.notes, *other, *_unused(piece))) for piece in pieces]
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
@@ -267,6 +256,18 @@ def _named(path: Path, *, several: bool) -> Iterator[None]:
         if not several or str(path) in error.message:
             raise
         raise type(error)(f"{path}: {error.message}", error.hint) from error
+
+
+def _refuse_other_robot(first: ExtractedLog, name: str, rig: Rig) -> None:
+    """Refuse a recording, of this name, with other head joints or cameras than the first one."""
+    same = "give recordings with the same cameras, or name the cameras that all have in rig.yaml"
+    for what, own, others, cure in (
+        ("head joints", rig.chain.joints, first.rig.chain.joints, "give recordings of one robot only"),
+        ("cameras", rig.cameras.names, first.rig.cameras.names, same),
+    ):
+        if own != others:
+            have, had = (", ".join(names) or "none" for names in (own, others))
+            raise ConfigError(f"{what} of {name}: {have}; of {first.name}: {had}", cure)
 
 
 def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:

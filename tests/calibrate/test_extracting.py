@@ -50,7 +50,7 @@ def test_rounding_is_not_told():
 
 
 def test_the_recording_with_the_error_is_named(sample_logs):
-    logs = [sample_logs / "tick_robot.mcap", sample_logs / "imperfect_robot.mcap"]
+    logs = [sample_logs / "imperfect_robot.mcap", sample_logs / "tick_robot.mcap"]
     said = r"imperfect_robot\.mcap: wheels\.left: the topic /wheel_ticks/left contains no messages"
     with pytest.raises(RecordingError, match=said):
         extract(logs, load_rig(sample_logs / "tick_robot.rig.yaml", {}))

@@ -1,6 +1,7 @@
 """`mobilecal inspect`: what a recording holds, at a glance."""
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -135,7 +136,13 @@ def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code, few):
     assert data["exit_code"] == code
     assert {lack["exit_code"] for lack in data["missing"]} == {code}
     assert name != "board.mcap" or "a board with markers, set board.kind" in data["missing"][0]["cure"]
-    assert run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path).code == code
+    refused = run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path)
+    assert (refused.code, refused.left) == (code, [])
+    if name == "head_fixed.mcap":  # its URDF does not draw the camera
+        said = (
+            r"error: .*does not show the camera's height \(t_y\).*hint: .*tilt the head up.*--fix t_y=VALUE"
+        )
+        assert re.match(said, refused.err, re.DOTALL)
 
 
 @pytest.mark.parametrize(
