@@ -16,7 +16,7 @@ from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import dataset_for
-from tests.extractions import STATION_NOISE, simulated
+from tests.extractions import STATION_NOISE, joined, simulated
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,16 @@ def test_an_extraction_beside_a_recording_is_named(npz, sample_logs):
     said = re.escape(f"{npz}: an extraction contains its settings and cannot be combined with others")
     with pytest.raises(ConfigError, match=said):
         load([sample_logs / "straight.mcap", npz], load_rig(None))
+
+
+@pytest.mark.parametrize("joints", [True, False])
+def test_an_extraction_that_contains_a_recording_twice_is_refused(npz, tmp_path, joints):
+    """Earlier versions wrote them, and without joints."""
+    one = loaded(npz) if joints else replace(loaded(npz), joint_tracks=())
+    double = replace(joined(one, one), logs=(*one.logs, LogSource("again.bag", "1" * 64)))
+    (tmp_path / "double.npz").write_bytes(extraction_to_npz(double))
+    with pytest.raises(ConfigError, match=r"log\.mcap and again\.bag are the same recording"):
+        load([tmp_path / "double.npz"], load_rig(None))
 
 
 @pytest.mark.parametrize("size", [100, 10_000])
