@@ -10,11 +10,13 @@ import pytest
 
 from mobilecal_cli.calibrate import detect as detecting
 from mobilecal_cli.calibrate import workers as processes
-from mobilecal_cli.calibrate.extract import extract
+from mobilecal_cli.calibrate.extract import describe, extract
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.readers import open_recording
+from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
+from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.stations import Plan
@@ -145,9 +147,10 @@ def test_another_board_at_the_first_stations_is_not_the_board(sample_logs, tmp_p
         return replace(message, data=cv2.imencode(".png", cv2.subtract(image, float(left[side])))[1].ravel())
 
     log = edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", edit)
-    extraction, _ = extract([log], load_rig(None))
-    assert (extraction.board.columns, extraction.board.rows) == (9, 6)
-    assert len(extraction.observations) == 9
+    with open_recording([log]) as recording:
+        rig = complete_rig(describe(recording, UNCONFIGURED))
+        plans, *_ = detecting.plan_recording(recording, rig)
+        assert detecting.board_size(recording, rig, plans) == (9, 6)
 
 
 @pytest.mark.parametrize(("scale", "said"), [(2, "images 2 times as large"), (0.5, "at the recorded size")])

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from mobilecal_cli.calibrate.detect import plan_recording
 from mobilecal_cli.calibrate.extract import _other_cameras, describe, extract
 from mobilecal_cli.calibrate.inspect import inspect
 from mobilecal_cli.commands.init import draft
@@ -14,6 +15,7 @@ from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError
 from mobilecal_cli.model import CAMERA_INFO_CHANGES
 from mobilecal_cli.readers import open_recording
 from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
+from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.commands.edited import STORE, edited
 from tests.pairs import with_pair
@@ -153,8 +155,12 @@ def test_log_times_that_are_all_zero_are_no_other_topic(sample_logs, tmp_path):
     """ "Different readings on /joint_states and on /joint_states", it said: at one log time, they differ."""
     records = (replace(each, time_ns=0) for each in records_of(sample_logs / "paper_robot.mcap"))
     log = written(tmp_path / "log.mcap", records)
-    before, after = (extract([each], UNCONFIGURED)[0] for each in (sample_logs / "paper_robot.mcap", log))
-    assert [o.time_ns for o in after.observations] == [o.time_ns for o in before.observations]
+    times = []
+    for each in (sample_logs / "paper_robot.mcap", log):
+        with open_recording([each]) as recording:
+            (plan,), *_ = plan_recording(recording, complete_rig(describe(recording, UNCONFIGURED)))
+            times.append([station.time_ns for station in plan.stations])
+    assert times[0] == times[1]
 
 
 def test_a_description_that_cannot_be_read_is_not_missing(sample_logs, tmp_path):

@@ -4,6 +4,7 @@ import csv
 import json
 import signal
 import socket
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
 from mobilecal_cli.calibrate.batch import on_cluster
-from mobilecal_cli.calibrate.steps import Report, calibrate
+from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
@@ -289,11 +290,6 @@ def manifest(folder, *robots):
     return path
 
 
-def of_one(fleet, folder):
-    """A manifest of one robot of the fleet, named a."""
-    return manifest(folder, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
-
-
 def refused_before_the_work(source, out, monkeypatch, error, says):
     monkeypatch.setattr(batch_module, "calibrate", lambda *_, **__: pytest.fail("the work began"))
     with pytest.raises(error, match=says) as caught:
@@ -322,8 +318,31 @@ def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch
     assert error.__cause__ is None
 
 
-def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
-    source, out = of_one(fleet, tmp_path), tmp_path / "out"
+@pytest.fixture
+def counted(monkeypatch):
+    """A calibration that returns at once, with another result each time; how often it ran."""
+    ran = []
+
+    def answer(logs, out, *, config, force, before_writing, **_):
+        ran.append(out.name)
+        read_urdf(config)
+        params = f"{FIRST_LINE}# {len(ran)}\n"
+        before_writing(SimpleNamespace(params=params))
+        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, params.encode()), force)
+
+    monkeypatch.setattr(batch_module, "calibrate", answer)
+    monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))
+    return ran
+
+
+def of_one(folder):
+    """A manifest of one robot, named a."""
+    (folder / "a.mcap").write_bytes(b"a")
+    return manifest(folder, "{name: a, logs: [a.mcap]}")
+
+
+def test_a_result_of_someone_else_needs_force(tmp_path, monkeypatch, counted):
+    source, out = of_one(tmp_path), tmp_path / "out"
     batch_module.batch(source, out, run=in_this_process)
     params = out / "a" / "params.yaml"
     edited = params.read_bytes() + b"# edited\n"
@@ -342,14 +361,14 @@ def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
     assert (out / "a" / "thesis.tex").exists()
 
 
-def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_path, monkeypatch):
+def test_a_result_that_was_edited_after_an_interruption_needs_force(tmp_path, monkeypatch, counted):
     """Before and after the record of the new result was written."""
-    source, out = of_one(fleet, tmp_path), tmp_path / "out"
+    source, out = of_one(tmp_path), tmp_path / "out"
 
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    for moment in ((batch_module, "calibrate"), (Report, "save")):
+    for moment in ((batch_module, "calibrate"), (sys.modules[__name__], "write_outputs")):
         batch_module.batch(source, out, run=in_this_process)
         with monkeypatch.context() as patch:
             patch.setattr(*moment, interrupted)
@@ -362,35 +381,22 @@ def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_p
         params.write_bytes(params.read_bytes().removesuffix(b"# edited\n"))
 
 
-def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
+def test_a_summary_of_someone_else_needs_force(tmp_path, monkeypatch):
     (tmp_path / "summary.csv").write_text("precious")
-    source = of_one(fleet, tmp_path)
+    source = of_one(tmp_path)
     refused_before_the_work(source, tmp_path, monkeypatch, OutputError, r"summary\.csv: already exists")
     assert (tmp_path / "summary.csv").read_text() == "precious"
 
 
-@pytest.fixture
-def counted(monkeypatch):
-    """A calibration that returns at once; how often it ran."""
-    ran = []
-
-    def answer(logs, out, *, config, force, before_writing, **_):
-        ran.append(out.name)
-        read_urdf(config)
-        before_writing(SimpleNamespace(params=FIRST_LINE))
-        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
-
-    monkeypatch.setattr(batch_module, "calibrate", answer)
-    monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))
-    return ran
-
-
 def urdf_robot(tmp_path):
     """A robot whose configuration names a URDF."""
+    (tmp_path / "bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):  # the first one stands for both
+        (tmp_path / "bag" / name).write_bytes(b"")
     (tmp_path / "a.mcap").write_bytes(b"a")
     (tmp_path / "head.urdf").write_text("<robot/>")
     (tmp_path / "a.rig.yaml").write_text("head: {urdf: head.urdf}")
-    return manifest(tmp_path, "{name: a, logs: [a.mcap], config: a.rig.yaml}")
+    return manifest(tmp_path, "{name: a, logs: [a.mcap, bag/metadata.yaml], config: a.rig.yaml}")
 
 
 def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counted):
@@ -411,8 +417,9 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert not again()
     (out / "a" / "extraction.npz").unlink()
     assert again()
-    (tmp_path / "a.mcap-wal").write_bytes(b"more")
-    assert again()
+    for name in ("a.mcap-wal", "bag/bag_0.mcap"):
+        (tmp_path / name).write_bytes(b"more")
+        assert again()
     assert again(force=True)
     assert not again()
     assert again(gates=["stations=3"])
@@ -423,20 +430,8 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     record.write_text(json.dumps(content))
     assert again()
     assert not again()
-    assert len(counted) == 10
+    assert len(counted) == 11
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
-
-
-def test_the_metadata_of_a_recording_stands_for_all_of_it(tmp_path, counted):
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    (folder / "metadata.yaml").write_text("")
-    (folder / "bag_0.mcap").write_bytes(b"one")
-    source = manifest(tmp_path, "{name: a, logs: [bag/metadata.yaml]}")
-    for content in (b"one", b"other"):
-        (folder / "bag_0.mcap").write_bytes(content)
-        batch_module.batch(source, tmp_path / "out", run=in_this_process)
-    assert len(counted) == 2
 
 
 def test_an_error_whose_cause_is_mended(tmp_path, counted):
