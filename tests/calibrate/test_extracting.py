@@ -130,10 +130,12 @@ def beside(source, target, topic, factor, wheels_rad=0.0):
     return written(target, sorted([*records, *more], key=lambda record: record.time_ns))
 
 
-@pytest.mark.parametrize("topic", ["/base/joint_states", "/zz/joint_states"])
 @pytest.mark.parametrize(
-    ("factor", "why"),
-    [(0.0, "they stand still"), (np.nan, "all 2142 readings are NaN or infinite")],
+    ("topic", "factor", "why"),
+    [
+        ("/base/joint_states", 0.0, "they stand still"),
+        ("/zz/joint_states", np.nan, "all 2142 readings are NaN or infinite"),
+    ],
 )
 def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, topic, factor, why, few):
     """The topic whose name came first was read: the board was "found at 0 of 1 stations"."""
