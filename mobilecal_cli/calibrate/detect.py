@@ -89,14 +89,12 @@ class Segment:
     """Consecutive stations that are processed together.
 
     Attributes:
-        log: number of the recording.
         stations: in order of time.
         images: camera → their images.
         shown: indices, in this segment, of stations with images in the report.
         thorough: see `vision.detect`.
     """
 
-    log: int
     stations: tuple[Station, ...]
     images: Mapping[str, PictureIndex]
     shown: frozenset[int]
@@ -204,8 +202,8 @@ def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
     )
 
 
-def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
-    """Split the stations of log number `log` into segments, and choose the images kept for the report."""
+def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
+    """Split the stations of a log into segments, and choose the images kept for the report."""
     stations = plan.stations
     stride = max(1, -(-len(stations) // SNAPSHOTS))
     cuts, count = [0], 0
@@ -217,7 +215,6 @@ def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
     cuts.append(len(stations))
     return [
         Segment(
-            log,
             stations[begin:end],
             images_of(stations[begin:end], plan.images),
             frozenset(i - begin for i in range(begin, end) if i % stride == 0),
@@ -245,9 +242,7 @@ def detect_segment(
     absent = "the recording does not contain the images"
     detections = [
         StationDetections(
-            Rejection(
-                "readers", "images cannot be decoded", absent, station.time_ns, station.index, segment.log
-            ),
+            Rejection("readers", "images cannot be decoded", absent, station.time_ns, station.index),
             dict.fromkeys(names, b""),
         )
         for station in stations
@@ -270,7 +265,7 @@ def detect_segment(
         count(1)
     for searched, place in zip(stations, detections, strict=True):
         if shots := place.of_shots(searched.shots, rig.cameras):
-            place.measured = measure(segment.log, searched, shots, rig.cameras, board)
+            place.measured = measure(searched, shots, rig.cameras, board)
         elif place.rejections and isinstance(place.measured, Rejection):
             place.measured = replace(place.measured, detail=place.rejections[0].detail)
     return detections
@@ -315,7 +310,6 @@ def detect_all(
     thorough: bool = True,
     jobs: int = 1,
     progress: Progress = silent,
-    first: int = 0,
 ) -> list[list[StationDetections]]:
     """The board at all stations of a recording: for each of its logs, one `StationDetections` per station.
 
@@ -327,9 +321,8 @@ def detect_all(
         thorough: see `vision.detect`.
         jobs: most worker processes.
         progress: receives the number of images.
-        first: number of the first log.
     """
-    segments = [each for log, plan in enumerate(plans, first) for each in segments_of(log, plan, thorough)]
+    segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
     shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
     total = sum(len(shot.taken_ns) for shot in shots)
     searched = 0

@@ -169,7 +169,7 @@ def _extracted(
                 f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
             )
         board = Board(*size, config.board.square_m)
-    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))
+    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress)
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -305,7 +305,9 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     observations: list[Observation] = []
     rejections: list[Rejection] = []
     for number, log in enumerate(logs):
-        squared = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
+        squared = [
+            resolve_square(m, square_m, number) if isinstance(m, Measured) else m for m in log.measured
+        ]
         observations += [item for item in squared if isinstance(item, Observation)]
         lost = (rejection for detections in log.detections for rejection in detections.rejections)
         missed = (item for item in squared if isinstance(item, Rejection))

@@ -64,7 +64,7 @@ def read_and_see(path: str, jobs: str) -> dict[str, float]:
     start = time.perf_counter()
     for station, place in zip(plan.stations[:_MEASURED], detections, strict=False):
         shots = place.of_shots(station.shots, rig.cameras)
-        if shots and isinstance(item := measure(0, station, shots, rig.cameras, board), Measured):
+        if shots and isinstance(item := measure(station, shots, rig.cameras, board), Measured):
             resolve_square(item, board.square_m)
     measuring = 1e3 * (time.perf_counter() - start) / _MEASURED
     return {"seconds": seconds, "measuring": measuring, "found": found}

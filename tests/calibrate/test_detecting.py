@@ -41,15 +41,15 @@ def plan(stations: list[Station]) -> Plan:
 
 def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
-    segments = detecting.segments_of(0, plan(stations), True)
+    segments = detecting.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
     assert max(pairs) <= detecting.SEGMENT_SHOTS
     shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
     assert shown == list(range(20))
-    many = detecting.segments_of(0, plan([station(i, 1) for i in range(1000)]), True)
+    many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
     assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
-    segments = detecting.segments_of(0, plan([station(0, 1), station(1, 600), station(2, 1)]), True)
+    segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
 
