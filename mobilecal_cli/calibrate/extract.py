@@ -184,7 +184,7 @@ def _extracted(
     logs = []
     for plan, detections in zip(plans, detected, strict=True):
         measured = [station.measured for station in detections]
-        check_arrangement(measured, first_pairs(plan.stations, detections, rig.cameras), rig.cameras, board)
+        check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
@@ -228,9 +228,9 @@ def extract(
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
-        Snapshot(number, station.index, detected.pictures, detected.thumbnail)
+        Snapshot(number, detected.station.index, detected.pictures, detected.thumbnail)
         for number, log in enumerate(extracted)
-        for station, detected in zip(log.plan.stations, log.detections, strict=True)
+        for detected in log.detections
     ]
     return extraction, _bounded(snapshots, extraction)
 

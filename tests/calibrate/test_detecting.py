@@ -45,10 +45,9 @@ def test_segments_hold_all_stations_in_order():
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
     assert max(pairs) <= detecting.SEGMENT_SHOTS
-    shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
-    assert shown == list(range(20))
+    assert all(segment.shown == set(range(20)) for segment in segments)
     many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
-    assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
+    assert len(many[0].shown) <= detecting.SNAPSHOTS
     segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
