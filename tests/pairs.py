@@ -59,9 +59,9 @@ def measured_anew(cameras, o: Observation, points_k, left: Corners, right: Corne
     )
 
 
-def measure(log, station, left, right, cameras, board):
+def measure(station, left, right, cameras, board):
     """See `vision.measure`."""
-    return vision.measure(log, station, list(zip(left, right, strict=True)), cameras, board)
+    return vision.measure(station, list(zip(left, right, strict=True)), cameras, board)
 
 
 def pair_images(left_ns, right_ns, tolerance_s):

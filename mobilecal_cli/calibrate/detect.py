@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
@@ -25,7 +26,6 @@ from mobilecal_cli.model import (
     PictureIndex,
     Rejection,
     Rig,
-    Shot,
     Station,
 )
 from mobilecal_cli.model.text import listed
@@ -58,6 +58,7 @@ class StationDetections:
     """The board at one station, filled in while its images are read.
 
     Attributes:
+        station: its shots.
         measured: the board, or why it cannot be measured; of the detections of all images.
         thumbnails: camera → small JPEG of the first image; empty without one.
         found: camera and time of an image (never None) → detection or miss.
@@ -65,15 +66,17 @@ class StationDetections:
         rejections: images that cannot be decoded.
     """
 
+    station: Station
     measured: Measured | Rejection
     thumbnails: dict[str, bytes]
     found: dict[tuple[str, int | None], Detection | Miss] = field(default_factory=dict)
     pictures: dict[str, bytes] = field(default_factory=dict)
     rejections: list[Rejection] = field(default_factory=list)
 
-    def of_shots(self, shots: Sequence[Shot], rig: CameraRig) -> list[list[Detection | Miss | None]]:
+    def of_shots(self, rig: CameraRig) -> list[list[Detection | Miss | None]]:
         """Results of each camera for the shots with decoded images; None for an image that is missing."""
-        each = [[self.found.get(image) for image in zip(rig.names, s.times_ns, strict=True)] for s in shots]
+        times_ns = (shot.times_ns for shot in self.station.shots)
+        each = [[self.found.get(image) for image in zip(rig.names, ns, strict=True)] for ns in times_ns]
         return [shot for shot in each if any(item is not None for item in shot)]
 
     @property
@@ -89,14 +92,12 @@ class Segment:
     """Consecutive stations that are processed together.
 
     Attributes:
-        log: number of the recording.
         stations: in order of time.
         images: camera → their images.
-        shown: indices, in this segment, of stations with images in the report.
+        shown: indices of stations with images in the report.
         thorough: see `vision.detect`.
     """
 
-    log: int
     stations: tuple[Station, ...]
     images: Mapping[str, PictureIndex]
     shown: frozenset[int]
@@ -204,10 +205,10 @@ def undecodable(rejections: Sequence[Rejection]) -> RecordingError:
     )
 
 
-def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
-    """Split the stations of log number `log` into segments, and choose the images kept for the report."""
+def segments_of(plan: Plan, thorough: bool) -> list[Segment]:
+    """Split the stations of a log into segments, and choose the images kept for the report."""
     stations = plan.stations
-    stride = max(1, -(-len(stations) // SNAPSHOTS))
+    shown = frozenset(station.index for station in stations[:: math.ceil(len(stations) / SNAPSHOTS) or 1])
     cuts, count = [0], 0
     for i, station in enumerate(stations):
         if count and count + len(station.shots) > SEGMENT_SHOTS:
@@ -216,13 +217,7 @@ def segments_of(log: int, plan: Plan, thorough: bool) -> list[Segment]:
         count += len(station.shots)
     cuts.append(len(stations))
     return [
-        Segment(
-            log,
-            stations[begin:end],
-            images_of(stations[begin:end], plan.images),
-            frozenset(i - begin for i in range(begin, end) if i % stride == 0),
-            thorough,
-        )
+        Segment(stations[begin:end], images_of(stations[begin:end], plan.images), shown, thorough)
         for begin, end in pairwise(cuts)
     ]
 
@@ -234,55 +229,49 @@ def detect_segment(
 
     `count` receives 1 after each image.
     """
-    stations = segment.stations
-    names = rig.cameras.names
-    where = {
-        image: i
-        for i, searched in enumerate(stations)
-        for shot in searched.shots
-        for image in zip(names, shot.times_ns, strict=True)
-    }
-    absent = "the recording does not contain the images"
+    names, absent = rig.cameras.names, "the recording does not contain the images"
     detections = [
         StationDetections(
-            Rejection(
-                "readers", "images cannot be decoded", absent, station.time_ns, station.index, segment.log
-            ),
+            station,
+            Rejection("readers", "images cannot be decoded", absent, station.time_ns, station.index),
             dict.fromkeys(names, b""),
         )
-        for station in stations
+        for station in segment.stations
     ]
+    where = {
+        image: place
+        for place in detections
+        for shot in place.station.shots
+        for image in zip(names, shot.times_ns, strict=True)
+    }
     followers = {name: BoardFollower(board, segment.thorough) for name in names}
     for name, stamp, picture in read_images(recording, rig.sources, segment.images):
-        station = where[name, stamp]
-        place = detections[station]
+        place = where[name, stamp]
         if isinstance(picture, Rejection):
             place.rejections.append(picture)
             continue
         check_picture(picture, name, rig.cameras)
-        if station in segment.shown and name not in place.pictures:
+        if place.station.index in segment.shown and name not in place.pictures:
             place.pictures[name] = snapshot_jpeg(picture)
         if not place.thumbnails[name]:
             place.thumbnails[name] = thumbnail_jpeg(picture)
         place.found[name, stamp] = followers[name].find(picture, stamp)
         for earlier_ns, detection in followers[name].earlier.items():
-            detections[where[name, earlier_ns]].found[name, earlier_ns] = detection
+            where[name, earlier_ns].found[name, earlier_ns] = detection
         count(1)
-    for searched, place in zip(stations, detections, strict=True):
-        if shots := place.of_shots(searched.shots, rig.cameras):
-            place.measured = measure(segment.log, searched, shots, rig.cameras, board)
+    for place in detections:
+        if shots := place.of_shots(rig.cameras):
+            place.measured = measure(place.station, shots, rig.cameras, board)
         elif place.rejections and isinstance(place.measured, Rejection):
             place.measured = replace(place.measured, detail=place.rejections[0].detail)
     return detections
 
 
-def first_pairs(
-    stations: Sequence[Station], detections: Sequence[StationDetections], rig: CameraRig
-) -> list[tuple[Detection, Detection]]:
+def first_pairs(detections: Sequence[StationDetections], rig: CameraRig) -> list[tuple[Detection, Detection]]:
     """The board in the first shot of each station that shows it to both cameras of a pair."""
     firsts = []
-    for station, detected in zip(stations, detections, strict=True):
-        for left, right, *_ in detected.of_shots(station.shots, rig) if len(rig.each) == 2 else ():
+    for detected in detections:
+        for left, right, *_ in detected.of_shots(rig) if len(rig.each) == 2 else ():
             if isinstance(left, Detection) and isinstance(right, Detection):
                 firsts.append((left, right))
                 break
@@ -315,7 +304,6 @@ def detect_all(
     thorough: bool = True,
     jobs: int = 1,
     progress: Progress = silent,
-    first: int = 0,
 ) -> list[list[StationDetections]]:
     """The board at all stations of a recording: for each of its logs, one `StationDetections` per station.
 
@@ -327,9 +315,8 @@ def detect_all(
         thorough: see `vision.detect`.
         jobs: most worker processes.
         progress: receives the number of images.
-        first: number of the first log.
     """
-    segments = [each for log, plan in enumerate(plans, first) for each in segments_of(log, plan, thorough)]
+    segments = [segment for plan in plans for segment in segments_of(plan, thorough)]
     shots = [shot for plan in plans for station in plan.stations for shot in station.shots]
     total = sum(len(shot.taken_ns) for shot in shots)
     searched = 0

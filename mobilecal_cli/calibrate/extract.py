@@ -153,6 +153,8 @@ def _extracted(
         description = survey.description
         survey = survey_rig(config, replace(description, infos={**description.infos, **infos}))
         rig = complete_rig(survey)
+    if earlier:
+        _refuse_other_robot(earlier[0], name, rig)
     for log in earlier:
         for plan in plans:
             if same_signals((log.plan.wheels, log.plan.joints), (plan.wheels, plan.joints)):
@@ -167,7 +169,7 @@ def _extracted(
                 f"or set the number of its inner corners with --board, such as --board 9x6; {OF_MARKERS}",
             )
         board = Board(*size, config.board.square_m)
-    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress, len(earlier))
+    detected = detect_all(recording, rig, board, plans, not everything, jobs, progress)
     stations = [station for detections in detected for station in detections]
     for name_of_camera, topic in rig.sources.image.items():
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
@@ -182,7 +184,7 @@ def _extracted(
     logs = []
     for plan, detections in zip(plans, detected, strict=True):
         measured = [station.measured for station in detections]
-        check_arrangement(measured, first_pairs(plan.stations, detections, rig.cameras), rig.cameras, board)
+        check_arrangement(measured, first_pairs(detections, rig.cameras), rig.cameras, board)
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
@@ -221,27 +223,14 @@ def extract(
     for parts in recordings:
         with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:
             pieces = _extracted(extracted, recording, config, progress, jobs)
-        first, new = (extracted or pieces)[0], pieces[0]
-        if new.rig.chain.joints != first.rig.chain.joints:
-            raise ConfigError(
-                f"head joints of {parts[0]}: {', '.join(new.rig.chain.joints) or 'none'}; of {logs[0]}: "
-                f"{', '.join(first.rig.chain.joints) or 'none'}",
-                "give recordings of one robot only",
-            )
-        if new.rig.cameras.names != first.rig.cameras.names:
-            raise ConfigError(
-                f"cameras of {parts[0]}: {', '.join(new.rig.cameras.names)}; of {logs[0]}: "
-                f"{', '.join(first.rig.cameras.names)}",
-                "give recordings with the same cameras, or name the cameras that all have in rig.yaml",
-            )
-        other = _other_cameras(first, new)
+        other = _other_cameras((extracted or pieces)[0], pieces[0])
         extracted += [replace(piece, notes=(*piece.notes, *other, *_unused(piece))) for piece in pieces]
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
-        Snapshot(number, station.index, detected.pictures, detected.thumbnail)
+        Snapshot(number, detected.station.index, detected.pictures, detected.thumbnail)
         for number, log in enumerate(extracted)
-        for station, detected in zip(log.plan.stations, log.detections, strict=True)
+        for detected in log.detections
     ]
     return extraction, _bounded(snapshots, extraction)
 
@@ -267,6 +256,18 @@ def _named(path: Path, *, several: bool) -> Iterator[None]:
         if not several or str(path) in error.message:
             raise
         raise type(error)(f"{path}: {error.message}", error.hint) from error
+
+
+def _refuse_other_robot(first: ExtractedLog, name: str, rig: Rig) -> None:
+    """Refuse a recording, of this name, with other head joints or cameras than the first one."""
+    same = "give recordings with the same cameras, or name the cameras that all have in rig.yaml"
+    for what, own, others, cure in (
+        ("head joints", rig.chain.joints, first.rig.chain.joints, "give recordings of one robot only"),
+        ("cameras", rig.cameras.names, first.rig.cameras.names, same),
+    ):
+        if own != others:
+            have, had = (", ".join(names) or "none" for names in (own, others))
+            raise ConfigError(f"{what} of {name}: {have}; of {first.name}: {had}", cure)
 
 
 def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
@@ -304,7 +305,9 @@ def _assembled(logs: Sequence[ExtractedLog], sources: Sequence[LogSource]) -> Ex
     observations: list[Observation] = []
     rejections: list[Rejection] = []
     for number, log in enumerate(logs):
-        squared = [resolve_square(m, square_m) if isinstance(m, Measured) else m for m in log.measured]
+        squared = [
+            resolve_square(m, square_m, number) if isinstance(m, Measured) else m for m in log.measured
+        ]
         observations += [item for item in squared if isinstance(item, Observation)]
         lost = (rejection for detections in log.detections for rejection in detections.rejections)
         missed = (item for item in squared if isinstance(item, Rejection))

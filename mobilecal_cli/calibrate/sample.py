@@ -139,7 +139,7 @@ def _stereo_pairs(
     station = Station(0, True, (), 0, np.zeros(0), np.zeros(0))
     for left, right in zip(detections["left"], detections["right"], strict=True):
         if isinstance(left, Detection) and isinstance(right, Detection):
-            measured = measure(0, station, [[left, right]], cameras, board)
+            measured = measure(station, [[left, right]], cameras, board)
             if isinstance(measured, Measured) and measured.points is not None:
                 pairs.append(measured)
     return tuple(pairs)

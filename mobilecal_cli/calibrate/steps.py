@@ -331,15 +331,13 @@ class Report:
             OutputError: the directory cannot be written.
         """
         path = path_of("directory", directory)
-        write_outputs(path, self.files() | {"report.html": self.html.encode()}, force)
-
-    def files(self) -> dict[str, bytes]:
-        """Name → content of params.yaml, report.json and extraction.npz."""
-        return {
+        files = {
             "params.yaml": self.params.encode(),
+            "report.html": self.html.encode(),
             "report.json": self.json.encode(),
             "extraction.npz": extraction_to_npz(self.data.extraction, self.data.snapshots),
         }
+        write_outputs(path, files, force)
 
 
 def _require_own(data: Extraction, solved: Extraction, robot: CalibratedRobot) -> None:

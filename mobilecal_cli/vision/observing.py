@@ -194,7 +194,7 @@ class Measured:
     """The board at one station. With two or more cameras, their distance gives the size of its squares.
 
     Attributes:
-        log, station: index of the recording, and the station.
+        station: its shots and joint readings.
         rig, board: all cameras, and the board to detect.
         shown: indices of the cameras that show the board.
         views: all corners in the image of each of these; some may not be detected.
@@ -203,7 +203,6 @@ class Measured:
         rough_m: initial estimate of a square's side, m; without `points`, the stated one, or 1 m.
     """
 
-    log: int
     station: Station
     rig: CameraRig
     board: Board
@@ -228,11 +227,11 @@ class Measured:
 
     def rejected(self, reason: str, detail: str) -> Rejection:
         """Rejection of this station."""
-        return _rejection(self.log, self.station, reason, detail)
+        return _rejection(self.station, reason, detail)
 
 
-def _rejection(log: int, station: Station, reason: str, detail: str) -> Rejection:
-    return Rejection("vision", reason, detail, station.time_ns, station.index, log)
+def _rejection(station: Station, reason: str, detail: str) -> Rejection:
+    return Rejection("vision", reason, detail, station.time_ns, station.index)
 
 
 def _showing(
@@ -246,7 +245,6 @@ def _showing(
 
 
 def measure(
-    log: int,
     station: Station,
     shots: Sequence[Sequence[Detection | Miss | None]],
     rig: CameraRig,
@@ -255,7 +253,6 @@ def measure(
     """Average and triangulate the corners of a station.
 
     Args:
-        log: index of the recording.
         station: its shots and joint readings.
         shots: detection in the image of each camera, for each shot, in the order of `station.shots`; None: no image.
         rig: the cameras.
@@ -264,7 +261,7 @@ def measure(
     Returns:
         The board at this station, or a rejection.
     """
-    rejected = partial(_rejection, log, station)
+    rejected = partial(_rejection, station)
     shown, detected = _showing(shots)
     if not shown:
         return rejected(*_unusable(rig.names, shots))
@@ -297,7 +294,7 @@ def measure(
         pose, views = _by_one(rig.some(shown), views, board, square_m)
         if isinstance(pose, Miss):
             return rejected(pose.reason, pose.detail)
-        return Measured(log, station, rig, board, shown, views, None, pose, square_m)
+        return Measured(station, rig, board, shown, views, None, pose, square_m)
     own, grid = rig.some(shown), board.grid()
     points, views = best_fit(own, views, board)
     if isinstance(points, Miss):
@@ -306,10 +303,12 @@ def measure(
     rough_m = square_from_points(points.points_c, grid[both])
     start = absolute_orientation(points.points_c, rough_m * grid[both])
     pose = board_pose(own, rough_m * grid, views, start, free_scale=True)
-    return Measured(log, station, rig, board, shown, views, points, pose, rough_m)
+    return Measured(station, rig, board, shown, views, points, pose, rough_m)
 
 
-def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k: FloatArray) -> Observation:
+def _completed(
+    m: Measured, pose: BoardPose, views: Sequence[Corners], points_k: FloatArray, log: int
+) -> Observation:
     """The observation of all corners: detected ones, and the others predicted from the board's pose."""
     points_c = se3.act(pose.T_c_k, points_k)
     moves = se3.by_twist(points_c)
@@ -332,7 +331,7 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
         both = common(views)
         points_c[both], points_cov[both] = m.points.points_c, m.points.points_cov
     return Observation(
-        log=m.log,
+        log=log,
         station=m.station.index,
         time_ns=m.station.time_ns,
         at_rest=m.station.at_rest,
@@ -348,12 +347,13 @@ def _completed(m: Measured, pose: BoardPose, views: Sequence[Corners], points_k:
     )
 
 
-def resolve_square(measured: Measured, square_m: float | None) -> Observation | Rejection:
+def resolve_square(measured: Measured, square_m: float | None, log: int = 0) -> Observation | Rejection:
     """Observation of a station, with a known square size.
 
     Args:
         measured: corners and board at the station.
         square_m: side of a square, m; None uses the station's own estimate.
+        log: index of the recording.
 
     Returns:
         The observation, or a rejection. `Observation.square_m` is the station's own estimate, of one camera `square_m`.
@@ -386,4 +386,4 @@ def resolve_square(measured: Measured, square_m: float | None) -> Observation | 
             replace(view, sigma_px=max(min(view.sigma_px, pose.rms_px), FLOOR_PX)) for view in views
         )
     side_m = m.square_m if square_m is None else square_m
-    return _completed(m, pose, views, side_m * m.board.grid())
+    return _completed(m, pose, views, side_m * m.board.grid(), log)

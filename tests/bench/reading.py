@@ -62,9 +62,9 @@ def read_and_see(path: str, jobs: str) -> dict[str, float]:
     each = (d for one in detections for d in one.found.values())
     found = sum(isinstance(d, Detection) for d in each)
     start = time.perf_counter()
-    for station, place in zip(plan.stations[:_MEASURED], detections, strict=False):
-        shots = place.of_shots(station.shots, rig.cameras)
-        if shots and isinstance(item := measure(0, station, shots, rig.cameras, board), Measured):
+    for place in detections[:_MEASURED]:
+        shots = place.of_shots(rig.cameras)
+        if shots and isinstance(item := measure(place.station, shots, rig.cameras, board), Measured):
             resolve_square(item, board.square_m)
     measuring = 1e3 * (time.perf_counter() - start) / _MEASURED
     return {"seconds": seconds, "measuring": measuring, "found": found}

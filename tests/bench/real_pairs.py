@@ -219,7 +219,7 @@ def refusal(rig: CameraRig, pair: Pair) -> str | None:
     """Why the product refuses a station with this pair; None if it does not."""
     still = np.zeros(len(tick_robot().joint_names))
     station = Station(0, True, (), _SECOND_NS, still, still)
-    found = measure(0, station, *([d] for d in pair), rig, _BOARD)
+    found = measure(station, *([d] for d in pair), rig, _BOARD)
     settled = found if isinstance(found, Rejection) else resolve_square(found, _SQUARE_M)
     return settled.detail if isinstance(settled, Rejection) else None
 

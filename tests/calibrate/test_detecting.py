@@ -10,11 +10,13 @@ import pytest
 
 from mobilecal_cli.calibrate import detect as detecting
 from mobilecal_cli.calibrate import workers as processes
-from mobilecal_cli.calibrate.extract import extract
+from mobilecal_cli.calibrate.extract import describe, extract
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.export.extraction import THUMBNAILS
 from mobilecal_cli.model import Board, PictureIndex, Shot, Station, Track, WheelTrack
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.readers import open_recording
+from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
+from mobilecal_cli.rig.resolve import complete_rig
 from mobilecal_cli.simulate.record import simulate
 from mobilecal_cli.simulate.scenario import Scenario
 from mobilecal_cli.stations import Plan
@@ -39,15 +41,14 @@ def plan(stations: list[Station]) -> Plan:
 
 def test_segments_hold_all_stations_in_order():
     stations = [station(i, 1 + 90 * (i % 3)) for i in range(20)]
-    segments = detecting.segments_of(0, plan(stations), True)
+    segments = detecting.segments_of(plan(stations), True)
     assert [s.index for segment in segments for s in segment.stations] == list(range(20))
     pairs = [sum(len(s.shots) for s in segment.stations) for segment in segments]
     assert max(pairs) <= detecting.SEGMENT_SHOTS
-    shown = [segment.stations[i].index for segment in segments for i in sorted(segment.shown)]
-    assert shown == list(range(20))
-    many = detecting.segments_of(0, plan([station(i, 1) for i in range(1000)]), True)
-    assert sum(len(segment.shown) for segment in many) <= detecting.SNAPSHOTS
-    segments = detecting.segments_of(0, plan([station(0, 1), station(1, 600), station(2, 1)]), True)
+    assert all(segment.shown == set(range(20)) for segment in segments)
+    many = detecting.segments_of(plan([station(i, 1) for i in range(1000)]), True)
+    assert len(many[0].shown) <= detecting.SNAPSHOTS
+    segments = detecting.segments_of(plan([station(0, 1), station(1, 600), station(2, 1)]), True)
     assert [len(segment.stations) for segment in segments] == [1, 1, 1]
 
 
@@ -145,9 +146,10 @@ def test_another_board_at_the_first_stations_is_not_the_board(sample_logs, tmp_p
         return replace(message, data=cv2.imencode(".png", cv2.subtract(image, float(left[side])))[1].ravel())
 
     log = edited(sample_logs / "paper_robot.mcap", tmp_path / "log.mcap", edit)
-    extraction, _ = extract([log], load_rig(None))
-    assert (extraction.board.columns, extraction.board.rows) == (9, 6)
-    assert len(extraction.observations) == 9
+    with open_recording([log]) as recording:
+        rig = complete_rig(describe(recording, UNCONFIGURED))
+        plans, *_ = detecting.plan_recording(recording, rig)
+        assert detecting.board_size(recording, rig, plans) == (9, 6)
 
 
 @pytest.mark.parametrize(("scale", "said"), [(2, "images 2 times as large"), (0.5, "at the recorded size")])

@@ -39,7 +39,7 @@ def test_enough_motion_has_no_gap(motion):
 @pytest.mark.parametrize("noise", [None, Noise(0.2, 0.003, 0.0209, 0.001)])
 def test_missing_motion_is_named(motion, parameters, because, cure, noise):
     with pytest.raises(SolveError) as caught:
-        require_observable(extraction(motion, noise))
+        fitted(extraction(motion, noise), "paper")
     assert f"unobservable: {parameters}" in caught.value.message
     assert because in caught.value.message
     assert cure in caught.value.hint
@@ -161,12 +161,14 @@ def test_a_refusal_names_readings_that_are_too_few_and_clocks_that_step(note):
     assert caught.value.hint.startswith(f"{note[:-1]}; tilt the head")
 
 
-def test_a_known_mistake_needs_no_other_cure():
+def test_a_known_mistake_needs_no_other_cure(monkeypatch):
     """Of a wheel with the wrong sign, the hint began with the rate of the readings."""
-    whole = simulated(noise=Noise(0.1, 0.003, 0.0, 1e-4))
-    (track,) = whole.wheels
-    wrong = WheelTrack.at_same_times(track.time_ns, -track.right_rad, track.left_rad)
+
+    def mistaken(*_given, **_named):
+        raise SolveError("wrong sign", "negate it", explained=True)
+
+    monkeypatch.setattr("mobilecal_cli.calibrate.steps.solve_extraction", mistaken)
     note = "wheels: too few readings per second (4, at least 8 needed)."
-    with pytest.raises(SolveError, match="wrong sign") as caught:
-        fitted(replace(whole, wheels=(wrong,), notes=(note,)))
-    assert caught.value.hint == "negate wheels.right.sign in rig.yaml"
+    with pytest.raises(SolveError) as caught:
+        fitted(replace(extraction("standard"), notes=(note,)))
+    assert caught.value.hint == "negate it"

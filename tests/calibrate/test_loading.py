@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.calibrate.load import load
-from mobilecal_cli.errors import ConfigError, RecordingError, SolveError
+from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
-from mobilecal_cli.solvers import Constraints, solve
+from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import dataset_for
-from tests.extractions import STATION_NOISE, simulated
+from tests.extractions import STATION_NOISE, joined, simulated
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,16 @@ def test_an_extraction_beside_a_recording_is_named(npz, sample_logs):
     said = re.escape(f"{npz}: an extraction contains its settings and cannot be combined with others")
     with pytest.raises(ConfigError, match=said):
         load([sample_logs / "straight.mcap", npz], load_rig(None))
+
+
+@pytest.mark.parametrize("joints", [True, False])
+def test_an_extraction_that_contains_a_recording_twice_is_refused(npz, tmp_path, joints):
+    """Earlier versions wrote them, and without joints."""
+    one = loaded(npz) if joints else replace(loaded(npz), joint_tracks=())
+    double = replace(joined(one, one), logs=(*one.logs, LogSource("again.bag", "1" * 64)))
+    (tmp_path / "double.npz").write_bytes(extraction_to_npz(double))
+    with pytest.raises(ConfigError, match=r"log\.mcap and again\.bag are the same recording"):
+        load([tmp_path / "double.npz"], load_rig(None))
 
 
 @pytest.mark.parametrize("size", [100, 10_000])
@@ -67,35 +77,32 @@ def test_priors_and_noise_replace_those_of_an_extraction(npz, tmp_path):
     assert kept.noise == {"floor_m": 0.001}
 
 
-@pytest.fixture(scope="module")
-def usual(npz):
-    """The solution with the settings of the extraction."""
-    return solve(loaded(npz))
+def sigmas(npz, **priors):
+    """Constant → prior standard deviation, as the solver has it; fixed constants are none."""
+    layout = dataset_for(loaded(npz, **priors), Constraints()).layout
+    return {row.name: row.sigma for row in layout.constants}
 
 
-def test_the_solver_uses_them(npz, usual):
-    assert solve(loaded(npz, priors__all="fixed")).constants.keys() <= {"square_scale"}
-    narrow = solve(loaded(npz, priors__focal_length=0.0005))
-    assert narrow.constants["focal_left"].prior == pytest.approx(5e-6)
-    assert narrow.constants["focal_left"].std < 5.05e-6 < usual.constants["focal_left"].std
+def test_the_solver_uses_them(npz):
+    fixed = sigmas(npz, priors__all="fixed")
+    assert fixed.keys() <= {"square_scale"}
+    assert sigmas(npz, priors__focal_length=0.0005)["focal_left"] == pytest.approx(5e-6)
 
 
 def test_priors_of_a_kind_hold_for_constants_that_a_recording_has_of_its_own(npz):
     """Entries for the places of corners were accepted and ignored, and "all: fixed" left them free."""
 
-    def sigmas(**priors):
-        extraction = loaded(npz, **priors)
-        data = dataset_for(extraction, Constraints())
-        return {row.kind: row.sigma for row in data.layout.constants if row.kind in OF_RECORDINGS}
+    def of_recordings(**priors):
+        layout = dataset_for(loaded(npz, **priors), Constraints()).layout
+        return {row.kind: row.sigma for row in layout.constants if row.kind in OF_RECORDINGS}
 
     floor, others = (
         {"floor_drift": 0.001, "floor_shape": 0.001},
         {"board_corners": 0.00015, "lens_waves": 0.0002},
     )
-    assert sigmas() == pytest.approx(floor | others)
+    assert of_recordings() == pytest.approx(floor | others)
     fixed = {f"priors__{kind}": "fixed" for kind in (*floor, "lens_waves")}
-    assert sigmas(priors__board_corners=0.3, **fixed) == {"board_corners": 0.0003}
-    assert sigmas(priors__all="fixed") == {}
+    assert of_recordings(priors__board_corners=0.3, **fixed) == {"board_corners": 0.0003}
 
 
 @pytest.mark.parametrize("flag", ["board.square_m", "stations", "priorsx", "wheels.left.bits"])
@@ -109,7 +116,7 @@ def test_settings_that_were_used_are_refused_with_those_that_can_change(npz, fla
         loaded(npz, priors__pan_zer=1)
 
 
-def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
+def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz, tmp_path):
     old = loaded(npz)
     source = old.rig.sources.wheels["left"]
     ticks = source.ticks_per_revolution or 2 * math.pi
@@ -120,17 +127,9 @@ def test_sign_and_resolution_of_a_wheel_scale_its_rotation(npz):
         np.testing.assert_allclose(after.left.value, -2 * before.left.value, rtol=1e-12)
         np.testing.assert_array_equal(after.right.value, before.right.value)
     # The same ticks per revolution again, and the sign as before: nothing changes.
-    same = loaded(npz, wheels__left__sign=1, wheels__left__ticks_per_revolution=ticks)
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(new))
+    same = loaded(tmp_path / "e.npz", wheels__left__sign=1, wheels__left__ticks_per_revolution=ticks)
     np.testing.assert_allclose(same.wheels[0].left.value, old.wheels[0].left.value, rtol=1e-14)
-
-
-def test_a_wrong_sign_is_repaired_without_the_recording(npz, usual, tmp_path):
-    wrong = tmp_path / "wrong.npz"
-    wrong.write_bytes(extraction_to_npz(loaded(npz, wheels__right__sign=-1)))
-    with pytest.raises(SolveError, match=r"right wheel"):
-        solve(loaded(wrong))
-    found = solve(loaded(wrong, wheels__right__sign=1)).parameters
-    np.testing.assert_allclose(found.wheels.vector, usual.parameters.wheels.vector, rtol=1e-9)
 
 
 def test_nominal_values_and_the_reference_camera(npz):

@@ -4,6 +4,7 @@ import csv
 import json
 import signal
 import socket
+import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.calibrate import batch as batch_module
 from mobilecal_cli.calibrate.batch import on_cluster
-from mobilecal_cli.calibrate.steps import Report, calibrate
+from mobilecal_cli.calibrate.steps import calibrate
 from mobilecal_cli.errors import ConfigError, OutputError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, write_outputs
@@ -242,7 +243,17 @@ def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_pa
         ("robots: [{name: a}]", r"robots\.0\.logs: missing$"),
         ("robots: [{name: a, logs: []}]", r"yaml: robots\.0\.logs: [^;]* at least 1 item [^;]*$"),
         ("robots: [{name: a, logs: [x], config: y.yaml}]", r"configuration of a: no such file: .*y\.yaml$"),
-        ("robots: [{name: ../a, logs: [x]}]", "is not a valid robot name"),
+        *(
+            (
+                json.dumps({"robots": [{"name": name, "logs": ["x"]}]}),
+                r"is not a valid robot name|not valid YAML",
+            )
+            for name in ["../a", "=1+2", "-a", ".a", "a/b", "a\\b", "a ", "a\nb", "a\udcff", "a" * 101]
+        ),
+        *(
+            (f"robots: [{{name: {name}, logs: [x]}}]", "like a file that batch writes")
+            for name in batch_module.SUMMARIES
+        ),
         ("robots: [{name: a, logs: [x]}, {name: a, logs: [y]}]", "two robots are named 'a'"),
         ("- a", "not a mapping of keys"),
         ("[", "not valid YAML"),
@@ -273,14 +284,6 @@ def test_names_of_files_are_names_of_robots(sample_logs, tmp_path, name):
     assert [job.name for job in batch_module.fleet_jobs(tmp_path, tmp_path, None, {}, ())] == [name]
 
 
-@pytest.mark.parametrize("name", ["=1+2", "-a", ".a", "a/b", "a\\b", "a ", "a\nb", "a\udcff", "a" * 101])
-def test_names_that_are_no_directories_everywhere(tmp_path, name):
-    robots = json.dumps({"robots": [{"name": name, "logs": ["x.mcap"]}]})
-    (tmp_path / "fleet.yaml").write_text(robots, encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"is not a valid robot name|not valid YAML"):
-        batch_module.fleet_jobs(tmp_path / "fleet.yaml", tmp_path, None, {}, ())
-
-
 def manifest(folder, *robots):
     path = folder / "fleet.yaml"
     path.write_text("robots:\n" + "\n".join(f"- {robot}" for robot in robots), encoding="utf-8")
@@ -292,14 +295,6 @@ def refused_before_the_work(source, out, monkeypatch, error, says):
     with pytest.raises(error, match=says) as caught:
         batch_module.batch(source, out, run=in_this_process)
     return caught.value
-
-
-@pytest.mark.parametrize("name", batch_module.SUMMARIES)
-def test_a_robot_named_like_a_file_of_the_batch(tmp_path, monkeypatch, name):
-    source = manifest(tmp_path, f"{{name: {name}, logs: [x]}}")
-    refused_before_the_work(
-        source, tmp_path / "out", monkeypatch, ConfigError, "like a file that batch writes"
-    )
 
 
 def test_robots_that_share_a_recording(fleet, tmp_path, monkeypatch):
@@ -323,8 +318,31 @@ def test_a_configuration_that_is_none_is_not_quoted(fleet, tmp_path, monkeypatch
     assert error.__cause__ is None
 
 
-def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
-    source, out = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}"), tmp_path / "out"
+@pytest.fixture
+def counted(monkeypatch):
+    """A calibration that returns at once, with another result each time; how often it ran."""
+    ran = []
+
+    def answer(logs, out, *, config, force, before_writing, **_):
+        ran.append(out.name)
+        read_urdf(config)
+        params = f"{FIRST_LINE}# {len(ran)}\n"
+        before_writing(SimpleNamespace(params=params))
+        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, params.encode()), force)
+
+    monkeypatch.setattr(batch_module, "calibrate", answer)
+    monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))
+    return ran
+
+
+def of_one(folder):
+    """A manifest of one robot, named a."""
+    (folder / "a.mcap").write_bytes(b"a")
+    return manifest(folder, "{name: a, logs: [a.mcap]}")
+
+
+def test_a_result_of_someone_else_needs_force(tmp_path, monkeypatch, counted):
+    source, out = of_one(tmp_path), tmp_path / "out"
     batch_module.batch(source, out, run=in_this_process)
     params = out / "a" / "params.yaml"
     edited = params.read_bytes() + b"# edited\n"
@@ -343,14 +361,14 @@ def test_a_result_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
     assert (out / "a" / "thesis.tex").exists()
 
 
-def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_path, monkeypatch):
+def test_a_result_that_was_edited_after_an_interruption_needs_force(tmp_path, monkeypatch, counted):
     """Before and after the record of the new result was written."""
-    source, out = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}"), tmp_path / "out"
+    source, out = of_one(tmp_path), tmp_path / "out"
 
     def interrupted(*given, **named):
         raise KeyboardInterrupt
 
-    for moment in ((batch_module, "calibrate"), (Report, "save")):
+    for moment in ((batch_module, "calibrate"), (sys.modules[__name__], "write_outputs")):
         batch_module.batch(source, out, run=in_this_process)
         with monkeypatch.context() as patch:
             patch.setattr(*moment, interrupted)
@@ -363,35 +381,22 @@ def test_a_result_that_was_edited_after_an_interruption_needs_force(fleet, tmp_p
         params.write_bytes(params.read_bytes().removesuffix(b"# edited\n"))
 
 
-def test_a_summary_of_someone_else_needs_force(fleet, tmp_path, monkeypatch):
+def test_a_summary_of_someone_else_needs_force(tmp_path, monkeypatch):
     (tmp_path / "summary.csv").write_text("precious")
-    source = manifest(tmp_path, f"{{name: a, logs: [{fleet.parent / 'robot_1.npz'}]}}")
+    source = of_one(tmp_path)
     refused_before_the_work(source, tmp_path, monkeypatch, OutputError, r"summary\.csv: already exists")
     assert (tmp_path / "summary.csv").read_text() == "precious"
 
 
-@pytest.fixture
-def counted(monkeypatch):
-    """A calibration that returns at once; how often it ran."""
-    ran = []
-
-    def answer(logs, out, *, config, force, before_writing, **_):
-        ran.append(out.name)
-        read_urdf(config)
-        before_writing(SimpleNamespace(params=FIRST_LINE))
-        write_outputs(out, dict.fromkeys(OUTPUT_NAMES, FIRST_LINE.encode()), force)
-
-    monkeypatch.setattr(batch_module, "calibrate", answer)
-    monkeypatch.setattr(batch_module, "_row", lambda job, report: replace(row(0), name=job.name))
-    return ran
-
-
 def urdf_robot(tmp_path):
     """A robot whose configuration names a URDF."""
+    (tmp_path / "bag").mkdir()
+    for name in ("metadata.yaml", "bag_0.mcap"):  # the first one stands for both
+        (tmp_path / "bag" / name).write_bytes(b"")
     (tmp_path / "a.mcap").write_bytes(b"a")
     (tmp_path / "head.urdf").write_text("<robot/>")
     (tmp_path / "a.rig.yaml").write_text("head: {urdf: head.urdf}")
-    return manifest(tmp_path, "{name: a, logs: [a.mcap], config: a.rig.yaml}")
+    return manifest(tmp_path, "{name: a, logs: [a.mcap, bag/metadata.yaml], config: a.rig.yaml}")
 
 
 def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counted):
@@ -412,8 +417,9 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     assert not again()
     (out / "a" / "extraction.npz").unlink()
     assert again()
-    (tmp_path / "a.mcap-wal").write_bytes(b"more")
-    assert again()
+    for name in ("a.mcap-wal", "bag/bag_0.mcap"):
+        (tmp_path / name).write_bytes(b"more")
+        assert again()
     assert again(force=True)
     assert not again()
     assert again(gates=["stations=3"])
@@ -424,20 +430,8 @@ def test_everything_that_changes_a_result_is_in_its_fingerprint(tmp_path, counte
     record.write_text(json.dumps(content))
     assert again()
     assert not again()
-    assert len(counted) == 10
+    assert len(counted) == 11
     assert json.dumps(RigConfig.model_json_schema()).count('"format": "path"') == 1  # head.urdf alone
-
-
-def test_the_metadata_of_a_recording_stands_for_all_of_it(tmp_path, counted):
-    folder = tmp_path / "bag"
-    folder.mkdir()
-    (folder / "metadata.yaml").write_text("")
-    (folder / "bag_0.mcap").write_bytes(b"one")
-    source = manifest(tmp_path, "{name: a, logs: [bag/metadata.yaml]}")
-    for content in (b"one", b"other"):
-        (folder / "bag_0.mcap").write_bytes(content)
-        batch_module.batch(source, tmp_path / "out", run=in_this_process)
-    assert len(counted) == 2
 
 
 def test_an_error_whose_cause_is_mended(tmp_path, counted):

@@ -97,8 +97,14 @@ def test_invalid_files_are_problems_too(sample_logs, rig, tmp_path):
 def test_limits_are_no_problems(sample_logs, rig, few):
     found = inspect.check(rig, [sample_logs / "straight.mcap"])
     assert found.exit_code == 0
-    assert states(found)["motion"] == "limit"
+    (lack,) = found.weak
+    assert lack.about == "motion"
+    assert "the base only drives straight" in lack.what
+    assert "turn the base" in lack.cure
     assert checklist_text(found).endswith("1 limit.\n")
+    assert found.motion.turned_deg < 3
+    # The truth drives 2.7 m in all; wheels with noise go a little further.
+    assert 2 < found.motion.driven_m < 4
 
 
 def test_images_of_another_size_and_other_times(sample_logs, rig, tmp_path, few):
@@ -202,12 +208,18 @@ def test_what_needs_no_solution_is_found(sample_logs, rig, few, name):
         {"priors": {**LENGTHS, "pan_position_x": 1.0}},
         {"priors": LENGTHS, "board.square_m": 0.08},
         {"priors": {**TURNS, "joint_zero": 1.0}},
-        {"board.square_m": 0.0802},
     ],
 )
-def test_some_free_priors_and_noise_are_no_limits(sample_logs, rig, few, flags):
+def test_some_free_priors_are_no_limits(sample_logs, rig, few, flags):
     found = inspect.check(rig, [sample_logs / "paper_robot.mcap"], flags)
     assert (found.missing, found.weak) == ((), ())
+
+
+def test_a_stated_square_within_the_noise_is_no_limit(sample_logs, rig):
+    found = inspect.check(rig, [sample_logs / "paper_robot.mcap"], {"board.square_m": 0.0802})
+    assert (found.missing, found.weak) == ((), ())
+    assert found.board.square_m == pytest.approx(0.08, rel=0.002)
+    assert ", 80.20 mm stated" in checklist_text(found)
 
 
 def changed_states(source, target, change):

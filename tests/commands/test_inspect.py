@@ -1,6 +1,7 @@
 """`mobilecal inspect`: what a recording holds, at a glance."""
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -9,7 +10,6 @@ import pytest
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
-from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import ROBOTS, urdf_text
 from tests.command import run, succeeded
 from tests.commands.edited import edited
@@ -32,17 +32,6 @@ def test_sample_log(sample_logs, name):
     assert (found.board.pictures, found.board.seen, found.board.size) == (12, 12, (9, 6))
     assert (found.missing, found.weak, found.notes) == ((), (), ())
     assert found.rig.setting_sources["head chain base_link to head_link"] == "URDF on /robot_description"
-
-
-def test_motion_that_does_not_show_everything(sample_logs, few):
-    found = inspect.inspect([sample_logs / "straight.mcap"])
-    assert found.missing == ()
-    (lack,) = found.weak
-    assert "the base only drives straight" in lack.what
-    assert "turn the base" in lack.cure
-    assert found.motion.turned_deg < 3
-    # The truth drives 2.7 m in all; wheels with noise go a little further.
-    assert 2 < found.motion.driven_m < 4
 
 
 def test_command_for_people_and_for_programs(sample_logs, tmp_path):
@@ -135,7 +124,13 @@ def test_exit_code_of_calibrate(sample_logs, tmp_path, name, code, few):
     assert data["exit_code"] == code
     assert {lack["exit_code"] for lack in data["missing"]} == {code}
     assert name != "board.mcap" or "a board with markers, set board.kind" in data["missing"][0]["cure"]
-    assert run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path).code == code
+    refused = run("calibrate", log, "--output", "out", "--quiet", cwd=tmp_path)
+    assert (refused.code, refused.left) == (code, [])
+    if name == "head_fixed.mcap":  # its URDF does not draw the camera
+        said = (
+            r"error: .*does not show the camera's height \(t_y\).*hint: .*tilt the head up.*--fix t_y=VALUE"
+        )
+        assert re.match(said, refused.err, re.DOTALL)
 
 
 @pytest.mark.parametrize(
@@ -159,14 +154,6 @@ def black_images(topic, message):
         black = cv2.imencode(".png", np.zeros((480, 640), np.uint8))[1].ravel()
         return replace(message, format="png", data=black)
     return message
-
-
-def test_the_square_beside_the_stated_one(sample_logs):
-    log = [sample_logs / "paper_robot.mcap"]
-    found = inspect.inspect(log, load_rig(None, {"board.square_m": 0.0801}))
-    assert found.board.square_m == pytest.approx(0.08, rel=0.002)
-    assert ", 80.10 mm stated" in inspection_text(found)
-    assert found.exit_code == 0
 
 
 def test_empty_recording(tmp_path):

@@ -79,8 +79,10 @@ def test_a_system_that_is_not_supported_is_named(arguments):
     assert "Windows Subsystem for Linux" in done.stderr
 
 
-@pytest.mark.parametrize("redirection", ["2>&-", "2</dev/null", "2>/dev/full"])
-@pytest.mark.parametrize("command", ["bogus", "calibrate"])
+@pytest.mark.parametrize(
+    ("command", "redirection"),
+    [("bogus", "2>&-"), ("calibrate", "2</dev/null"), ("calibrate", "2>/dev/full")],
+)
 def test_a_wrong_command_line_that_standard_error_cannot_show(command, redirection):
     """It ended as a bug does, or as standard output that is full."""
     if redirection.endswith("full") and not Path("/dev/full").exists():

@@ -11,7 +11,9 @@ import time
 import pytest
 
 from mobilecal_cli.commands.terminal import open_page, verdict_text
+from mobilecal_cli.export.extraction import extraction_to_npz
 from tests.command import run
+from tests.report.example import make_extraction
 
 
 class Terminal(io.StringIO):
@@ -90,9 +92,9 @@ def test_the_report_is_opened_without_waiting(tmp_path, monkeypatch):
     assert seen.read_text().strip() == page.as_uri()
 
 
-def test_without_a_display_the_report_is_named(sample_logs, tmp_path, monkeypatch):
+def test_without_a_display_the_report_is_named(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
-    log = sample_logs / "paper_robot.mcap"
-    done = run("calibrate", log, "-o", "out", "--open", "--quiet", "--method", "linear", cwd=tmp_path)
+    (tmp_path / "e.npz").write_bytes(extraction_to_npz(make_extraction()))
+    done = run("calibrate", "e.npz", "-o", "out", "--open", "--quiet", "--method", "linear", cwd=tmp_path)
     assert f"No display to open the report on: {tmp_path / 'out' / 'report.html'}\n" in done.err

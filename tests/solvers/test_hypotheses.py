@@ -216,6 +216,7 @@ def test_the_named_mistake_is_the_only_one(recorded):
     spoilt = WRONG["sign of pan"].change(recorded)
     with pytest.raises(SolveError, match=CAUSES["sign of pan"]) as caught:
         solve(spoilt)
+    assert caught.value.explained
     assert "wheel" not in caught.value.message
 
 

@@ -36,7 +36,7 @@ def moved(pair: Pair, by: tuple[float, float]) -> Pair:
 def measured(found: list[Pair], rig: CameraRig = RIG) -> list[Measured | Rejection]:
     stations = [Station(i, True, (), 10**9 * i, np.zeros(2), np.zeros(2)) for i in range(len(found))]
     both = zip(stations, found, strict=True)
-    return [measure(0, station, [left], [right], rig, BOARD) for station, (left, right) in both]
+    return [measure(station, [left], [right], rig, BOARD) for station, (left, right) in both]
 
 
 def shifted(pixels: float) -> CameraRig:

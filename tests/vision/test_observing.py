@@ -41,7 +41,7 @@ def observe(*seen: object) -> Observation | Rejection:
     """Observation or rejection from the arguments of `measure` and a square's side, m."""
     *pictures, square_m = seen
     (result,), _ = agreeing([measure(*pictures)])
-    return resolve_square(result, square_m) if isinstance(result, Measured) else result
+    return resolve_square(result, square_m, 2) if isinstance(result, Measured) else result
 
 
 def observed(result: Observation | Rejection) -> Observation:
@@ -57,7 +57,7 @@ def rejected(result: Observation | Rejection) -> Rejection:
 
 @pytest.mark.parametrize("square_m", [None, SQUARE_M])
 def test_exact_corners(square_m: float | None) -> None:
-    found = observed(observe(2, station(), *pairs(1, 0.0), RIG, BOARD, square_m))
+    found = observed(observe(station(), *pairs(1, 0.0), RIG, BOARD, square_m))
     np.testing.assert_allclose(found.T_c_k, T_C_K, atol=1e-9)
     assert found.square_m == pytest.approx(SQUARE_M, rel=1e-9)
     assert found.reprojection_px < 1e-8
@@ -66,7 +66,7 @@ def test_exact_corners(square_m: float | None) -> None:
 
 
 def test_noise_averages_and_is_measured() -> None:
-    found = observed(observe(0, station(16), *pairs(16, 0.2), RIG, BOARD, SQUARE_M))
+    found = observed(observe(station(16), *pairs(16, 0.2), RIG, BOARD, SQUARE_M))
     truth = seen(RIG, T_C_K, BOARD, SQUARE_M)
     for corners, expected in ((found.views[0], truth[1]), (found.views[1], truth[2])):
         assert corners.pictures == 16
@@ -78,25 +78,25 @@ def test_noise_averages_and_is_measured() -> None:
 
 def test_errors_common_to_all_shots_are_no_smaller_for_averaging() -> None:
     left, right = pairs(1, 0.2)
-    found = observed(observe(0, station(9), left * 9, right * 9, RIG, BOARD, SQUARE_M))
+    found = observed(observe(station(9), left * 9, right * 9, RIG, BOARD, SQUARE_M))
     assert found.views[0].sigma_px == pytest.approx(0.2, rel=0.3)
 
 
 def test_shots_missing_in_one_picture_and_one_that_moved_are_left_out():
     left, right = pairs(4, 0.1)
     left[1] = Miss("blurred", "borders are 0.8 squares wide")
-    found = observed(observe(0, station(4), left, right, RIG, BOARD, SQUARE_M))
+    found = observed(observe(station(4), left, right, RIG, BOARD, SQUARE_M))
     assert found.views[0].pictures == found.views[1].pictures == 3
     left, right = pairs(5, 0.05)
     left[4] = Detection(left[4].pixels + 2.0, 0.05)
-    found = observed(observe(0, station(5), left, right, RIG, BOARD, SQUARE_M))
+    found = observed(observe(station(5), left, right, RIG, BOARD, SQUARE_M))
     assert found.views[0].pictures == 4
 
 
 def test_no_pair() -> None:
     hidden, none = HIDDEN, Miss("no board found", "none")
     both = [hidden, none, hidden], [none, none, hidden]
-    result = rejected(observe(0, station(3), *both, RIG, BOARD, 0.06))
+    result = rejected(observe(station(3), *both, RIG, BOARD, 0.06))
     assert result.reason == "board partly occluded or outside the image"
     assert result.detail == (
         "3 stereo pairs; left: 2 x board partly occluded or outside the image (7 x 6 seen); 1 x no board found (none); "
@@ -111,7 +111,7 @@ def test_one_camera_of_a_pair(k: int, stated: float | None, hidden: Miss | None)
     """The camera that sees the board counts alone, with squares as stated or as other stations measure them."""
     found = list(pairs(4, 0.1))
     found[1 - k] = [hidden] * 4
-    measured = measure(0, station(4), *found, RIG, Board(9, 6, stated))
+    measured = measure(station(4), *found, RIG, Board(9, 6, stated))
     assert isinstance(measured, Measured)
     assert measured.points is None
     o = observed(resolve_square(measured, SQUARE_M))
@@ -132,7 +132,7 @@ def test_corners_beside_the_other_camera_have_no_absurd_pixels(turn_deg: float) 
     right = replace(right, distortion="plumb_bob", D=np.array([-0.3, 0.1, 0, 0, -0.02]))
     rig = replace(RIG, each=(left, right), T_c_each=(np.eye(4), turned), calibrated=False)
     found, _ = pairs(4, 0.1)
-    o = observed(observe(0, station(4), found, [HIDDEN] * 4, rig, Board(9, 6, SQUARE_M), SQUARE_M))
+    o = observed(observe(station(4), found, [HIDDEN] * 4, rig, Board(9, 6, SQUARE_M), SQUARE_M))
     assert not o.views[1].seen.any()
     assert np.abs(o.views[1].pixels).max() < 1e4
     np.testing.assert_array_less(np.abs(o.views[0].pixels), 1e4)
@@ -148,10 +148,10 @@ def test_images_that_show_different_parts_of_the_board(second: range) -> None:
         return Detection(pixels, 0.1, np.isin(np.arange(54), shown))
 
     left, right = ([part(pixels, range(27)), part(pixels, second)] for pixels in both)
-    result = rejected(observe(0, station(2), left, right, RIG, board, SQUARE_M))
+    result = rejected(observe(station(2), left, right, RIG, board, SQUARE_M))
     assert result.detail == f"{27 - second.start} of 54 corners visible in an image, minimum 8"
     whole = [part(both[0], range(54))] * 2
-    found = observed(observe(0, station(2), whole, right, RIG, board, SQUARE_M))
+    found = observed(observe(station(2), whole, right, RIG, board, SQUARE_M))
     assert [view.seen.all() for view in found.views] == [True, False]
     assert not found.views[1].seen.any()
 
@@ -159,7 +159,7 @@ def test_images_that_show_different_parts_of_the_board(second: range) -> None:
 def test_a_rest_that_is_none() -> None:
     left, right = pairs(6, 0.05)
     drifting = [Detection(d.pixels + 3.0 * i, 0.05) for i, d in enumerate(left)]
-    result = rejected(observe(0, station(6), drifting, right, RIG, BOARD, SQUARE_M))
+    result = rejected(observe(station(6), drifting, right, RIG, BOARD, SQUARE_M))
     assert result.reason == "board or robot moved during the stop"
     assert "drift by 7.5" in result.detail
 
@@ -167,10 +167,10 @@ def test_a_rest_that_is_none() -> None:
 def test_other_boards_and_squares_are_rejected():
     other = pose(0.05, 0.1, 1.2, (0.3, -0.2, 0.1), BOARD, SQUARE_M)
     (left, _), (_, right) = pairs(1, 0.05), pairs(1, 0.05, T_c_k=other)
-    result = rejected(observe(0, station(), left, right, RIG, BOARD, SQUARE_M))
+    result = rejected(observe(station(), left, right, RIG, BOARD, SQUARE_M))
     assert result.reason == "left and right images inconsistent"
     assert "px" in result.detail
-    result = rejected(observe(0, station(), *pairs(1, 0.05), RIG, BOARD, 0.08))
+    result = rejected(observe(station(), *pairs(1, 0.05), RIG, BOARD, 0.08))
     assert result.reason == "unexpected square size"
     assert result.detail == "triangulated squares are 60.0 mm wide, expected 80.0 mm"
 
@@ -182,7 +182,7 @@ def test_numbering_of_left_right_and_shots_is_brought_together(columns: int, row
     left, right = pairs(3, 0.02, board, T_c_k)
     right = [Detection(turned(d.pixels, Board(columns, rows), 2), 0.02) for d in right]
     left[2] = Detection(turned(left[2].pixels, Board(columns, rows), 2), 0.02)
-    found = observed(observe(0, station(3), left, right, RIG, board, SQUARE_M))
+    found = observed(observe(station(3), left, right, RIG, board, SQUARE_M))
     np.testing.assert_allclose(found.T_c_k, T_c_k, atol=2e-3)
     assert found.reprojection_px < 0.1
 
@@ -199,7 +199,7 @@ def test_real_pairs_show_squares_of_30_mm(shared_data: Path) -> None:
     for i in range(1, 8):
         paths = (shared_data / f"stereo/opencv_samples/{side}0{i}.jpg" for side in ("left", "right"))
         left, right = (detect(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE), 9, 6) for path in paths)
-        found = observed(observe(0, station(), [left], [right], bouguet(), BOARD, None))
+        found = observed(observe(station(), [left], [right], bouguet(), BOARD, None))
         assert found.square_m == pytest.approx(0.030, abs=0.05e-3)
         assert found.reprojection_px < 0.2
         grid = 1e3 * found.points_c.reshape(6, 9, 3)
