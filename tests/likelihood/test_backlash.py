@@ -11,7 +11,7 @@ from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import Track
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 
 
 def approach_direction(extraction):
@@ -19,7 +19,7 @@ def approach_direction(extraction):
 
 
 ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
-EXTRACTION = ideal_extraction(paper_robot(), ROUTE)
+EXTRACTION = extraction_of(paper_robot(), ROUTE)
 
 
 def mean(track, at):
