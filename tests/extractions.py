@@ -4,7 +4,8 @@ Also the imperfections that `mobilecal simulate` does not render: noise of the m
 that change with the driven distance, exposure during motion, and what no constant of the estimator describes.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -34,6 +35,7 @@ from tests.actual import (
     camera_in_world,
     constant_kinds,
     floor_poses,
+    joint_key,
     pixels,
     rolled_as_read,
     station_times_s,
@@ -79,21 +81,6 @@ class Outside:
     turn_sides: float = 0.0
     wheel_delay_s: float = 0.0
     drift: tuple[float, float] = (0.0, 0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Imperfection:
-    """What is not as stated.
-
-    Attributes:
-        constants: name → true minus stated value; a missing one is zero.
-        noise: levels of the noise.
-        outside: what no constant describes.
-    """
-
-    constants: dict[str, float] = field(default_factory=dict)
-    noise: Noise = field(default_factory=Noise)
-    outside: Outside = field(default_factory=Outside)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,48 +279,15 @@ def _row_by_row(first: FloatArray, middle: FloatArray, last: FloatArray, height:
     return at
 
 
-def ideal_extraction(
-    robot: SimulatedRobot,
-    route: Route,
-    noise: Noise | None = None,
-    seed: int = 0,
-    nominal: bool = True,
-    camera_late_s: float = 0.0,
-) -> Extraction:
-    """Extraction of a drive of a robot as stated, with only the given noise; see `extraction_of`."""
-    return extraction_of(OutsideRobot(robot, {}), route, noise or Noise(), seed, nominal, camera_late_s)
-
-
-def simulated(
-    motion="standard", noise=None, robot="paper", stations=12, seed=3, constants=None, outside=None, **more
-) -> Extraction:
+def simulated(motion="standard", noise=None, robot="paper", stations=12, seed=3, **more) -> Extraction:
     """`extraction_of` a planned route; the seed is that of the route and of the noise.
 
     Args:
         robot: its name, or the robot.
-        constants, outside: of an `Imperfection`; the robot is as stated by default.
         more: further arguments of `extraction_of`.
     """
     described = ROBOTS[robot]() if isinstance(robot, str) else robot
-    actual = OutsideRobot(described, constants or {}, outside or Outside())
-    route = plan_route(described, motion, stations, seed=seed)
-    return extraction_of(actual, route, noise or Noise(), seed, **more)
-
-
-def imperfect_extraction(
-    robot: SimulatedRobot,
-    route: Route,
-    imperfection: Imperfection,
-    seed: int = 0,
-    nominal: bool = True,
-    camera_late_s: float = 0.0,
-    images: int = 40,
-) -> Extraction:
-    """Extraction of a drive of a robot that is not as stated; see `extraction_of`."""
-    if unknown := set(imperfection.constants) - set(constant_kinds(robot)):
-        raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
-    actual = OutsideRobot(robot, imperfection.constants, imperfection.outside)
-    return extraction_of(actual, route, imperfection.noise, seed, nominal, camera_late_s, images)
+    return extraction_of(described, plan_route(described, motion, stations, seed=seed), noise, seed, **more)
 
 
 def joined(*parts: Extraction) -> Extraction:
@@ -362,24 +316,29 @@ def in_view(camera: Camera, pixels: FloatArray) -> bool:
 
 
 def extraction_of(
-    actual: OutsideRobot,
+    robot: SimulatedRobot,
     route: Route,
-    noise: Noise,
+    noise: Noise | None = None,
     seed: int = 0,
+    *,
+    constants: Mapping[str, float] | None = None,
+    outside: Outside | None = None,
     nominal: bool = True,
     camera_late_s: float = 0.0,
     images: int = 40,
 ) -> Extraction:
-    """Extraction of a drive of the actual robot with ideal image processing, as its description makes it.
+    """Extraction of a drive with ideal image processing, as the robot's description makes it.
 
     Of a robot as stated, without pixel noise, the points and board poses are exact. Otherwise points are triangulated
     from the pixels and the pose minimizes the reprojection error, as for real images.
 
     Args:
-        actual: the description, with the true head-eye transform and wheels, and what is not as stated.
+        robot: the description, with the true head-eye transform and wheels.
         route: the true motion of base and joints; readings follow from it.
-        noise: of the recording.
+        noise: of the recording; none by default.
         seed: of the noise.
+        constants: name → true minus stated value; a missing one is zero.
+        outside: what no constant describes.
         nominal: whether nominal values are known.
         camera_late_s: delay of the camera stamps relative to joints and wheels, s.
         images: their number where the robot never rests.
@@ -387,9 +346,13 @@ def extraction_of(
     Raises:
         ConfigError: the cameras' images are too inconsistent to be triangulated.
     """
+    last_zeros = {f"{joint_key(robot, joint)}_zero" for joint in robot.joint_names[-1:]}
+    if unknown := set(constants or {}) - set(constant_kinds(robot)) - last_zeros:
+        raise ValueError(f"unknown constants: {', '.join(sorted(unknown))}")
+    actual, noise = OutsideRobot(robot, constants or {}, outside or Outside()), noise or Noise()
     # Noise of the floor and the stamps leaves the random numbers of the other noise as they are.
     random, other_random = (np.random.default_rng([seed, stream]) for stream in (2, 6))
-    robot, corners_k = actual.stated, corners_of(route)
+    corners_k = corners_of(route)
     rig, at_rest = robot.rig_cameras, len(route.rests_s) > 0
     times_s = station_times_s(route, images)
     stamps_s = times_s + camera_late_s

@@ -264,9 +264,8 @@ def _own_sigmas(lin: Posterior, jump: Jump) -> float:
     if jump.part in WHEELS:  # alone: all three may have a common scale that hardly shows
         known = np.diag(np.linalg.pinv(covariance[6:9, 6:9], hermitian=True))[WHEELS[jump.part]]
         return float(np.max(size * np.sqrt(np.maximum(known, 0.0))))
-    if (
-        jump.part in constants
-    ):  # a rotation, by what is known before: the images alone show far smaller drifts
+    if jump.part in constants:
+        # A rotation, by what is known before: the images alone show far smaller drifts.
         turns = turning(lin.data, jump)
         columns = lin.views.columns[np.array(constants[jump.part])[turns]]
         return _in_sigmas(size[turns], lin.priors.scales[columns] ** 2)

@@ -8,39 +8,13 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from tests.bench import commands, corners, effect, established, growth, reading
-from tests.bench.recordings import simulated, transcoded
+from tests.bench.recordings import simulated
 from tests.bench.study import conditions, paragraph
 
 _PAGE = Path(__file__).resolve().parents[2] / "docs" / "validation" / "performance.md"
-_STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
 
 
-class _Data:
-    """Recordings for several tables, created on first use unless the folder already contains them."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-
-    def _mono8(self) -> Path:
-        path = self.folder / "moving.mcap"
-        return path if path.exists() else simulated(path, _STATIONS)
-
-    def _transcoded(self, name: str, kind: str, *, hide: bool) -> Path:
-        path, part = self.folder / name, self.folder / f"{name}.part"
-        if not path.exists():
-            transcoded(self._mono8(), part, kind, hide).rename(path)
-        return path
-
-    def hidden(self, kind: str) -> Path:
-        """The recording without stops, with the board occluded for a third of the time."""
-        return self._transcoded(f"hidden_{kind}.mcap", kind, hide=True)
-
-    def open(self) -> Path:
-        """The recording without stops as JPEGs, the board always visible."""
-        return self._transcoded("open.mcap", "jpeg", hide=False)
-
-
-def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
+def _sections(folder: Path) -> dict[str, tuple[str, Callable[[], str]]]:
     return {
         "reading": (
             "## Every frame of a recording without stops, on one core and on two\n\n"
@@ -50,12 +24,14 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
                 "one thread per core. Read + detect: joints, wheels and all images read, and the corners of each board "
                 "detected, one process per core, start of the processes included."
             ),
-            lambda: reading.main({kind: data.hidden(kind) for kind in ("jpeg", "mono8", "png")}),
+            lambda: reading.main(
+                {kind: simulated(folder, kind, occluded=True) for kind in ("jpeg", "mono8", "png")}
+            ),
         ),
         "commands": (
             "## Complete commands\n\n"
             + paragraph('Compared with `python -c "import numpy, scipy.optimize, cv2"`.'),
-            lambda: commands.main(data.hidden("jpeg"), data.folder),
+            lambda: commands.main(simulated(folder, "jpeg", occluded=True), folder),
         ),
         "corners": ("## Corners\n\n", corners.main),
         "effect": ("## Effect of the corners on the nine parameters\n\n", effect.main),
@@ -64,7 +40,7 @@ def _sections(data: _Data) -> dict[str, tuple[str, Callable[[], str]]]:
             + paragraph(
                 "A recording without stops, repeated forwards and backwards: JPEG images, ten stereo pairs per second."
             ),
-            lambda: growth.main(data.open(), data.folder),
+            lambda: growth.main(simulated(folder, "jpeg", occluded=False), folder),
         ),
         "solvers": (
             "## The solver compared with Ceres and GTSAM\n\n"
@@ -87,7 +63,7 @@ def main() -> None:
     with ExitStack() as stack:
         folder = asked.data or Path(stack.enter_context(tempfile.TemporaryDirectory()))
         folder.mkdir(parents=True, exist_ok=True)
-        sections = _sections(_Data(folder))
+        sections = _sections(folder)
         for name in asked.sections or list(sections):
             head, measure = sections[name]
             part = f"{head}{measure()}\n*{conditions()}*\n"

@@ -16,7 +16,7 @@ from mobilecal_cli.simulate.robot import SimulatedRobot, paper_robot
 from mobilecal_cli.solvers import constraints_of, solve
 from tests.bench.simulated import DISTURBED, GIVEN, RUNS_PER_ROUTE, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, results_of
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 from tests.truth import errors, parameters_of, predicted
 
 # Motion, and what is fixed: wheels alone with a known head-eye transform is the case of Antonelli and Chiaverini.
@@ -45,7 +45,7 @@ def derived_errors(found: Parameters, robot: SimulatedRobot) -> np.ndarray:
 def one_run(motion: str, fix: str, seed: int) -> tuple[np.ndarray, tuple[str, ...]]:
     """Error over stated sigma of the nine and of the derived figures, and the parameters marked as unobservable."""
     robot, route = paper_robot(), route_of(_STATIONS, seed // RUNS_PER_ROUTE, motion)  # type: ignore[arg-type]
-    extraction = ideal_extraction(robot, route, DISTURBED, seed)
+    extraction = extraction_of(robot, route, DISTURBED, seed)
     rig = replace(extraction.rig, noise=GIVEN)
     nominal = drawn_nominal(robot, np.random.default_rng(seed))
     if fix:

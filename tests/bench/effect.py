@@ -18,7 +18,7 @@ from tests.bench.corners import sub_pix
 from tests.bench.pictures import shortest_edge_px
 from tests.bench.simulated import JOINT_RAD, WHEEL, route_of
 from tests.bench.study import DEGREES_MM, NINE_COLUMNS, numbers, paragraph, results_of, rms, table
-from tests.extractions import Noise, ideal_extraction
+from tests.extractions import Noise, extraction_of
 from tests.fits import maximum_likelihood
 from tests.pairs import measured_anew
 from tests.robots import corners_of
@@ -78,7 +78,7 @@ def one_run(quiet: bool, seed: int) -> dict[str, tuple[np.ndarray, float, float]
     # A hundredth of the usual noise of wheels and joints shows the effect of the corners alone.
     share = 0.01 if quiet else 1.0
     noise = Noise(0.0, share * WHEEL, 0.0, share * JOINT_RAD)
-    base = ideal_extraction(robot, route_of(STATIONS, number), noise, seed)
+    base = extraction_of(robot, route_of(STATIONS, number), noise, seed)
     result = {}
     for how in ("cornerSubPix", "mobilecal"):
         extraction, corner_px = _with_corners(base, number, seed, how)

@@ -20,7 +20,7 @@ from mobilecal_cli.solvers.initial import initial_state, linear_estimate
 from mobilecal_cli.solvers.optimize import optimize
 from tests.bench.simulated import DISTURBED, TRUE_NOISE, route_of
 from tests.bench.study import kernel_mb, measured, table
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 from tests.truth import no_priors
 
 SIZES = (12, 200, 2000)
@@ -84,7 +84,7 @@ def row(stations: int, runs: int) -> list[str]:
     """One line of the table: the solvers take turns, and a ratio is of runs that follow one another."""
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "extraction.npz"
-        extraction = ideal_extraction(paper_robot(), route_of(stations, 0), DISTURBED, 0)
+        extraction = extraction_of(paper_robot(), route_of(stations, 0), DISTURBED, 0)
         path.write_bytes(extraction_to_npz(extraction))
         turns = [{solver: Found(**measured(one, solver, path)) for solver in SOLVERS} for _ in range(runs)]
     seconds = [f"{median(turn[solver].seconds for turn in turns):.3g}" for solver in SOLVERS]

@@ -32,7 +32,7 @@ from tests.bench.imperfect import (
     verdict_cells,
 )
 from tests.bench.study import Study, head, line, results_of
-from tests.extractions import Imperfection, imperfect_extraction
+from tests.extractions import extraction_of
 from tests.hostile.meaning import both, joint, joints, late, same, times, wheels
 from tests.judging import judge
 from tests.robots import one_that_pans
@@ -94,9 +94,8 @@ def recorded(seed: int, motion: Motion | None = None) -> tuple[str, Extraction, 
     drawn = Case(motion=motion).drawn(noise=USUAL, levels_drawn=True)
     constants = replace(drawn, robot=_key_of(robot)).constants(seed)
     outside = replace(AS_PRINTED, print_seed=seed, lens_seed=seed)
-    what = Imperfection(constants, drawn.noise_of(seed), outside)
-    images = int(random.integers(30, 111))
-    extraction = as_recorded(robot, imperfect_extraction(robot, route, what, seed, images=images), seed)
+    also = {"constants": constants, "outside": outside, "images": int(random.integers(30, 111))}
+    extraction = as_recorded(robot, extraction_of(robot, route, drawn.noise_of(seed), seed, **also), seed)
     return kind, extraction, true_robot(robot, extraction, route)
 
 

@@ -48,7 +48,7 @@ from tests import extractions
 from tests.actual import PRIORS, draw
 from tests.bench.simulated import RUNS_PER_ROUTE
 from tests.bench.study import Study, head, line, results_of, rms
-from tests.extractions import STATION_NOISE, Imperfection, Outside, imperfect_extraction
+from tests.extractions import STATION_NOISE, Outside, extraction_of
 from tests.judging import judge
 from tests.robots import CONFIGURATIONS, one_on_pan_tilt, three_on_pan_tilt
 from tests.truth import errors, parameters_of
@@ -148,8 +148,8 @@ class Case:
         robot = ROBOTS[self.robot]()
         drawn = self.outside.print_m or self.outside.lens_px
         outside = replace(self.outside, print_seed=seed, lens_seed=seed) if drawn else self.outside
-        what = Imperfection(self.constants(seed), self.noise_of(seed), outside)
-        extraction = imperfect_extraction(robot, self.route(seed), what, seed, images=self.images)
+        also = {"constants": self.constants(seed), "outside": outside, "images": self.images}
+        extraction = extraction_of(robot, self.route(seed), self.noise_of(seed), seed, **also)
         extraction = as_recorded(robot, extraction, seed)
         return _twice(extraction) if self.twice else extraction
 
@@ -257,7 +257,7 @@ def bound_of(
 ) -> FloatArray:
     """(9, 9) Bayesian Cramer-Rao bound: inverse of the information with all priors, from readings without noise."""
     true, route = ROBOTS[robot](), route_of(robot, motion, stations, number)
-    extraction = extractions.ideal_extraction(true, route)
+    extraction = extractions.extraction_of(true, route)
     inference = Inference.of(extraction, Constraints())
     data = inference.data
     parameters, everything = parameters_of(true), Inliers.all_of(dataset_of(extraction))

@@ -17,7 +17,7 @@ from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, FIVE_SIGMA, LEVELS, Case, judged, level_counts, refused
 from tests.bench.imperfect import Run as Result
 from tests.bench.study import Study, head, line, results_of
-from tests.extractions import OutsideRobot, extraction_of
+from tests.extractions import extraction_of
 
 RUNS = 30
 RECORDINGS = {
@@ -139,7 +139,7 @@ def changed(
     after = CHANGES[part](World(robot, route), known, factor * unit / np.linalg.norm(unit))
     now = {**constants, **{n: constants.get(n, 0.0) + more for n, more in after.constants.items()}}
     head = replace(after.robot, wheels=robot.wheels)
-    other = extraction_of(OutsideRobot(head, now), after.route, case.noise, seed, images=case.images)
+    other = extraction_of(head, after.route, case.noise, seed, constants=now, images=case.images)
     before = case.extraction(seed)
     first = round(MOMENTS[seed % len(MOMENTS)] * len(before.observations))
     ratio = robot.wheels.radius_right_m / after.robot.wheels.radius_right_m

@@ -21,7 +21,7 @@ from tests.bench.study import (
     results_of,
     rms,
 )
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 from tests.fits import maximum_likelihood
 from tests.truth import errors, nees
 
@@ -34,7 +34,7 @@ _NOTHING = (np.full(9, np.nan), np.nan, False)
 def one_run(stations: int, seed: int) -> dict[str, tuple[np.ndarray, float, bool]]:
     """Error, NEES / 9 (NaN without covariance), and whether there were outliers, by method."""
     robot, number = paper_robot(), seed // RUNS_PER_ROUTE
-    extraction = ideal_extraction(robot, route_of(stations, number), DISTURBED, seed)
+    extraction = extraction_of(robot, route_of(stations, number), DISTURBED, seed)
     result = {}
     for name, known in _LEVELS.items():
         try:

@@ -9,7 +9,7 @@ from mobilecal_cli.solvers import solve
 from tests.actual import PRIORS
 from tests.bench.simulated import DISTURBED, as_described, route_of
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 from tests.truth import errors, nees
 
 RUNS = 100
@@ -20,7 +20,7 @@ _CLOCKS = ("time_joints", "time_wheels")
 def one_run(seed: int) -> tuple[np.ndarray, np.ndarray, float, np.ndarray, np.ndarray, int]:
     """Error, sigma, NEES / 9 of the nine; error and sigma of the two offsets; how much was left out."""
     robot = paper_robot()
-    extraction = ideal_extraction(robot, route_of(12, seed, "moving"), DISTURBED, seed, camera_late_s=_LATE_S)
+    extraction = extraction_of(robot, route_of(12, seed, "moving"), DISTURBED, seed, camera_late_s=_LATE_S)
     described = as_described(extraction)
     sigmas = {"all": 0.0, **dict.fromkeys(_CLOCKS, PRIORS["clock"])}
     solution = solve(replace(described, rig=replace(described.rig, prior_sigmas=sigmas)))

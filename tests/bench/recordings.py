@@ -1,84 +1,55 @@
-"""Recordings for the performance tables: simulated, transcoded, with an occluded board, and of any length."""
+"""Recordings for the performance tables: simulated, with a board that is occluded at times, and of any length."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
-from typing import Any
 
-import cv2
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
+from mobilecal_cli.model import FloatArray
 from mobilecal_cli.simulate.record import simulate
-from mobilecal_cli.simulate.scenario import Scenario
+from mobilecal_cli.simulate.render import BoardRenderer
+from mobilecal_cli.simulate.scenario import BLUR_PX, Scenario, World
+from mobilecal_cli.targets import Pictures
 from tests.bench.pictures import empty
 from tests.records import Record, records_of, written
 
-_STORE = get_typestore(Stores.ROS2_HUMBLE)
-_IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_STATIONS = 67  # three seconds each, ten stereo pairs a second: 2,000 pairs
+_STAMPED = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/JointState")
+_RATE_HZ = 10.0
 _PERIOD_S, _HIDDEN_S, _PASSING_S = 12.0, 4.0, 0.5
-_QUALITY = 90
 
 
-def simulated(path: Path, stations: int) -> Path:
-    """A moving log with the board always in view, three seconds a station, ten stereo pairs a second, mono8."""
-    simulate(Scenario(motion="moving", stations=stations, pictures="mono8", seed=3), path, force=True)
-    return path
-
-
-@cache
-def _walls() -> tuple[np.ndarray, ...]:
-    return tuple(empty(seed) for seed in range(12))
-
-
-def _with_somebody(picture: np.ndarray, time_s: float, number: int) -> np.ndarray:
+class _PassingPerson(BoardRenderer):
     """For a third of the time a person occludes the board; entering and leaving take half a second each."""
-    phase = time_s % _PERIOD_S
-    if phase >= _HIDDEN_S:
-        return picture
-    hidden = picture.copy()
-    share = min(phase, _HIDDEN_S - phase, _PASSING_S) / _PASSING_S
-    wide = int(share * picture.shape[1])
-    hidden[:, :wide] = _walls()[number % len(_walls())][:, :wide]
-    return hidden
+
+    _pictures = 0
+
+    def picture(self, T_x_k: FloatArray) -> FloatArray:
+        number, self._pictures = self._pictures, self._pictures + 1
+        phase = (number / _RATE_HZ) % _PERIOD_S
+        image = super().picture(T_x_k)
+        if phase < _HIDDEN_S:
+            share = min(phase, _HIDDEN_S - phase, _PASSING_S) / _PASSING_S
+            wide = int(share * image.shape[1])
+            image = np.hstack([empty(number % 12)[:, :wide], image[:, wide:]])
+        return image
 
 
-def _encoded(picture: np.ndarray, kind: str, template: Any) -> tuple[str, bytes, bytes]:
-    """Type, definition and CDR bytes of a picture message with the template's header."""
-    if kind == "mono8":
-        name = _IMAGES[0]
-        height, width = picture.shape
-        message = _STORE.types[name](
-            header=template.header, height=height, width=width, encoding="mono8", is_bigendian=0, step=width,
-            data=picture.ravel(),
-        )  # fmt: skip
-    else:
-        name = _IMAGES[1]
-        options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY] if kind == "jpeg" else []
-        data = cv2.imencode(f".{kind}".replace("jpeg", "jpg"), picture, options)[1]
-        message = _STORE.types[name](header=template.header, format=kind, data=data)
-    definition, _ = _STORE.generate_msgdef(name, ros_version=2)
-    return name, definition.encode(), bytes(_STORE.serialize_cdr(message, name))
+class _Occluded(World):
+    """A board that a person occludes at times."""
+
+    def renderers(self, random: np.random.Generator) -> list[BoardRenderer]:
+        return [_PassingPerson(camera, self.route.board, BLUR_PX, random) for camera in self.cameras.each]
 
 
-def transcoded(source: Path, out: Path, kind: str, hide: bool) -> Path:
-    """The recording with its mono8 images stored as jpeg, png or mono8, the board occluded at times."""
-
-    def changed() -> Iterator[Record]:
-        start_ns = 0
-        for number, record in enumerate(records_of(source)):
-            start_ns = start_ns or record.time_ns
-            if record.type == _IMAGES[0]:
-                message: Any = _STORE.deserialize_cdr(record.data, record.type)
-                picture = np.asarray(message.data).reshape(message.height, message.width)
-                if hide:
-                    picture = _with_somebody(picture, (record.time_ns - start_ns) / 1e9, number)
-                name, definition, data = _encoded(picture, kind, message)
-                record = replace(record, type=name, definition=definition, data=data)
-            yield record
-
-    return written(out, changed())
+def simulated(folder: Path, pictures: Pictures, occluded: bool, stations: int = _STATIONS) -> Path:
+    """A recording without stops in a folder, made on first use."""
+    path = folder / f"{'occluded' if occluded else 'open'}_{pictures}.mcap"
+    if not path.exists():
+        scenario = Scenario(motion="moving", stations=stations, pictures=pictures, seed=3)
+        simulate(scenario, path, world_of=_Occluded if occluded else World)
+    return path
 
 
 def _restamped(data: bytes, time_ns: int) -> bytes:
@@ -93,7 +64,7 @@ def stretched(source: Path, out: Path, minutes: float) -> Path:
     Backwards, all readings and images appear in opposite order, as if the robot drove back along its path.
     """
     once = [record for record in records_of(source) if record.topic != "/robot_description"]
-    stamped = [record for record in once if record.type in (*_IMAGES, "sensor_msgs/msg/JointState")]
+    stamped = [record for record in once if record.type in _STAMPED]
     first, last = stamped[0].time_ns, stamped[-1].time_ns
 
     def repeated() -> Iterator[Record]:

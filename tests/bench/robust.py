@@ -22,7 +22,7 @@ _FALSE = float(chi2.isf(1e-6, 9)) / 9
 def one_run(stations: int, seed: int) -> tuple[np.ndarray, np.ndarray, float, str, float]:
     """Error, sigma of the good data's bound, NEES / 9, what was found, seconds."""
     robot, route = paper_robot(), route_of(stations, seed // RUNS_PER_ROUTE)
-    sound = extractions.ideal_extraction(robot, route, DISTURBED, seed)
+    sound = extractions.extraction_of(robot, route, DISTURBED, seed)
     extraction, bad, slip = spoiled(sound, np.random.default_rng(seed))
     good = Inliers.all_of(dataset_of(sound))
     views, legs = good.views.copy(), good.legs.copy()

@@ -46,7 +46,7 @@ def as_described(extraction: Extraction) -> Extraction:
 
 def information_of(robot: SimulatedRobot, route: Route, inliers: Inliers | None = None) -> FloatArray:
     """(P, P) Fisher information about the shared numbers at the truth, from readings without any noise."""
-    extraction = extractions.ideal_extraction(robot, route)
+    extraction = extractions.extraction_of(robot, route)
     data, true = dataset_of(extraction), parameters_of(robot)
     everything = Inliers.all_of(data)
     state, priors = initial_state(data, true, everything), no_priors(data.layout, true)

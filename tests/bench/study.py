@@ -17,12 +17,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import scipy
 
 from mobilecal_cli import __version__
 from mobilecal_cli.model import FloatArray
@@ -35,7 +34,8 @@ NINE_RATIOS = tuple(name.partition(" ")[0] for name in NINE_COLUMNS)
 
 def conditions() -> str:
     """Versions and machine, in one line."""
-    versions = f"numpy {np.__version__}, scipy {scipy.__version__}, OpenCV {cv2.__version__}"
+    packages = {"numpy": "numpy", "scipy": "scipy", "OpenCV": "opencv-python-headless"}
+    versions = ", ".join(f"{name} {version(package)}" for name, package in packages.items())
     cores = f"{os.cpu_count()} cores, {platform.machine()}"
     when = f"{datetime.now(UTC):%Y-%m-%d}"
     return f"mobilecal {__version__}, Python {sys.version.split()[0]}, {versions}, {cores}, {when}"

@@ -11,7 +11,7 @@ from mobilecal_cli.solvers.initial import initial_state
 from tests.bench.established import likelihood_at
 from tests.bench.established_terms import Terms
 from tests.bench.simulated import DISTURBED, route_of
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 from tests.truth import parameters_of
 
 
@@ -19,7 +19,7 @@ from tests.truth import parameters_of
 def case():
     """Terms at a start, and all unknowns a little away from it."""
     robot = paper_robot()
-    extraction = ideal_extraction(robot, route_of(5, 0), DISTURBED, 0)
+    extraction = extraction_of(robot, route_of(5, 0), DISTURBED, 0)
     data = dataset_of(extraction)
     start = initial_state(data, parameters_of(robot), Inliers.all_of(data))
     terms = Terms(data, start)

@@ -13,13 +13,13 @@ from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.commands.edited import edited
-from tests.extractions import Noise, ideal_extraction, joined
+from tests.extractions import Noise, extraction_of, joined
 
 ROBOT = paper_robot()
 
 
 def recorded(route_seed=0, noise_seed=0, noise=Noise(0.2, 0.003, np.radians(1.2), np.radians(0.05))):  # noqa: B008
-    return ideal_extraction(ROBOT, plan_route(ROBOT, seed=route_seed), noise, noise_seed)
+    return extraction_of(ROBOT, plan_route(ROBOT, seed=route_seed), noise, noise_seed)
 
 
 def cut(track: Track, first: int | None = None, last: int | None = None) -> Track:

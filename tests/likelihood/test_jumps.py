@@ -21,12 +21,8 @@ from tests.bench.imperfect import CORRELATED, ROBOTS, USUAL, Case, judged
 from tests.bench.jumps import RECORDINGS
 from tests.bench.jumps import changed as changed_recording
 from tests.extractions import (
-    Imperfection,
     Noise,
-    OutsideRobot,
     extraction_of,
-    ideal_extraction,
-    imperfect_extraction,
     joined,
     simulated,
     slipped,
@@ -42,7 +38,7 @@ NOISE = Noise(0.1, 0.003, 0.0, 3.5e-4)
 
 @pytest.fixture(scope="module")
 def whole():
-    return ideal_extraction(ROBOT, ROUTE, NOISE, 1)
+    return extraction_of(ROBOT, ROUTE, NOISE, 1)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +50,7 @@ def fitted(whole):
 def turned(angle_rad):
     T = ROBOT.T_h_c.copy()
     T[:3, :3] = se3.exp_so3(angle_rad * np.array([0.6, 0.0, 0.8])) @ T[:3, :3]
-    return ideal_extraction(replace(ROBOT, T_h_c=T), ROUTE, NOISE, 1)
+    return extraction_of(replace(ROBOT, T_h_c=T), ROUTE, NOISE, 1)
 
 
 def spliced(first, second, at=HALF):
@@ -154,7 +150,7 @@ def test_noise_levels_that_a_jump_makes_small_do_not_confirm_it():
 def test_what_a_moved_camera_explains_contradicts_nothing(whole):
     """The right camera turns by 0.4 degrees half-way: squares, baseline and lenses are as stated."""
     turns = dict(zip(("stereo_r_x", "stereo_r_y", "stereo_r_z"), np.radians([0.2, 0.28, 0.2]), strict=True))
-    after = extraction_of(OutsideRobot(ROBOT, turns), ROUTE, NOISE, 1)
+    after = extraction_of(ROBOT, ROUTE, NOISE, 1, constants=turns)
     solution = solve(spliced(whole, after))
     (jump,) = solution.jumps
     assert (jump.part, jump.station) == ("right camera", HALF)
@@ -232,8 +228,8 @@ def with_wheel(whole, side, from_ns, change):
 def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
     """With the camera turned around, reversed wheels fit as well as the right ones: refused as swapped or reversed."""
     case = Case(robot="camera on the base", stations=12).drawn(noise=CORRELATED)
-    robot = OutsideRobot(ROBOTS[case.robot](), case.constants(1000))
-    whole = extraction_of(robot, case.route(1000), case.noise, 1000)
+    robot, constants = ROBOTS[case.robot](), case.constants(1000)
+    whole = extraction_of(robot, case.route(1000), case.noise, 1000, constants=constants)
     half_way_ns = (whole.observations[3].time_ns + whole.observations[4].time_ns) // 2
     (jump,) = solve(with_wheel(whole, "right", half_way_ns, 0.925)).jumps
     assert (jump.part, abs(jump.station - 4) <= 1) == ("right wheel", True)
@@ -289,7 +285,7 @@ def test_a_board_that_moves_twice_is_named_with_one_of_its_moves():
     route = plan_route(robot, "standard", 24, seed=3)
     noise = replace(STATION_NOISE, pixel_px=0.1, joint_rad=1e-4, wheel_rad_per_sqrt_rad=0.002)
     for _ in range(3):
-        parts.append(ideal_extraction(robot, route, noise, 3))
+        parts.append(extraction_of(robot, route, noise, 3))
         route = replace(route, T_w_k=route.T_w_k @ se3.exp(0.02 * random.normal(size=6)))
     first, second, third = parts
     solution = solve(spliced(spliced(first, second, 8), third, 16))
@@ -305,7 +301,7 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
     constants = case.constants(1000)
     redrawn = draw(robot, np.random.default_rng(24), 1.0, {"square_size", "board_bend"})
     both = [
-        imperfect_extraction(robot, case.route(seed), Imperfection(drawn, case.noise_of(seed)), seed)
+        extraction_of(robot, case.route(seed), case.noise_of(seed), seed, constants=drawn)
         for seed, drawn in ((23, constants), (123, constants | redrawn if other else constants))
     ]
     solution = solve(joined(*both))
@@ -316,7 +312,7 @@ def test_recordings_of_two_boards_differ_in_the_boards_shape(other):
 def test_both_wheels_that_differ_between_recordings_are_named_together(larger):
     """As by more pressure: the left wheel alone was named; or all legs of one recording were slips, and a warning."""
     case, robot = Case(stations=12).drawn(noise=CORRELATED), tick_robot()
-    one, other = (extraction_of(OutsideRobot(robot, {}), case.route(seed), NOISE, seed) for seed in (23, 123))
+    one, other = (extraction_of(robot, case.route(seed), NOISE, seed) for seed in (23, 123))
     both = joined(one, with_wheel(with_wheel(other, "right", 0, larger), "left", 0, larger))
     solution = solve(both)
     (jump,) = solution.jumps

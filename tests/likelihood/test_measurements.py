@@ -12,11 +12,11 @@ from mobilecal_cli.model import Track, sampled
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import plan_route
 from tests.bench import imperfect
-from tests.extractions import ideal_extraction
+from tests.extractions import extraction_of
 
 NOISE_RAD = np.radians(0.2)
 ROUTE = plan_route(paper_robot(), "standard", stations=6, seed=0)
-EXTRACTION = ideal_extraction(paper_robot(), ROUTE)
+EXTRACTION = extraction_of(paper_robot(), ROUTE)
 
 # -- the direction of a joint's last motion -----------------------------------------------------------
 

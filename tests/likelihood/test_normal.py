@@ -52,7 +52,7 @@ class Case:
         constants = (*table(robot.rig_cameras, chain_of(robot)), *floors_of(range(logs)))
         route = plan_route(robot, "moving", STATIONS, Board(5, 4, 0.1))
         disturbed = extractions.Noise(0.2, 0.003)  # the tracks of exact joints have derivatives
-        extraction = extractions.ideal_extraction(robot, route, disturbed, seed=1)
+        extraction = extractions.extraction_of(robot, route, disturbed, seed=1)
         seen = extraction.observations[:STATIONS]
         seen = tuple(replace(o, log=k * logs // len(seen)) for k, o in enumerate(seen))
         tracks = {"wheels": extraction.wheels * logs, "joint_tracks": extraction.joint_tracks * logs}

@@ -21,7 +21,7 @@ from tests import truth
 from tests.extractions import (
     STATION_NOISE,
     Noise,
-    ideal_extraction,
+    extraction_of,
     joined,
     simulated,
 )
@@ -225,7 +225,7 @@ def short_leg(seed, turn_rad):
     drive = Drive((Stretch(1.0), step, Stretch(1.0)))
     rests_s = np.array([[0.0, 1.0], [1.1, 2.1]])
     route = replace(route, drive=drive, knots_s=np.array([0.0, 2.1]), rests_s=rests_s)
-    return ideal_extraction(ROBOT, route, NOISE, seed)
+    return extraction_of(ROBOT, route, NOISE, seed)
 
 
 def short_legs(turns_rad):
@@ -308,12 +308,12 @@ def test_nothing_hangs_on_the_limit_beyond_which_recordings_differ():
     """A mount that was moved by 0.3 um more made a standard deviation 16 times as large."""
     noise = Noise(0.1, 0.003, 0.0, 3.5e-4)
     first, second = (plan_route(ROBOT, "standard", stations=8, seed=seed) for seed in (2, 3))
-    whole = ideal_extraction(ROBOT, first, noise, 1)
+    whole = extraction_of(ROBOT, first, noise, 1)
 
     def with_mount(by_m):
         T = ROBOT.T_h_c.copy()
         T[0, 3] += by_m
-        return solve(joined(whole, ideal_extraction(replace(ROBOT, T_h_c=T), second, noise, 2)))
+        return solve(joined(whole, extraction_of(replace(ROBOT, T_h_c=T), second, noise, 2)))
 
     alike, differ = 0.0, 0.1
     assert with_mount(differ).between.between_std.any()

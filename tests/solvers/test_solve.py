@@ -10,7 +10,7 @@ from mobilecal_cli.simulate.robot import ROBOTS
 from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import Case
-from tests.extractions import Noise, Outside, ideal_extraction, simulated
+from tests.extractions import Noise, Outside, extraction_of, simulated
 from tests.truth import errors
 
 
@@ -34,7 +34,7 @@ def test_a_robot_in_motion_gives_the_truth():
 def test_residuals_and_the_world_fit_together():
     robot = ROBOTS["paper"]()
     route = plan_route(robot)
-    extraction = ideal_extraction(robot, route, Noise(pixel_px=0.2), seed=1)
+    extraction = extraction_of(robot, route, Noise(pixel_px=0.2), seed=1)
     solution = solve(extraction, "lm")
     residuals = solution.residuals
     whole = np.sqrt(np.mean(residuals.leg_point_rms_m**2))
