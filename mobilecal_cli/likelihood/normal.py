@@ -32,11 +32,13 @@ class BlockTridiagonal:
 
     Attributes:
         inverse: (N, B, B) S^-1 of each station.
-        K: (N, B, B) each; the last is not used.
+        K: (N, B, B) each; zero where the next station is not coupled.
+        turns: the stations in the order of elimination: the first ones of all coupled runs, their second ones, ...
     """
 
     inverse: FloatArray
     K: FloatArray
+    turns: list[IntArray]
 
     @classmethod
     def of(cls, D: FloatArray, off: FloatArray) -> Self:
@@ -49,23 +51,26 @@ class BlockTridiagonal:
         Raises:
             LinAlgError: not positive definite.
         """
+        stations = np.arange(len(D))
+        begins = np.append(True, ~off[:-1].any(axis=(1, 2)))
+        turn = stations - np.maximum.accumulate(np.where(begins, stations, 0))
+        turns = np.split(np.argsort(turn, kind="stable"), np.cumsum(np.bincount(turn))[:-1])
         inverse, K = np.empty_like(D), np.empty_like(D)
-        for i, left in enumerate(D):
-            if i:
-                left = left + off[i - 1].T @ K[i - 1]
+        for number, at in enumerate(turns):
+            left = D[at] + off[at - 1].mT @ K[at - 1] if number else D[at]
             np.linalg.cholesky(left)
-            inverse[i] = np.linalg.inv(left)
-            K[i] = -inverse[i] @ off[i]
-        return cls(inverse, K)
+            inverse[at] = np.linalg.inv(left)
+            K[at] = -inverse[at] @ off[at]
+        return cls(inverse, K, turns)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """(N, B, R) right sides → (N, B, R)."""
         x = right.copy()
-        for i in range(1, len(x)):
-            x[i] += self.K[i - 1].T @ x[i - 1]
+        for at in self.turns[1:]:
+            x[at] += self.K[at - 1].mT @ x[at - 1]
         x = self.inverse @ x
-        for i in reversed(range(len(x) - 1)):
-            x[i] += self.K[i] @ x[i + 1]
+        for at in reversed(self.turns[1:]):
+            x[at - 1] += self.K[at - 1] @ x[at]
         return x
 
     def covariance(self) -> tuple[FloatArray, FloatArray]:
@@ -75,9 +80,9 @@ class BlockTridiagonal:
             (N, B, B) of each station, and (N, B, B) of each station with the next one (the last is zero).
         """
         own, cross = self.inverse.copy(), np.zeros_like(self.inverse)
-        for i in reversed(range(len(own) - 1)):
-            cross[i] = self.K[i] @ own[i + 1]
-            own[i] += cross[i] @ self.K[i].T
+        for at in reversed(self.turns[1:]):
+            cross[at - 1] = self.K[at - 1] @ own[at]
+            own[at - 1] += cross[at - 1] @ self.K[at - 1].mT
         return own, cross
 
 

@@ -6,10 +6,11 @@ import pytest
 from mobilecal_cli.likelihood.normal import BlockTridiagonal
 
 
-def chain(count, size=3):
-    """A positive definite chain: D, off, and the whole matrix."""
+def chain(count, size=3, run=1000):
+    """A positive definite chain, in runs of coupled stations: D, off, and the whole matrix."""
     random = np.random.default_rng(count)
     off = random.normal(size=(count, size, size))
+    off[run - 1 :: run] = 0.0
     root = random.normal(size=(count, size, size))
     D = root @ np.swapaxes(root, 1, 2) + 8 * np.eye(size)
     whole = np.zeros((count, size, count, size))
@@ -20,9 +21,11 @@ def chain(count, size=3):
     return D, off, whole.reshape(count * size, -1)
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 13, 100])
-def test_solutions_and_blocks_of_the_inverse(count):
-    D, off, whole = chain(count)
+@pytest.mark.parametrize(
+    ("count", "run"), [(1, 1000), (2, 1000), (3, 1000), (13, 1000), (100, 1000), (13, 1), (13, 2), (14, 5)]
+)
+def test_solutions_and_blocks_of_the_inverse(count, run):
+    D, off, whole = chain(count, run=run)
     matrix, right = BlockTridiagonal.of(D, off), np.random.default_rng(1).normal(size=(count, 3, 5))
     solved = matrix.solve(right).reshape(-1, 5)
     assert solved == pytest.approx(np.linalg.solve(whole, right.reshape(-1, 5)), abs=1e-13)
