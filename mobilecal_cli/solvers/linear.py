@@ -98,8 +98,6 @@ def _pairs(pairs: MotionPairs) -> tuple[IntArray, IntArray, IntArray]:
 
 def _least_squares(rows: FloatArray, right: FloatArray, mean: FloatArray, weight: FloatArray) -> FloatArray:
     """Solutions of least squares with a prior: rows (n, k), right sides (S, n), mean and weight (k,) → (S, k)."""
-    if not np.any(weight):
-        return np.asarray(np.linalg.lstsq(rows, right.T)[0].T)
     both = np.concatenate([rows, np.diag(weight)])
     sides = np.concatenate([right, np.broadcast_to(weight * mean, (len(right), len(mean)))], axis=1)
     return np.asarray(np.linalg.lstsq(both, sides.T)[0].T)
@@ -178,15 +176,16 @@ class Rounds:
         Rz, beta = T_vi_vj[:, :3, :3], T_vi_vj[:, :3, 3:]
         T_v_hi, T_v_hj = self._pairs.T_v_h[self._i], self._pairs.T_v_h[self._j]
         B = T_v_hi[:, :3, :3] - Rz @ T_v_hj[:, :3, :3]
-        rows = np.concatenate([B, -beta], axis=2).reshape(-1, 4)
-        fixed = T_v_hi[:, :3, 3] - (Rz @ T_v_hj[:, :3, 3:])[..., 0]
+        fixed = T_v_hi[:, :3, 3:] - Rz @ T_v_hj[:, :3, 3:]
+        # The right sides are linear in the rotation. All legs together are a triangle of 14 rows.
+        by_rotation = np.einsum("lab,lc->labc", T_v_hi[:, :3, :3], self._T_ci_cj[:, :3, 3])
+        legs = np.concatenate([B, -beta, by_rotation.reshape(-1, 3, 9), fixed], axis=2).reshape(-1, 14)
+        rows, by_rotation, fixed = np.split(np.linalg.qr(legs, mode="r"), [4, 13], axis=1)
         rotations = R_h_c[None]
         if self._common_axis:
             headings = np.linspace(0, 2 * math.pi, _HEADINGS, endpoint=False)
             rotations = se3.rotation_about(self._vertical_h, headings) @ R_h_c
-        # The matrix is the same for all yaws, only the right sides differ.
-        by_camera = np.einsum("lab,hbc,lc->hla", T_v_hi[:, :3, :3], rotations, self._T_ci_cj[:, :3, 3])
-        right = -(by_camera + fixed).reshape(len(rotations), -1)
+        right = -(rotations.reshape(-1, 9) @ by_rotation.T + fixed.T)
         mean, weight = self._translation_prior()
         solved = _least_squares(rows, right, mean, weight)
         best = 0
