@@ -6,7 +6,7 @@ import pytest
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.files.reading import load_yaml
 from mobilecal_cli.rig import config
-from mobilecal_cli.rig.config import RigConfig, load_rig, parse_settings, read_urdf, setting_keys
+from mobilecal_cli.rig.config import TODO, RigConfig, load_rig, parse_settings, read_urdf, setting_keys
 
 CONTRACT = """
 schema_version: 1
@@ -178,6 +178,12 @@ def test_a_bad_option_is_no_mistake_of_the_file(write):
             load_rig(path, {"board.square_m": flag})
         assert re.match(re.escape(f"{where}board."), caught.value.message)
         assert "80 looks like millimeters: 0.08 m" in caught.value.message
+
+
+def test_what_a_draft_leaves_to_the_user_is_refused():
+    for key, _ in setting_keys():
+        with pytest.raises(ConfigError, match=f"not filled in yet: {key}"):
+            load_rig(None, {key: TODO})
 
 
 @pytest.mark.parametrize("value", [float("nan"), 1e300])
