@@ -16,6 +16,7 @@ from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     MOST_ERROR_PX,
     CalibratedRobot,
+    Drift,
     Evaluation,
     Extraction,
     FloatArray,
@@ -25,7 +26,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Metric, Outcome, check_lines
-from mobilecal_cli.report.formats import ByName, JsonValue, Number, Table, by, json_text, like
+from mobilecal_cli.report.formats import ByName, JsonValue, Table, by, json_text, like
 from mobilecal_cli.report.numbers import DEG, std_text, value_text
 from mobilecal_cli.report.use import motion_cure
 from mobilecal_cli.report.verdict import GATE, Verdict, decided_by
@@ -210,13 +211,6 @@ class SpreadData(JsonValue):
     worst: float
 
 
-class DriftData(JsonValue):
-    """Drift of dead reckoning."""
-
-    mm_per_m: Number
-    deg_per_turn: Number
-
-
 class LegErrorData(JsonValue):
     """Errors on one leg of a recording."""
 
@@ -252,8 +246,8 @@ class EvaluationData(JsonValue):
     reprojection_px: SpreadData = by(lambda e: _spread(e.reprojection_px))
     rotation_deg: SpreadData = by(lambda e: _spread(e.rotation_rad * DEG))
     translation_mm: SpreadData = by(lambda e: _spread(e.translation_m * 1e3))
-    drift_before: DriftData | None = by(lambda e: e.before and like(DriftData, e.before))
-    drift_after: DriftData = by(lambda e: like(DriftData, e.after))
+    drift_before: Drift | None = by(lambda e: e.before)
+    drift_after: Drift = by(lambda e: e.after)
     per_leg: tuple[LegErrorData, ...] = by(_legs)
     clock_offsets_s: ByName
 

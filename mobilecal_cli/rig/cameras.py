@@ -89,21 +89,19 @@ def image_topics(config: RigConfig, description: RobotDescription) -> dict[str, 
     present = _image_topics(description)
     recorded = listed(f"{topic.name} ({topic.type})" for topic in description.topics)
     cameras = config.cameras
-    stated = cameras.each if cameras.both is None else {"both": cameras.both}
-    configured = {name: topics.image for name, topics in stated.items()}
-    for name, topic in configured.items():
-        if topic is not None:
-            require_topic(f"cameras.{name}.image", topic, present, "images")
+    if cameras.both is not None:
+        require_topic("cameras.both.image", cameras.both.image, present, "images")
+        return dict.fromkeys(SIDES, cameras.both.image)
+    chosen = {name: topics.image for name, topics in cameras.each.items() if topics.image is not None}
+    for name, topic in chosen.items():
+        require_topic(f"cameras.{name}.image", topic, present, "images")
     if not present:
         raise RecordingError(
             "no image topics were recorded",
             "record the images of the cameras (sensor_msgs/Image or CompressedImage) with the wheels and the head's "
             f"joints; topics present: {recorded}",
         )
-    if cameras.both is not None:
-        return dict.fromkeys(SIDES, cameras.both.image)
-    chosen = {name: topic for name, topic in configured.items() if topic is not None}
-    if len(chosen) == len(configured):
+    if len(chosen) == len(cameras.each):
         for first, other in itertools.combinations(chosen, 2):
             if chosen[first] == chosen[other]:
                 raise ConfigError(

@@ -44,6 +44,13 @@ LARGEST_URDF_BYTES = 2**24
 #: Value of a required key that a draft leaves to the user.
 TODO = "TODO"
 
+
+def _filled_in(value: object) -> object:
+    if value == TODO:
+        raise ValueError("not filled in yet")
+    return value
+
+
 Number = Annotated[float, Strict()]  # neither a text nor true
 Radius = Annotated[Number, AfterValidator(ranges.WHEEL_RADIUS.validated)]
 Separation = Annotated[Number, AfterValidator(ranges.WHEEL_SEPARATION.validated)]
@@ -53,9 +60,11 @@ Sigma = Annotated[Number, AfterValidator(ranges.SIGMA.validated)]
 Length = Annotated[Number, AfterValidator(ranges.POSITION.validated)]
 Angle = Annotated[Number, AfterValidator(ranges.ANGLE.validated)]
 Position = tuple[Length, Length, Length]
-Text = Annotated[str, Field(min_length=1)]
+Text = Annotated[str, Field(min_length=1), BeforeValidator(_filled_in)]
 #: A path; that in a file is relative to the directory of the file, which is the context of the check.
-Beside = Annotated[Path, AfterValidator(lambda path, given: (given.context or Path()) / path)]
+Beside = Annotated[
+    Path, BeforeValidator(_filled_in), AfterValidator(lambda path, given: (given.context or Path()) / path)
+]
 
 
 class _Section(BaseModel):
@@ -517,12 +526,6 @@ def load_rig(path: Path | None, flags: Mapping[str, Any] | None = None) -> RigCo
     for key, value in given.items():
         section, _, name = key.partition(".")  # names of gates contain dots
         _assign(data, [section, name] if section == "gates" and name else key.split("."), value)
-    todo = sorted(_left_out(data))
-    if todo:
-        raise ConfigError(
-            f"{'' if path is None else f'{path}: '}not filled in yet: {', '.join(todo)}",
-            f"replace each {TODO} by its value; the comments of the draft explain them",
-        )
     rig = _validated(data, "" if path is None else f"{path}: ", given, path and path.parent)
     rig._path, rig._flags = path, tuple(given)
     return rig
@@ -567,18 +570,6 @@ def _section_of(annotation: Any, inside: bool = False) -> type[BaseModel] | None
     if get_origin(annotation) in (dict, tuple) and not inside:
         return None
     return next(filter(None, (_section_of(each, inside) for each in get_args(annotation))), None)
-
-
-def _left_out(data: object, prefix: str = "") -> Iterator[str]:
-    """Dotted keys, below a mapping or list, that a draft leaves to the user."""
-    if isinstance(data, Mapping):
-        for key, inner in data.items():
-            yield from _left_out(inner, f"{prefix}.{key}" if prefix else str(key))
-    elif isinstance(data, list):
-        for number, inner in enumerate(data):
-            yield from _left_out(inner, f"{prefix}[{number}]")
-    elif data == TODO:
-        yield prefix
 
 
 def parse_settings(texts: Iterable[str]) -> dict[str, Any]:
@@ -661,6 +652,12 @@ def _validated(
         return RigConfig.model_validate(data, context=folder)
     except ValidationError as error:
         items, cause = error.errors(), error
+    todo = sorted({".".join(map(str, item["loc"])) for item in items if item["input"] == TODO})
+    if todo:
+        raise ConfigError(
+            f"{where}not filled in yet: {', '.join(todo)}",
+            f"replace each {TODO} by its value; the comments of the draft explain them",
+        ) from cause
     problems, hints, of_options = [], [], []
     for item in items:
         key, location = ".".join(map(str, item["loc"])), item["loc"]

@@ -48,7 +48,7 @@ class Head:
         chain: base to head.
         urdf: its URDF, None for a chain given in the configuration.
         drawn: nominal values of the URDF.
-        wheels: sources of the wheels, with what the URDF tells of them.
+        wheels: sources of the wheels, completed by the URDF.
         origin: source of the chain, in words.
         notes: remarks for the report.
     """

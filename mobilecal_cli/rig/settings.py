@@ -58,21 +58,18 @@ def _camera(rig: Rig, name: str) -> dict[str, Any]:
 
 def wheel_settings(source: WheelSource) -> dict[str, Any]:
     """The wheels of a side as rig.yaml states them; of odometry, the wheels that it was made with."""
-    parts = [asdict(part) for part in source.every]
-    settings = parts[0]
-    assumed, share = settings.pop("assumed"), settings.pop("separation_share")
-    made_with = "odometry_assumed_with" if assumed else "odometry_made_with"
-    settings |= {"odometry_separation_share": share} if assumed else {}
-    settings[made_with] = settings.pop("baked_in")
-    settings.pop("others")
-    settings["unread"] = source.unread if source.unread is None else list(source.unread)
-    if len(parts) > 1:
-        for name in ("topic", "joint", "field", "sign"):
-            values = [part[name] for part in parts]
-            if name != "topic" or len(set(values)) > 1:
-                settings[f"{name}s"] = values
-                settings.pop(name)
-    return {key: value for key, value in settings.items() if value not in (None, [None] * len(parts))}
+    names = ("topic", "joint", "field", "ticks_per_revolution", "bits", "sign")
+    settings: dict[str, Any] = {name: getattr(source, name) for name in names}
+    settings["unread"] = None if source.unread is None else list(source.unread)
+    if source.baked_in is not None:
+        settings |= {"odometry_separation_share": source.separation_share} if source.assumed else {}
+        settings[f"odometry_{'assumed' if source.assumed else 'made'}_with"] = asdict(source.baked_in)
+    for name in ("topic", "joint", "field", "sign") if source.others else ():
+        values = [getattr(part, name) for part in source.every]
+        if name != "topic" or len(set(values)) > 1:
+            settings.pop(name)
+            settings[f"{name}s"] = None if values[0] is None else values
+    return {key: value for key, value in settings.items() if value is not None}
 
 
 def _board(board: Board, measured_m: Sequence[float]) -> dict[str, Any]:

@@ -86,8 +86,7 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
-    found = None if len(stated) == len(SIDES) else _wheels_by_name(config, description)
-    wheels = (found or {}) | stated
+    wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description) | stated
     sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
     if len(sources) < len(SIDES):
         sources = _odometry(config, description, _odometry_topic(description)) | sources
@@ -138,8 +137,8 @@ def _wheel_joints(description: RobotDescription) -> list[dict[Side, tuple[str, .
     return wheel_sets(name for name in joint_state_names(description) if is_wheel(name))
 
 
-def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig] | None:
-    """The configuration completed by wheels that are found by names; None if there are none."""
+def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Side, WheelConfig]:
+    """The configuration completed by wheels that are found by names; empty if there are none."""
     _refuse_other_drives(description)
     sets = _wheel_joints(description)
     if len(sets) > 1:
@@ -154,7 +153,7 @@ def _wheels_by_name(config: RigConfig, description: RobotDescription) -> dict[Si
     if sets:
         return {side: wheel.model_copy(update={"joints": sets[0][side]}) for side, wheel in wheels.items()}
     counted = counters(description.numbers)
-    return _with_counters(wheels, description, counted) if counted else None
+    return _with_counters(wheels, description, counted) if counted else {}
 
 
 def _refuse_other_drives(description: RobotDescription) -> None:
