@@ -115,11 +115,15 @@ class McapStorage(BlockStorage):
         return opcode, body, body + length
 
     def decompressed(self, chunk: bytes) -> bytes:
-        if chunk[:1] != bytes([Opcode.CHUNK]):
+        opcode, length = _HEAD.unpack_from(chunk)
+        if opcode != Opcode.CHUNK:
             raise ValueError("no chunk begins there")
-        record = records.Chunk.read(_data_stream(chunk[_HEAD.size :]))
-        whole = decompress(record.data, record.compression, record.uncompressed_size)
-        if record.uncompressed_crc and zlib.crc32(whole) != record.uncompressed_crc:
+        _, _, size, checksum = _CHUNK.unpack_from(chunk, _HEAD.size)
+        name = _HEAD.size + _CHUNK.size + 4
+        data = name + int.from_bytes(chunk[name - 4 : name], "little") + 8
+        truncated = len(chunk) < _HEAD.size + length
+        whole = decompress(chunk[data:], chunk[name : data - 8].decode(), size, truncated=truncated)
+        if checksum and not truncated and zlib.crc32(whole) != checksum:
             raise ValueError("wrong checksum")
         return whole
 
@@ -194,12 +198,6 @@ class McapStorage(BlockStorage):
         except Exception as error:  # one damaged record; the next one has its own header
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return end, block
-
-    def rest_of_chunk(self, at: int) -> int | None:
-        body = at + _HEAD.size + _CHUNK.size + 12
-        if self.read_at(at, 1)[0] != Opcode.CHUNK or body >= self.size:
-            return None
-        return body if self.read_at(body - 12, 4) == bytes(4) else None  # no name of a compression
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""

@@ -174,13 +174,14 @@ def largest_size(stored: int) -> int:
     return min(SIZE_LIMIT, max(ALWAYS_BYTES, LARGEST_RATIO * stored))
 
 
-def decompress(data: bytes, method: str, size: int) -> bytes:
+def decompress(data: bytes, method: str, size: int, *, truncated: bool = False) -> bytes:
     """Decompressed bytes of a chunk.
 
     Args:
         data: as stored.
         method: "", "none", "lz4", "zstd" or "bz2".
         size: length stated by the container, bytes.
+        truncated: whether the end of the chunk is missing.
 
     Raises:
         ValueError: unknown method, or the length differs from the stated one.
@@ -198,7 +199,7 @@ def decompress(data: bytes, method: str, size: int) -> bytes:
             whole = reader.read(size + 1)
     else:
         raise ValueError(f"unknown compression {method!r}")
-    if len(whole) != size:
+    if len(whole) != size and not truncated:
         raise ValueError(f"a chunk states {size} bytes, but contains {len(whole)}")
     return whole
 
