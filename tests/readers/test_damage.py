@@ -11,6 +11,7 @@ from mcap.writer import CompressionType
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers.messages import ZSTD_MAGIC
 
 from . import recordings as r
 
@@ -111,6 +112,25 @@ def test_one_damaged_chunk_costs_only_its_messages(originals, tmp_path, name, fl
     assert len(found) == len(ITEMS) - lost
     assert any(f"the chunk at byte {block.offset}" in note and said in note for note in notes)
     assert any("messages could be read" in note for note in notes)
+
+
+def test_one_damaged_message_that_was_compressed_separately_costs_only_itself(tmp_path):
+    path = r.write_mcap(
+        tmp_path / "log.mcap", ITEMS, pack=True, compression=CompressionType.NONE, enable_crcs=False
+    )
+    data = bytearray(path.read_bytes())
+    frame = data.index(ZSTD_MAGIC, len(data) // 3)
+    data[frame + 4] ^= 0xFF
+    path.write_bytes(data)
+    broken = 0
+    with open_recording([path]) as recording:
+        messages = r.every(recording)
+        for message in messages:
+            try:
+                message.decode()
+            except RecordingError:
+                broken += 1
+    assert (len(messages), broken) == (len(ITEMS), 1)
 
 
 def test_bag_without_index_reads_like_the_whole_one(originals, tmp_path):

@@ -20,12 +20,12 @@ from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
     LEAST_STEP_NS,
-    SIZE_LIMIT,
     Extent,
     Message,
     Storage,
     goes_back,
 )
+from mobilecal_cli.readers.messages import SIZE_LIMIT
 from mobilecal_cli.readers.messages.types import Payload
 
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.

@@ -17,14 +17,8 @@ from mcap.reader import SeekingReader
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
-from mobilecal_cli.readers.containers.storage import (
-    LATEST_NS,
-    SIZE_LIMIT,
-    ZSTD_MAGIC,
-    decompress,
-    message_payload,
-)
-from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
+from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -138,11 +132,7 @@ class McapStorage(BlockStorage):
                 raise EOFError("a record extends beyond the end of the data")
             if opcode == _MESSAGE_RECORD:
                 number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
-                payload: Payload = view[at + _MESSAGE.size : end]
-                # rosbag2 may have compressed messages separately.
-                if data.startswith(ZSTD_MAGIC, at + _MESSAGE.size) and self._is_cdr(number):
-                    payload = message_payload(payload)
-                yield number, time_ns, payload
+                yield number, time_ns, view[at + _MESSAGE.size : end]
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
                 definitions += 1
                 self._define(opcode, bytes(view[at:end]))
@@ -168,9 +158,6 @@ class McapStorage(BlockStorage):
             self._schemas.setdefault(schema.id, schema)
         else:
             self._register(records.Channel.read(_data_stream(body)))
-
-    def _is_cdr(self, number: int) -> bool:
-        return number in self.channels and self.channels[number].encoding == "cdr"
 
     def _register(self, channel: records.Channel) -> None:
         if channel.id in self.channels:
