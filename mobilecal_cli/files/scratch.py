@@ -102,23 +102,10 @@ def _no_space(error: OSError) -> ResourceError:
 
 @contextmanager
 def temporary(create: Callable[[], Path], remove: Callable[[Path], None]) -> Iterator[Path]:
-    """A new directory, see `locked`, that is removed at the end of the block, whatever ends it."""
-    with locked(create) as path:
-        try:
-            yield path
-        finally:
-            try:
-                remove(path)
-            except Interrupted:  # perhaps by a signal before its first step; another one does not count
-                remove(path)
-                raise
+    """A new directory that is removed at the end of the block, whatever ends it.
 
-
-@contextmanager
-def locked(create: Callable[[], Path]) -> Iterator[Path]:
-    """A new directory, locked while the block runs, so that no other process takes it for abandoned.
-
-    `create` is called again if another process removes the directory before the lock.
+    It is locked until then, so that no other process takes it for abandoned. `create` is called again if another
+    process removes the directory before the lock.
 
     Raises:
         OSError: the directory cannot be created or opened.
@@ -135,12 +122,18 @@ def locked(create: Callable[[], Path]) -> Iterator[Path]:
     try:
         yield path
     finally:
-        os.close(descriptor)
+        try:
+            remove(path)
+        except Interrupted:  # perhaps by a signal before its first step; another one does not count
+            remove(path)
+            raise
+        finally:
+            os.close(descriptor)
 
 
 @contextmanager
 def abandoned(path: Path) -> Iterator[bool]:
-    """Whether the process that locked a directory with `locked` has ended; it stays so during the block."""
+    """Whether the process that made a directory with `temporary` has ended; it stays so during the block."""
     descriptor = -1
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)

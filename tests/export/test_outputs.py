@@ -10,7 +10,7 @@ from mobilecal_cli.export import outputs
 from mobilecal_cli.export.outputs import check_file, check_output, write_file, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import placing
-from mobilecal_cli.files.scratch import locked
+from mobilecal_cli.files.scratch import temporary
 
 OURS = FIRST_LINE.encode()
 FILES = {
@@ -278,7 +278,7 @@ def test_leftovers_of_a_killed_run_are_removed(tmp_path):
         left.mkdir(parents=True)
         (left / "params.yaml").write_bytes(OURS)
     used = tmp_path / ".out.00000002.partial"
-    with locked(lambda: used.mkdir() or used):
+    with temporary(lambda: used.mkdir() or used, lambda _: None):
         check_output(tmp_path / "out", force=False)
     assert [path.name for path in tmp_path.iterdir()] == [used.name]
 

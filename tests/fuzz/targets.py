@@ -22,7 +22,6 @@ from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.calibrate.batch import fleet_jobs
 from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
 from mobilecal_cli.calibrate.load import load
-from mobilecal_cli.commands.init import draft
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.export.extraction import extraction_from_npz, extraction_to_npz
@@ -52,7 +51,6 @@ from tests.formats import HEAD_EYE, text_of
 from tests.readers import recordings as r
 from tests.records import Record, written
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 Use = Callable[[Path], None]
 
 
@@ -275,10 +273,7 @@ def targets(folder: Path) -> dict[str, Target]:
         path = folder / f"{name}.mcap"
         write(path)
         found[name] = Target({"log.mcap": path.read_bytes()}, "log.mcap", use)
-    sample = REPOSITORY / "sample_logs"
     found["rig.yaml"] = Target({"rig.yaml": RIG.encode()}, "rig.yaml", _rig)
-    drafted = draft([sample / "paper_robot.mcap"]).text.encode()
-    found["draft.yaml"] = Target({"rig.yaml": drafted}, "rig.yaml", _rig)
     found["urdf"] = Target({"robot.urdf": urdf_text(paper_robot()).encode()}, "robot.urdf", _urdf)
     small = _small_extraction()
     extraction = extraction_to_npz(small)

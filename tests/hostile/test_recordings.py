@@ -184,8 +184,7 @@ def test_a_message_that_decompresses_without_end(tmp_path):
     data = zstandard.compress(bytes(2**28))
     message = Record("/robot_description", "std_msgs/msg/String", b"string data", 1, data)
     path = written(tmp_path / "log.mcap", [message])
-    read_messages, damage = read(path)
-    assert not read_messages
+    _, damage = read(path)
     assert any("decompresses to more than" in note for note in damage)
 
 

@@ -305,9 +305,7 @@ CONTAINERS: dict[str, Callable[[Path, list[Item]], Path]] = {
     "mcap-no-summary": lambda p, i: write_mcap(p, i, **NO_SUMMARY),
     "mcap-no-index-at-all": lambda p, i: write_mcap(p, i, **{**NO_SUMMARY, "index_types": IndexType.NONE}),
     "mcap-half-summary": lambda p, i: write_mcap(p, i, **NO_REPEATS),
-    "mcap-ros1": lambda p, i: write_mcap(p, i, profile="ros1", ros1=True),
-    "mcap-empty-profile": lambda p, i: write_mcap(p, i, profile=""),
-    "mcap-empty-profile-ros1": lambda p, i: write_mcap(p, i, profile="", ros1=True),
+    "mcap-ros1": lambda p, i: write_mcap(p, i, profile="", ros1=True),
     "mcap-message-zstd": lambda p, i: write_mcap(p, i, pack=True),
     "mcap-misnamed-as-bag": _misnamed,
 }

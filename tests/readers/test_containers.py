@@ -14,8 +14,9 @@ from mobilecal_cli.readers import (
     read_description,
     sha256_of,
 )
-from mobilecal_cli.readers.containers import CONTAINERS, ZSTD_MAGIC
+from mobilecal_cli.readers.containers import CONTAINERS
 from mobilecal_cli.readers.containers.blocks import Reindex
+from mobilecal_cli.readers.messages import ZSTD_MAGIC
 
 from . import recordings as r
 

@@ -13,10 +13,10 @@ from . import recordings as r
 
 
 def late(share: float, most_s: float) -> np.ndarray:
-    """Log times of 2,000 messages, s, some of which come late."""
+    """Log times of 1,000 messages, s, some of which come late."""
     rng = np.random.default_rng(5)
-    times = np.sort(rng.integers(0, 500, 2000)) * 0.01  # many are equal
-    return np.where(rng.random(2000) < share, times - most_s * rng.random(2000), times)
+    times = np.sort(rng.integers(0, 500, 1000)) * 0.01  # many are equal
+    return np.where(rng.random(1000) < share, times - most_s * rng.random(1000), times)
 
 
 @pytest.mark.parametrize("name", ["mcap-zstd", "mcap-unchunked", "mcap-no-summary", "bag", "rosbag2-sqlite3"])

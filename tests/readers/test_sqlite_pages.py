@@ -60,13 +60,24 @@ def test_all_messages_before_a_cut_are_read(database, tmp_path, share):
     assert path.stat().st_size == cut
 
 
-def test_one_lost_interior_page_costs_no_message(database, tmp_path):
+def _lost(page):
+    page[:] = 0xFF
+
+
+def _wrong_key(page):
+    """Rows are still found one after another, but not by their numbers."""
+    cell = int.from_bytes(page[12:14].tobytes())
+    page[cell + 4] = 0x80  # after the number of the child, a key of two bytes
+
+
+@pytest.mark.parametrize("damage", [_lost, _wrong_key])
+def test_one_damaged_interior_page_costs_no_message(database, tmp_path, damage):
     whole, _ = database
     content = np.frombuffer(whole.read_bytes(), np.uint8).copy()
     pages = content.reshape(-1, _PAGE)
     interior = np.flatnonzero(pages[:, 0] == 5)
     assert len(interior) > 2
-    pages[interior[1]] = 0xFF
+    damage(pages[interior[1]])
     (path := tmp_path / "damaged.db3").write_bytes(content.tobytes())
     messages, _ = _read(path)
     assert [number for number, _ in messages] == list(range(1, _MESSAGES + 1))

@@ -13,7 +13,8 @@ from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.readers.containers import mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
-from mobilecal_cli.readers.containers.storage import LATEST_NS, LEAST_STEP_NS, ZSTD_MAGIC, Storage, expand
+from mobilecal_cli.readers.containers.storage import LATEST_NS, LEAST_STEP_NS, Storage, expand
+from mobilecal_cli.readers.messages import ZSTD_MAGIC
 
 #: First bytes of a file → its reader.
 CONTAINERS: dict[bytes, Callable[[Path], Storage]] = {

@@ -20,12 +20,12 @@ from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
     LEAST_STEP_NS,
-    SIZE_LIMIT,
     Extent,
     Message,
     Storage,
     goes_back,
 )
+from mobilecal_cli.readers.messages import SIZE_LIMIT
 from mobilecal_cli.readers.messages.types import Payload
 
 #: Maximum number of messages per block; empty ones could fill the memory from a few bytes.
@@ -115,13 +115,6 @@ class BlockStorage(Storage):
     def fits(self, at: int) -> bool:
         """Whether a complete record begins at a byte; damaged bytes may raise anything, which means that none does."""
 
-    @abstractmethod
-    def rest_of_chunk(self, at: int) -> int | None:
-        """Where the records of an uncompressed chunk begin, if one begins at a byte: its first messages are intact.
-
-        Damaged bytes may raise anything, which means that none begins there.
-        """
-
     def load(self, block: Block) -> bytes:
         """Decompressed records of a block."""
         data = self.read_at(block.offset, block.size)
@@ -129,7 +122,7 @@ class BlockStorage(Storage):
 
     @abstractmethod
     def decompressed(self, chunk: bytes) -> bytes:
-        """The records in a chunk; its checksum is verified if it has one."""
+        """The records in a chunk, whose checksum is verified if it has one; of a truncated chunk, the first ones."""
 
     @abstractmethod
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
@@ -341,12 +334,13 @@ class Reindex:
             except Exception as error:  # no complete record begins there: search for the next one
                 if self._last is not None:  # registers its channels, by which messages are recognized
                     storage.scanned(self._last, lambda _: None)
-                rest = None
-                with suppress(Exception):  # damaged bytes may raise anything
-                    rest = storage.rest_of_chunk(at)
-                if rest is not None and self._next_record(at + 1, chunks=True) is None:
+                head = storage.read_at(at, min(storage.LONGEST_HEAD, storage.size - at))
+                if (
+                    0 in storage.likely_records(head, chunks=True)
+                    and self._next_record(at + 1, chunks=True) is None
+                ):
                     self._close()
-                    self._last = Block(rest, storage.size - rest, False, LATEST_NS, 0, None)
+                    self._last = Block(at, storage.size - at, True, LATEST_NS, 0, None)
                     following = None
                 else:
                     following = self._next_record(at + 1)
@@ -417,7 +411,7 @@ class Reindex:
             times = storage.indexed(block)
             if truncated or not times.size or not set(times[0].tolist()) <= storage.channels.keys():
                 times = storage.scanned(block, damage.append)
-            if not times.size and not damage:
+            if not times.size and (truncated or not damage):
                 return  # an empty chunk
             for sentence in damage if not truncated else ():  # what is truncated is noted as such
                 storage.note(sentence)

@@ -17,14 +17,8 @@ from mcap.reader import SeekingReader
 
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.blocks import Block, BlockStorage, Reindex
-from mobilecal_cli.readers.containers.storage import (
-    LATEST_NS,
-    SIZE_LIMIT,
-    ZSTD_MAGIC,
-    decompress,
-    message_payload,
-)
-from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.containers.storage import LATEST_NS, decompress
+from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES, Payload
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -115,11 +109,15 @@ class McapStorage(BlockStorage):
         return opcode, body, body + length
 
     def decompressed(self, chunk: bytes) -> bytes:
-        if chunk[:1] != bytes([Opcode.CHUNK]):
+        opcode, length = _HEAD.unpack_from(chunk)
+        if opcode != Opcode.CHUNK:
             raise ValueError("no chunk begins there")
-        record = records.Chunk.read(_data_stream(chunk[_HEAD.size :]))
-        whole = decompress(record.data, record.compression, record.uncompressed_size)
-        if record.uncompressed_crc and zlib.crc32(whole) != record.uncompressed_crc:
+        _, _, size, checksum = _CHUNK.unpack_from(chunk, _HEAD.size)
+        name = _HEAD.size + _CHUNK.size + 4
+        data = name + int.from_bytes(chunk[name - 4 : name], "little") + 8
+        truncated = len(chunk) < _HEAD.size + length
+        whole = decompress(chunk[data:], chunk[name : data - 8].decode(), size, truncated=truncated)
+        if checksum and not truncated and zlib.crc32(whole) != checksum:
             raise ValueError("wrong checksum")
         return whole
 
@@ -134,11 +132,7 @@ class McapStorage(BlockStorage):
                 raise EOFError("a record extends beyond the end of the data")
             if opcode == _MESSAGE_RECORD:
                 number, _, time_ns, _ = _MESSAGE.unpack_from(data, at)
-                payload: Payload = view[at + _MESSAGE.size : end]
-                # rosbag2 may have compressed messages separately.
-                if data.startswith(ZSTD_MAGIC, at + _MESSAGE.size) and self._is_cdr(number):
-                    payload = message_payload(payload)
-                yield number, time_ns, payload
+                yield number, time_ns, view[at + _MESSAGE.size : end]
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL) and definitions < _MOST_DEFINITIONS:
                 definitions += 1
                 self._define(opcode, bytes(view[at:end]))
@@ -164,9 +158,6 @@ class McapStorage(BlockStorage):
             self._schemas.setdefault(schema.id, schema)
         else:
             self._register(records.Channel.read(_data_stream(body)))
-
-    def _is_cdr(self, number: int) -> bool:
-        return number in self.channels and self.channels[number].encoding == "cdr"
 
     def _register(self, channel: records.Channel) -> None:
         if channel.id in self.channels:
@@ -194,12 +185,6 @@ class McapStorage(BlockStorage):
         except Exception as error:  # one damaged record; the next one has its own header
             self.note(f"the record at byte {at} of {self.size} is damaged: {error}")
         return end, block
-
-    def rest_of_chunk(self, at: int) -> int | None:
-        body = at + _HEAD.size + _CHUNK.size + 12
-        if self.read_at(at, 1)[0] != Opcode.CHUNK or body >= self.size:
-            return None
-        return body if self.read_at(body - 12, 4) == bytes(4) else None  # no name of a compression
 
     def likely_records(self, window: bytes, *, chunks: bool) -> Iterator[int]:
         """Places in some bytes where a chunk, or a message or chunk, may begin."""

@@ -158,8 +158,14 @@ class BagStorage(BlockStorage):
         return ""
 
     def decompressed(self, chunk: bytes) -> bytes:
-        fields, body, end = _split(memoryview(chunk), 0)
-        return decompress(chunk[body:end], fields[b"compression"].decode(), _u32(fields, b"size"))
+        view = memoryview(chunk)
+        body = _end(view, _U32.size) + _U32.size
+        fields, (length,) = (
+            _fields(view[_U32.size : body - _U32.size]),
+            _U32.unpack_from(view, body - _U32.size),
+        )
+        data, method = chunk[body : body + length], fields[b"compression"].decode()
+        return decompress(data, method, _u32(fields, b"size"), truncated=len(data) < length)
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
         view = memoryview(data)
@@ -220,8 +226,3 @@ class BagStorage(BlockStorage):
             return False
         fields, _, end = self._head(at)
         return fields[b"op"][0] in (_CHUNK, _MESSAGE, _CONNECTION) and end <= self.size
-
-    def rest_of_chunk(self, at: int) -> int | None:
-        fields, body, _ = self._head(at)
-        plain = fields[b"op"] == bytes([_CHUNK]) and fields[b"compression"] == b"none"
-        return body if plain else None

@@ -19,16 +19,8 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.sqlite_pages import LeafPages
-from mobilecal_cli.readers.containers.storage import (
-    EVERYTHING,
-    SIZE_LIMIT,
-    ZSTD_MAGIC,
-    Extent,
-    Message,
-    Storage,
-    message_payload,
-)
-from mobilecal_cli.readers.messages import Channel, ros2_spelling
+from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
+from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES
 
 MAGIC = b"SQLite format 3\x00"
@@ -175,11 +167,7 @@ class SqliteStorage(Storage):
                 damaged = True
                 continue
             read[channel_id] += 1
-            channel = self.channels[channel_id]
-            if channel.encoding == "cdr" and data.startswith(ZSTD_MAGIC):
-                with suppress(Exception):  # a damaged frame: the message is reported as undecodable on use
-                    data = message_payload(data)
-            yield Message(channel, time_ns, data)
+            yield Message(self.channels[channel_id], time_ns, data)
         if damaged:
             self.note(
                 f"the message table is damaged; {read.total()} messages of the topics in use could be read"

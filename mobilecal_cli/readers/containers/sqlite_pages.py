@@ -16,7 +16,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
-from mobilecal_cli.readers.containers.storage import SIZE_LIMIT
+from mobilecal_cli.readers.messages import SIZE_LIMIT
 
 _LEAF = 13
 _PAGE_BYTES, _RESERVED = slice(16, 18), 20  # places in the header of a file

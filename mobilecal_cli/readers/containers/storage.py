@@ -15,7 +15,7 @@ import numpy as np
 import zstandard
 
 from mobilecal_cli.model import IntArray
-from mobilecal_cli.readers.messages import Channel
+from mobilecal_cli.readers.messages import ALWAYS_BYTES, LARGEST_RATIO, Channel, largest_size
 from mobilecal_cli.readers.messages.types import Decoded, Payload
 
 
@@ -46,8 +46,6 @@ class Message(NamedTuple):
         return self.channel.decode(self.payload)
 
 
-#: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
-SIZE_LIMIT = 2**29
 #: Log times after the year 2116 are damage; these and their differences fit into 64 signed bits.
 LATEST_NS = 2**62
 
@@ -161,26 +159,14 @@ class Storage(ABC):
                 self.note(f"{topic}: {read[number]} of {self.counts[number]} messages could be read")
 
 
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-
-#: A chunk may always decompress to this size; to more only within the ratio below.
-ALWAYS_BYTES = 2**24
-#: Images and readings never compress further; a higher ratio is made to fill memory or disk.
-LARGEST_RATIO = 1000
-
-
-def largest_size(stored: int) -> int:
-    """Largest allowed size after decompression, bytes."""
-    return min(SIZE_LIMIT, max(ALWAYS_BYTES, LARGEST_RATIO * stored))
-
-
-def decompress(data: bytes, method: str, size: int) -> bytes:
+def decompress(data: bytes, method: str, size: int, *, truncated: bool = False) -> bytes:
     """Decompressed bytes of a chunk.
 
     Args:
         data: as stored.
         method: "", "none", "lz4", "zstd" or "bz2".
         size: length stated by the container, bytes.
+        truncated: whether the end of the chunk is missing.
 
     Raises:
         ValueError: unknown method, or the length differs from the stated one.
@@ -198,24 +184,8 @@ def decompress(data: bytes, method: str, size: int) -> bytes:
             whole = reader.read(size + 1)
     else:
         raise ValueError(f"unknown compression {method!r}")
-    if len(whole) != size:
+    if len(whole) != size and not truncated:
         raise ValueError(f"a chunk states {size} bytes, but contains {len(whole)}")
-    return whole
-
-
-def message_payload(payload: Payload) -> bytes:
-    """A CDR payload that rosbag2 compressed separately: one that begins with `ZSTD_MAGIC`, as no other does.
-
-    Raises:
-        ValueError: the frame is damaged or too large.
-    """
-    limit = largest_size(len(payload))
-    with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
-        whole = reader.read(limit + 1)
-    if not whole:
-        raise ValueError("an empty zstd frame")
-    if len(whole) > limit:
-        raise ValueError(f"a message of {len(payload)} bytes decompresses to more than {limit} bytes")
     return whole
 
 

@@ -10,6 +10,7 @@ from graphlib import TopologicalSorter
 from types import SimpleNamespace
 
 import numpy as np
+import zstandard
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import JOINT_STATE, listed
@@ -29,6 +30,13 @@ NOT_ITS_TYPE = (AttributeError, TypeError, ValueError, OverflowError)
 #: Bytes of a joint state; ten thousand joints need a third. Longer names would fill the memory, and every message.
 LARGEST_JOINT_STATE = 2**20
 _ENCODINGS = ("cdr", "ros1", "protobuf", "json")
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+#: Maximum size of a chunk, message or decompressed payload, because each must fit into memory.
+SIZE_LIMIT = 2**29
+#: A chunk may always decompress to this size; to more only within the ratio below.
+ALWAYS_BYTES = 2**24
+#: Images and readings never compress further; a higher ratio is made to fill memory or disk.
+LARGEST_RATIO = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +85,11 @@ class Channel:
         Raises:
             RecordingError: the payload does not match the definition, or is a joint state that no robot has.
         """
-        if len(payload) > LARGEST_JOINT_STATE and self.ros_type == JOINT_STATE:
-            raise RecordingError(
-                f"{self.topic}: a joint state of {len(payload)} bytes (limit {LARGEST_JOINT_STATE})",
-                "check the driver that publishes it",
-            )
         decoder = _decoder(self.encoding, self.type, self.definition, self.definition_format)
         try:
-            return decoder(payload)
+            whole = _decompressed(payload) if self.encoding == "cdr" else payload
+            if len(whole) <= LARGEST_JOINT_STATE or self.ros_type != JOINT_STATE:
+                return decoder(whole)
         except MemoryError:
             raise
         except Exception as error:  # damaged payloads may raise anything
@@ -92,6 +97,33 @@ class Channel:
                 f"{self.topic}: a message does not match its type {self.type}: {error}",
                 "copy the recording again; if the error remains, record the topic with its current message definition",
             ) from error
+        raise RecordingError(
+            f"{self.topic}: a joint state of {len(whole)} bytes (limit {LARGEST_JOINT_STATE})",
+            "check the driver that publishes it",
+        )
+
+
+def largest_size(stored: int) -> int:
+    """Largest allowed size after decompression, bytes."""
+    return min(SIZE_LIMIT, max(ALWAYS_BYTES, LARGEST_RATIO * stored))
+
+
+def _decompressed(payload: Payload) -> Payload:
+    """A CDR payload; rosbag2 may have compressed it separately: it then begins with `ZSTD_MAGIC`, as no other does.
+
+    Raises:
+        ValueError: the frame is damaged or too large.
+    """
+    if payload[: len(ZSTD_MAGIC)] != ZSTD_MAGIC:
+        return payload
+    limit = largest_size(len(payload))
+    with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+        whole = reader.read(limit + 1)
+    if not whole:
+        raise ValueError("an empty zstd frame")
+    if len(whole) > limit:
+        raise ValueError(f"a message of {len(payload)} bytes decompresses to more than {limit} bytes")
+    return whole
 
 
 def ros2_spelling(name: str) -> str:
