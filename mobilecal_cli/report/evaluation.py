@@ -45,8 +45,6 @@ _SIGMAS = 3.0
 _SIGMA_SHARE = 0.5
 #: Corner errors above the limit fail the calibration if they are so many times those of the recording's own estimate.
 _TIMES_OWN = 1.5
-_STATIONS = Metric("evaluated_stations", at_least=True)
-_CORNER_ERROR = Metric("corner_error", "px")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +94,7 @@ def judge_evaluation(
         used: names of the recordings that the calibration was made from.
         gates: the user's limits, see `gate_checks`.
     """
-    enough_stations = _STATIONS.check(
+    enough_stations = Metric("evaluated_stations", at_least=True).check(
         evaluation.stations,
         MIN_STATIONS,
         f"stations with the board in {extraction.rig.cameras.images_words}",
@@ -126,15 +124,16 @@ def _corner_error(evaluation: Evaluation, extraction: Extraction, own: Solution 
         best_px = float(np.median(own.residuals.leg_reprojection_px))
         unexplained_px = unexplained(own, extraction).px
         best = f"; the recording's own estimate leaves {best_px:.1f} px"
-    limit, name = max(limit_px, _TIMES_OWN * best_px), "median station-to-station corner error"
+    metric, name = Metric("corner_error", "px"), "median station-to-station corner error"
+    limit = max(limit_px, _TIMES_OWN * best_px)
     if min(best_px, unexplained_px) > limit_px:
-        return _CORNER_ERROR.check(
+        return metric.check(
             px, limit, name, "Check for wheel slip, a moved board and wrong encoder settings, and record again.",
             why=f"No parameters explain this recording: the best leave {best_px:.1f} px (limit {limit_px:.1f} px).",
             passes=False,
             beyond="not_enough",
         )  # fmt: skip
-    return _CORNER_ERROR.check(
+    return metric.check(
         px, limit, name, cure,
         measured=f"{_shown(px, 2, MOST_ERROR_PX)} px{best}",
         at_limit=f"at most {limit:.1f} px",

@@ -45,22 +45,17 @@ def style_of(label: str) -> str:
     return _STYLES.get(label.lower(), "fail")
 
 
-def opened_section(report: ReportData) -> str:
-    """The section that shows what decides the verdict; "" for one that passes."""
-    checks = report.verdict.checks
-    return next((c.section for c in checks if not c.met and c.why == report.verdict.reason), "")
-
-
 def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = ()) -> str:
     """The report as one HTML page: no network, one script, the same bytes for the same values.
 
-    The first screen has the verdict, the numbers and what limits them; the rest is collapsed. The script links plots
-    and images by station, and draws the view in space from the report's JSON, which is in the page. It has images of
-    the legs whose first station has a snapshot.
+    The first screen has the verdict, the numbers and what limits them; the rest is collapsed, but the section of the
+    criterion that decides. The script links plots and images by station, and draws the view in space from the report's
+    JSON, which is in the page. It has images of the legs whose first station has a snapshot.
     """
     from markupsafe import Markup
 
     solution, extraction, worst = case.solution, case.extraction, worst_error(case.solution, case.gates)
+    decisive = next((check for check in report.verdict.checks if not check.met), None)
     script, style = _asset("page.js"), _asset("page.css") + STYLE
     text = template("report.html.jinja").render(
         report=report,
@@ -71,7 +66,7 @@ def report_html(report: ReportData, case: Case, snapshots: Sequence[Snapshot] = 
         path=path_picture(solution, extraction),
         limits=None if worst is None else budget_bar(worst),
         contents=list(CONTENTS.items()),
-        opened=opened_section(report),
+        opened="" if decisive is None else decisive.section,
         stops=[stop.text for stop in report.suggestions if stop.gain >= LEAST_GAIN],
         policy=f"default-src 'none'; img-src data:; style-src {_hash(style)}; script-src {_hash(script)}",
         style=Markup(style),

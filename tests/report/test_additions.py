@@ -7,14 +7,11 @@ from mobilecal_cli.report.formats import Table, json_text
 from mobilecal_cli.report.junit import junit_xml
 from mobilecal_cli.report.page import CONTENTS
 from mobilecal_cli.report.svg import Canvas
-from tests.report.example import made, make_extraction, make_solution, page_of
+from tests.report.example import made, page_of
 
 
 @pytest.fixture
-def case():
-    extraction = make_extraction()
-    solution = make_solution(extraction)
-    plots.plots(solution, extraction)  # all plots are registered
+def case(solution, extraction):
     return solution, extraction
 
 

@@ -225,16 +225,6 @@ def test_no_label_lies_over_another(browser, page):
         assert browser.evaluate(overlap) == []
 
 
-def test_nothing_of_the_log_becomes_markup(browser, page):
-    browser.open(page)
-    assert browser.evaluate("document.scripts.length") == 2
-    handlers = (
-        "[...document.querySelectorAll('*')].some(e => [...e.attributes].some(a => a.name.startsWith('on')))"
-    )
-    assert browser.evaluate(handlers) is False
-    assert browser.evaluate("[...document.querySelectorAll('*')].filter(e => e.tagName == 'IMG').length") == 0
-
-
 @pytest.mark.parametrize("level", ["PASS", "NOT ENOUGH", "FAIL"])
 def test_it_prints_one_sheet_to_sign(browser, tmp_path, level):
     """A4, with verdict, numbers, recording, hash, date and lines for robot and signature."""

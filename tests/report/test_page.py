@@ -36,12 +36,16 @@ def test_the_page_says_what_matters_first(page, solution):
         assert words in text
 
 
-def test_the_page_needs_no_network_and_runs_its_own_script_only(html, page):
+def assert_loads_nothing(page):
     for tag, attributes in page.tags:
         assert tag not in {"iframe", "link", "object", "embed", "img", "form"}
         assert not [name for name in attributes if name.startswith("on")]
         for name in ("src", "href", "xlink:href"):
             assert re.match(r"#|data:image/jpeg;base64,", attributes.get(name) or "#")
+
+
+def test_the_page_needs_no_network_and_runs_its_own_script_only(html, page):
+    assert_loads_nothing(page)
     assert [attributes for tag, attributes in page.tags if tag == "script"] == [
         {"type": "application/json", "id": "data"},
         {},
@@ -81,6 +85,7 @@ def test_hostile_strings_stay_text(solution, extraction):
     )
     page = Page(html)
     assert sum(tag == "script" for tag, _ in page.tags) == 2
+    assert_loads_nothing(page)
     (data,) = re.findall(r'id="data">(.*?)</script>', html, re.DOTALL)
     assert not set("<>&") & set(data)
     assert json.loads(data)["parameters"]["child_frame"] == HOSTILE

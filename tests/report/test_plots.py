@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli.model import HeadChain, JointLink, Outlier, Rejection, Snapshot
-from mobilecal_cli.report.plots import budget_bar, leg_views, thumbnails, trail
+from mobilecal_cli.report.plots import budget_bar, corner_residuals, leg_views, thumbnails, trail
 from mobilecal_cli.report.use import FIGURES, Error
 from tests.pairs import with_views
 from tests.report.example import WHEELS, Page, make_extraction, make_snapshots, make_solution, page_of
@@ -92,9 +92,10 @@ def test_the_trail_runs_through_the_stations(solution, extraction):
     assert np.all(nearest < 0.03)
 
 
-def test_a_long_recording_stays_small():
-    extraction = make_extraction(n=100)
-    assert len(page_of(make_solution(extraction, "linear"), extraction).encode()) < 900_000
+def test_a_long_recording_stays_small(solution, extraction):
+    """Of 360 stations, with fewer outlines and corners than there are."""
+    long = replace(extraction, observations=30 * extraction.observations)
+    assert sum(len(drawn.svg) for drawn in corner_residuals(solution, long)) < 450_000
 
 
 @pytest.mark.parametrize("blind", [[3], range(12)])
