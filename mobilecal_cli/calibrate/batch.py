@@ -199,7 +199,6 @@ def _of_manifest(path: Path) -> Sequence[_Robot]:
         raise ConfigError(f"{path}: {problems_of(error)}", hint) from error
 
 
-_ATTEMPTS = 3  # at a job whose process dies
 #: Hint for a robot whose process died.
 AGAIN = "run the same command again: it calibrates only what is missing; with fewer --jobs if memory is short"
 
@@ -318,10 +317,9 @@ def in_processes(jobs: Sequence[FleetJob], count: int = os.cpu_count() or 1) -> 
     for row in _in_a_pool(jobs, count):
         del waiting[row.name]
         yield row
-    for name, job in waiting.items():  # a process died: each remaining job gets its own process
+    for name, job in waiting.items():  # a process died: each remaining job gets its own process, alone
         crashed = "the worker process died (out of memory, or killed)"
-        attempts = (row for _ in range(_ATTEMPTS - 1) for row in _in_a_pool([job], 1))
-        yield next(attempts, FleetRow(name, "ERROR", 1, crashed, hint=AGAIN))
+        yield next(_in_a_pool([job], 1), FleetRow(name, "ERROR", 1, crashed, hint=AGAIN))
 
 
 def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:

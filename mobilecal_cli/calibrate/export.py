@@ -98,16 +98,14 @@ def export(
     recordings = paths_of("logs", logs)
     robot_urdf = None if urdf is None else path_of("urdf", urdf)
     require("with_chain", with_chain, bool, "True or False")
-    if isinstance(params, Report):
-        path, robot, report = Path("the report"), params.robot, params.json
-    else:
-        path, report = path_of("params", params), None
-        robot = read_params(path)
+    path = Path("the report") if isinstance(params, Report) else path_of("params", params)
+    robot = params.robot if isinstance(params, Report) else read_params(path)
 
     def measurements() -> Extraction:
         return params.data.extraction if isinstance(params, Report) else _beside(path, robot)
 
     def scene(with_images_of: tuple[Path, ...]) -> Scene:
+        report = params.json if isinstance(params, Report) else None
         return _scene(robot, measurements(), path, report, with_images_of)
 
     if robot.verdict not in ("PASS", "") and not allow_failed:

@@ -181,6 +181,7 @@ def _extracted(
         if size is not None and set(size) != {board.columns, board.rows}:
             raise other_size(board, size)
     notes = (*survey.notes, *plan_notes, *recording.damage)
+    other = _other_cameras(earlier[0], name, rig) if earlier else ()
     logs = []
     for plan, detections in zip(plans, detected, strict=True):
         measured = [station.measured for station in detections]
@@ -188,8 +189,9 @@ def _extracted(
         measured, misfit = agreeing(measured)
         if board.square_m is not None:
             check_square(measured, board.square_m)
+        every_note = (*notes, *misfit, *other, *_unused(name, measured))
         logs.append(
-            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, (*notes, *misfit))
+            ExtractedLog(name, survey.description, rig, board, plan, detections, measured, every_note)
         )
     return logs
 
@@ -222,9 +224,7 @@ def extract(
     refuse_equal_files(sources)
     for parts in recordings:
         with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:
-            pieces = _extracted(extracted, recording, config, progress, jobs)
-        other = _other_cameras((extracted or pieces)[0], pieces[0])
-        extracted += [replace(piece, notes=(*piece.notes, *other, *_unused(piece))) for piece in pieces]
+            extracted += _extracted(extracted, recording, config, progress, jobs)
     extraction = _assembled(extracted, sources)
     refuse_equal_recordings(extraction, [log.name for log in extracted])
     snapshots = [
@@ -270,9 +270,9 @@ def _refuse_other_robot(first: ExtractedLog, name: str, rig: Rig) -> None:
             raise ConfigError(f"{what} of {name}: {have}; of {first.name}: {had}", cure)
 
 
-def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
-    """A note if the camera infos of two recordings differ beyond rounding."""
-    a, b = first.rig.cameras, other.rig.cameras
+def _other_cameras(first: ExtractedLog, name: str, rig: Rig) -> tuple[str, ...]:
+    """A note if the camera infos of a recording, of this name, differ from those of the first one beyond rounding."""
+    a, b = first.rig.cameras, rig.cameras
     pairs = [
         (getattr(x, name), getattr(y, name)) for x, y in zip(a.each, b.each, strict=True) for name in "KD"
     ]
@@ -280,16 +280,16 @@ def _other_cameras(first: ExtractedLog, other: ExtractedLog) -> tuple[str, ...]:
     if all(x.shape == y.shape and np.allclose(x, y, rtol=_SAME_INFO, atol=_SAME_INFO) for x, y in pairs):
         return ()
     return (
-        f"{other.name}: {CAMERA_INFO_CHANGES} from that of {first.name}, which the estimate takes for all recordings",
+        f"{name}: {CAMERA_INFO_CHANGES} from that of {first.name}, which the estimate takes for all recordings",
     )
 
 
-def _unused(log: ExtractedLog) -> tuple[str, ...]:
+def _unused(name: str, measured: Sequence[Measured | Rejection]) -> tuple[str, ...]:
     """A note if no station of a recording can be used: beside others, nothing else says so."""
-    if any(isinstance(measured, Measured) for measured in log.measured):
+    if any(isinstance(each, Measured) for each in measured):
         return ()
     return (
-        f"{log.name}: nothing of this recording is used, as no station shows the board: check that it is of this robot "
+        f"{name}: nothing of this recording is used, as no station shows the board: check that it is of this robot "
         "and this board",
     )
 

@@ -1,7 +1,6 @@
 """Recordings of one camera and of three, from the file to the verdict; and what is refused."""
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ from mobilecal_cli import se3
 from mobilecal_cli.calibrate.export import export
 from mobilecal_cli.calibrate.steps import Report, calibrate, extract, solve
 from mobilecal_cli.errors import ConfigError
-from mobilecal_cli.model import FACTORS
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.simulate.messages import published, write
 from mobilecal_cli.simulate.record import simulate
@@ -20,10 +18,8 @@ from mobilecal_cli.simulate.route import plan_route
 from mobilecal_cli.simulate.scenario import Scenario, World
 from tests.command import run, succeeded
 from tests.export.test_improved import fitted_cameras
-from tests.robots import rgbd_with_odometry, skid_steer_that_pans, three_on_pan_tilt
+from tests.robots import three_on_pan_tilt
 from tests.truth import nees
-
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 SQUARE = {"board.square_m": 0.08}
 SQUARES = load_rig(None, SQUARE)
@@ -164,21 +160,3 @@ def test_three_cameras_from_a_recording(tmp_path):
         T = np.array(chain[f"cam{k}"].get("T_cn_cnm1", np.eye(4))) @ T
         np.testing.assert_allclose(np.linalg.inv(T), fitted.T_c_each[k], atol=1e-8)
         assert chain[f"cam{k}"]["rostopic"] == f"/{name}/image_raw/compressed"
-
-
-@pytest.mark.parametrize(
-    ("name", "robot"), [("rgbd_odometry", rgbd_with_odometry()), ("skid_steer_pan", skid_steer_that_pans())]
-)
-def test_samples_of_other_robots(name, robot, tmp_path):
-    report = calibrate([SAMPLES / f"{name}.mcap"], tmp_path / "result", config=SQUARES)
-    assert report.verdict.level == "PASS"
-    assert "The camera's height is from the robot description" in report.verdict.reason
-    assert report.fit.solution.uncertainty.described.tolist() == [k == 5 for k in range(9)]
-    assumed = report.data.extraction.rig.sources.assumed_odometry
-    if assumed is None:
-        assert true_to(report.fit, robot, ALL_BUT_THE_HEIGHT) < 2.7
-        return
-    wheels = report.fit.parameters.wheels
-    factors, std = assumed.factors(wheels), assumed.factors_std(wheels, report.fit.covariance[6:, 6:])
-    truth = yaml.safe_load((SAMPLES / f"{name}.truth.yaml").read_text(encoding="utf-8"))["odometry"]
-    assert all(abs(factors[name] - truth[name]) < 3 * std[name] for name in FACTORS)

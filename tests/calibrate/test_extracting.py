@@ -24,8 +24,10 @@ from tests.records import records_of, written
 CAMERAS = ROBOTS["paper"]().rig_cameras
 
 
-def seen(name, cameras):
-    return SimpleNamespace(name=name, rig=SimpleNamespace(cameras=cameras))
+def noted(other):
+    """What is noted on a second recording with other cameras."""
+    first, second = (SimpleNamespace(cameras=cameras) for cameras in (CAMERAS, other))
+    return _other_cameras(SimpleNamespace(name="a.mcap", rig=first), "b.mcap", second)
 
 
 def changed(**fields):
@@ -42,13 +44,13 @@ def changed(**fields):
     ],
 )
 def test_other_cameras_are_told(other):
-    (note,) = _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other))
+    (note,) = noted(other)
     assert note.startswith(f"b.mcap: {CAMERA_INFO_CHANGES} from that of a.mcap")
 
 
 def test_rounding_is_not_told():
     other = changed(K=CAMERAS.each[1].K * (1 + 1e-9), D=CAMERAS.each[1].D + 1e-9)
-    assert _other_cameras(seen("a.mcap", CAMERAS), seen("b.mcap", other)) == ()
+    assert noted(other) == ()
 
 
 def test_the_recording_with_the_error_is_named(sample_logs):

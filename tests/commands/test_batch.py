@@ -158,7 +158,7 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
         rows = batch_module.batch(fleet, out, run=partial(on_cluster, address=address), progress=progress)
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
-    assert len(then) >= ROBOTS_HERE
+    assert len(then) >= ROBOTS_HERE - 1  # the broken one has no result
     assert then.items() <= records(out).items()
 
 
