@@ -157,12 +157,7 @@ def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> Flo
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     """(n, m, m) A C A^T; C is (n, P, P), or the same (P, P) for all."""
-    return (A @ C if C.ndim > 2 else _times(A, C)) @ A.mT
-
-
-def _times(A: FloatArray, C: FloatArray) -> FloatArray:
-    """(n, m, P) times (P, P), as one matrix product."""
-    return np.tensordot(A, C, 1)
+    return (A @ C if C.ndim > 2 else np.tensordot(A, C, 1)) @ A.mT
 
 
 def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
@@ -189,14 +184,14 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     A = views.by_base + views.by_own @ by_base
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
-    FC = _times(F, C)
+    FC = np.tensordot(F, C, 1)
     of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ F.mT
     of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     i, j = lin.data.legs.T
     following = follow[:, ERRORS]
-    along, transposed = _times(following, C), following.mT
+    along, transposed = np.tensordot(following, C, 1), following.mT
     of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
     before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared

@@ -63,7 +63,7 @@ def residuals_with_jacobian(pairs: MotionPairs, parameters: Parameters) -> tuple
     """
     i, j = pairs.legs.T
     motion = integrate(pairs.steps, parameters.wheels)
-    d_psi, d_t = motion.by_wheels()
+    by_wheels = motion.by_wheels()
     X = parameters.T_h_c
     T_vj_cj = pairs.T_v_h[j] @ X
     T_ci_vi = se3.inverse(pairs.T_v_h[i] @ X)
@@ -82,8 +82,8 @@ def residuals_with_jacobian(pairs: MotionPairs, parameters: Parameters) -> tuple
     Rz = se3.rotation_z(motion.psi_rad)
     turned = np.einsum("lab,lmb->lma", Rz, points_vj)
     swept = np.stack([-turned[..., 1], turned[..., 0], np.zeros_like(turned[..., 0])], axis=-1)
-    d_t3 = np.concatenate([d_t, np.zeros((len(d_t), 1, 3))], axis=1)
-    in_vi = swept[..., None] * d_psi[:, None, None, :] + d_t3[:, None]
+    shifted = by_wheels * np.array([[1.0], [1.0], [0.0]])
+    in_vi = swept[..., None] * by_wheels[:, None, 2:] + shifted[:, None]
     J[..., 6:] = np.einsum("lab,lmbk->lmak", T_ci_vi[:, :3, :3], in_vi)
     return predicted - pairs.points_c[i], J
 
