@@ -29,19 +29,10 @@ class Posterior(Linearization):
     What follows from it are functions: `budget`, `evidence`, `jumps`, `residual_tests`, `suggest`.
     """
 
-    def eliminated(self, damping: float = 0.0) -> NormalEquations:
-        """Normal equations of the measurements, stations and boards eliminated; see `normal.eliminated`.
-
-        Raises:
-            SolveError: a singular matrix.
-        """
-        with solvable():
-            return eliminated(self, damping)
-
     @cached_property
     def normal(self) -> NormalEquations:
         """The normal equations without damping."""
-        return self.eliminated()
+        return eliminated(self)
 
     @cached_property
     def station_rows(self) -> FloatArray:
@@ -78,8 +69,7 @@ class Posterior(Linearization):
     @cached_property
     def marginals(self) -> Marginals:
         """Covariances of the predicted measurements."""
-        with solvable():
-            return marginals(self, self.normal, self.conditional_covariance)
+        return marginals(self)
 
     def predicted(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
@@ -160,14 +150,14 @@ def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     return (A @ C if C.ndim > 2 else np.tensordot(A, C, 1)) @ A.mT
 
 
-def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
+@solvable()
+def marginals(lin: Posterior) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
-    C is (P, P) the covariance of the shared parameters.
-
     Raises:
-        LinAlgError: a singular matrix.
+        SolveError: a singular matrix.
     """
+    normal, C = lin.normal, lin.conditional_covariance
     follow, with_board = normal.base_by_shared, normal.base_by_board
     # A station's own errors for a known rest, by base, board, and shared parameters, where the board follows.
     E_inverse = normal.E_inverse
