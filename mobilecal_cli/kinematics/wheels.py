@@ -68,11 +68,6 @@ class Increments:
         side = rate / np.hypot(rate, _SLOW * mean)
         return np.where(known, side - float(turned @ side) / all_turned, 0.0)
 
-    @property
-    def hastened(self) -> FloatArray:
-        """(2, n) by how much the right and left wheel turn faster at the end of each step, rad/s; 0 if unknown."""
-        return np.asarray(np.nan_to_num(self.rates[:, 1] - self.rates[:, 0]).T)
-
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""
         return np.bincount(self.leg, weights=per_step, minlength=self.legs).astype(np.float64)

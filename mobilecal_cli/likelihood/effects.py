@@ -456,4 +456,5 @@ class WheelDelay(Rolling):
 
     def by_value(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) derivative of it by the value."""
-        return np.asarray(steps.hastened * [[0.5], [-0.5]])
+        hastened = np.nan_to_num(steps.rates[:, 1] - steps.rates[:, 0])  # of unknown rates, 0
+        return np.asarray(hastened.T * [[0.5], [-0.5]])
