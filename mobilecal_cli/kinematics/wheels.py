@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -67,15 +67,6 @@ class Increments:
             return np.where(known, np.minimum(np.abs(rate) / mean - 1, 1.0), 0.0)
         side = rate / np.hypot(rate, _SLOW * mean)
         return np.where(known, side - float(turned @ side) / all_turned, 0.0)
-
-    @property
-    def hastened(self) -> FloatArray:
-        """(2, n) by how much the right and left wheel turn faster at the end of each step, rad/s; 0 if unknown."""
-        return np.asarray(np.nan_to_num(self.rates[:, 1] - self.rates[:, 0]).T)
-
-    def turned_further(self, more: FloatArray) -> Increments:
-        """Increments in which the right and left wheel turn by so much more in each step, (2, n), rad."""
-        return replace(self, right_rad=self.right_rad + more[0], left_rad=self.left_rad + more[1])
 
     def total(self, per_step: FloatArray) -> FloatArray:
         """Sum over the steps of each leg: (n,) → (legs,)."""
@@ -236,14 +227,6 @@ def _up_to(steps: Increments, amount: FloatArray) -> FloatArray:
     return np.asarray(total - earlier[steps.leg])
 
 
-def _after(steps: Increments, amount: FloatArray) -> FloatArray:
-    """Sum of a quantity within the leg after each step, (n,) → (n,)."""
-    total = np.cumsum(amount)
-    last = np.searchsorted(steps.leg, np.arange(steps.legs), side="right")
-    whole = np.concatenate([[0.0], total])[last]
-    return np.asarray(whole[steps.leg] - total)
-
-
 def _arc(half_turn: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Chord of a unit arc that turns by 2h, sin(h)/h, and its derivative."""
     h, q = half_turn, half_turn**2
@@ -297,21 +280,22 @@ class Arcs:
         """
         by_length = self.chord * self.direction
         cos, sin = self.direction
-        x, y = (_after(self.steps, self.ds * row) for row in by_length)
+        steps = self.steps
+        x, y = (steps.total(way)[steps.leg] - _up_to(steps, way) for way in self.ds * by_length)
         bent, swung = self.ds * self.slope / 2, self.ds * self.chord / 2
         return by_length, np.stack([bent * cos - swung * sin - y, bent * sin + swung * cos + x])
 
-    def by_wheels(self) -> tuple[FloatArray, FloatArray]:
-        """Derivatives by (rR, rL, b) of psi (L, 3), rad/m, and of (x, y), (L, 2, 3), m/m."""
+    def by_wheels(self) -> FloatArray:
+        """(L, 3, 3) derivatives of (x, y, psi) by (rR, rL, b), m/m and rad/m."""
         steps, b = self.steps, self.wheels.separation_m
         right, left = steps.right_rad, steps.left_rad
-        d_psi = np.stack([steps.total(right), -steps.total(left), -self.psi_rad], axis=1) / b
-        d_t = np.empty((steps.legs, 2, 3))
+        out = np.empty((steps.legs, 3, 3))
         for k, (by_length, by_turn) in enumerate(zip(*self._by_step, strict=True)):
-            d_t[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / b))
-            d_t[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / b))
-            d_t[:, k, 2] = -steps.total(self.turn * by_turn) / b
-        return d_psi, d_t
+            out[:, k, 0] = steps.total(right * (by_length / 2 + by_turn / b))
+            out[:, k, 1] = steps.total(left * (by_length / 2 - by_turn / b))
+            out[:, k, 2] = -steps.total(self.turn * by_turn) / b
+        out[:, 2] = np.stack([steps.total(right), -steps.total(left), -self.psi_rad], axis=1) / b
+        return out
 
     def by_rotations(self, right: FloatArray, left: FloatArray) -> FloatArray:
         """(L, 3) derivatives of (x, y, psi) by a number that changes each step's rotations at these rates, (n,)."""

@@ -141,8 +141,7 @@ def dataset_of(extraction: Extraction, constants: Sequence[Constant] = ()) -> Da
         motions=motions,
         times_ns=times_ns,
         encoder_step_rad=steps,
-        several_wheels=extraction.rig.sources.several_wheels,
-        of_odometry=extraction.rig.sources.of_odometry,
+        sources=extraction.rig.sources,
         layout=Layout(tuple(constants)),
     )
 

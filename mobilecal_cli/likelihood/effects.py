@@ -420,7 +420,7 @@ class Widening(Rolling):
 
     def offered(self, data: Measurements) -> bool:
         """Only several wheels a side slip in every turn."""
-        return data.several_wheels or self.of != "rate"
+        return data.sources.several_wheels or self.of != "rate"
 
     def further(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) wheels at the mean separation turn the base by less where the effective one is wider."""
@@ -448,7 +448,7 @@ class WheelDelay(Rolling):
 
     def offered(self, data: Measurements) -> bool:
         """Only wheels with readings of their own, over time."""
-        return not data.of_odometry and data.motions is None
+        return not data.sources.of_odometry and data.motions is None
 
     def further(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) what each wheel turns faster by at the end of a step, for half of the delay."""
@@ -456,4 +456,5 @@ class WheelDelay(Rolling):
 
     def by_value(self, steps: Increments, value: float) -> FloatArray:
         """(2, n) derivative of it by the value."""
-        return np.asarray(steps.hastened * [[0.5], [-0.5]])
+        hastened = np.nan_to_num(steps.rates[:, 1] - steps.rates[:, 0])  # of unknown rates, 0
+        return np.asarray(hastened.T * [[0.5], [-0.5]])

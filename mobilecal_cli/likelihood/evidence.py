@@ -18,9 +18,9 @@ _FIXED = 1e-12  # rad, m: standard deviation of a parameter that is fixed, up to
 _SHOWN = 0.997  # posterior variance over the prior's, below which the data show a direction
 
 
-def equivalent_sigmas(chi2: float, dof: int) -> float:
-    """Standard deviations of a normal distribution that are exceeded as rarely as this chi-squared."""
-    return from_chance(float(chdtrc(dof, chi2)))
+def equivalent_sigmas(chi2: float, dof: int, tried: int = 1) -> float:
+    """Standard deviations of a normal distribution that are exceeded as rarely as this chi-squared, of so many."""
+    return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
 
 
 def from_chance(chance: float) -> float:

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import betainc, chdtrc, gammaln
+from scipy.special import betainc, gammaln
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.effects import POSE, BoardEffect, CameraEffect
-from mobilecal_cli.likelihood.evidence import from_chance
+from mobilecal_cli.likelihood.evidence import equivalent_sigmas, from_chance
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray, camera_words
 
@@ -202,7 +202,7 @@ def again(lin: Posterior, jump: Jump) -> Jump:
     score = _scores(lin, _parts(lin)[jump.part], [jump.station])
     value = jump.value + score.value[0]
     chi2 = float(value @ score.information[0] @ value)
-    return replace(jump, chi2=chi2, value=value, sigmas=_significance(chi2, jump.dof, jump.tried))
+    return replace(jump, chi2=chi2, value=value, sigmas=equivalent_sigmas(chi2, jump.dof, jump.tried))
 
 
 def slides(data: Dataset, jump: Jump) -> bool:
@@ -276,10 +276,6 @@ def _in_sigmas(step: FloatArray, variance: FloatArray) -> float:
     return float(np.max(np.abs(step) / np.sqrt(np.where(variance > 0, variance, np.inf)), initial=0.0))
 
 
-def _significance(chi2: float, dof: int, tried: int) -> float:
-    return from_chance(min(1.0, float(chdtrc(dof, chi2)) * tried))
-
-
 def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
     """`Jump.sigmas` by an F test, as a jump may itself have made the noise levels without it small.
 
@@ -296,7 +292,7 @@ def significance(optimum: Posterior, lin: Posterior, jump: Jump) -> float:
     test = _scores(optimum, _parts(optimum)[jump.part], [jump.station])
     score, dof, chi2 = float(test.chi2[0]), int(test.dof[0]), jump.chi2 / scatter(lin, jump)
     if score >= jump.chi2 or not dof:
-        return _significance(chi2, jump.dof, jump.tried)
+        return equivalent_sigmas(chi2, jump.dof, jump.tried)
     residuals = 1 / (1 / score - 1 / jump.chi2)
     if residuals <= dof:
         return 0.0
@@ -357,7 +353,14 @@ def likeliest(lin: Posterior) -> list[Jump]:
             k = int(np.argmax(rank))
             chi2, dof, count = float(tests.chi2[k]), int(tests.dof[k]), int(tried(moments)[k])
             jump = Jump(
-                name, int(moments[k]), chi2, dof, count, _significance(chi2, dof, count), 0.0, tests.value[k]
+                name,
+                int(moments[k]),
+                chi2,
+                dof,
+                count,
+                equivalent_sigmas(chi2, dof, count),
+                0.0,
+                tests.value[k],
             )
             ranked.append((-float(rank[k]), jump))
     return [jump for _, jump in sorted(ranked, key=lambda each: each[0])]

@@ -61,21 +61,18 @@ class Legs:
         return replace(self, residual=self.residual + change)
 
 
-def _steps(state: State, processes: Processes) -> tuple[Increments, Increments]:
-    """Steps of the legs between the errors of readings at their ends: as read, and as the wheels drove."""
+def _steps(state: State, scale: FloatArray) -> tuple[Increments, Increments]:
+    """Steps of the legs between the errors of readings at their ends: as read, and as the wheels drove.
+
+    The scale is (L, 2): what the right and left wheel turned over what is read.
+    """
     data, (i, j) = state.data, state.data.legs.T
     errors = state.base[:, ENCODERS]
     if np.any(state.base[:, STAMP:]):
         errors = errors + state.rates[:, -2:] * state.base[:, STAMP:]
     read = data.steps(state.clock_s("wheels")).with_ends(-errors[i], errors[j])
-    even, (right, left) = state.evened(read), (1 + mean_scales(state, processes))[read.leg].T
+    even, (right, left) = state.evened(read), scale[read.leg].T
     return read, replace(even, right_rad=right * even.right_rad, left_rad=left * even.left_rad)
-
-
-def mean_scales(state: State, processes: Processes) -> FloatArray:
-    """(L, 2) mean scale errors of the right and left wheel over each leg, as expected from those at both ends."""
-    i, j = state.data.legs.T
-    return processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
 
 
 def base_legs(state: State) -> FloatArray:
@@ -89,9 +86,11 @@ def base_legs(state: State) -> FloatArray:
 def linearize_legs(state: State, processes: Processes) -> Legs:
     """Residuals of all legs and their derivatives."""
     data, (i, j) = state.data, state.data.legs.T
-    read, steps = _steps(state, processes)
+    # Over a leg, the mean scale error of a wheel is the one that is expected from those at both ends.
+    scale = 1 + processes.mean_share * (state.base[i, SCALES] + state.base[j, SCALES])
+    read, steps = _steps(state, scale)
     arcs = integrate(steps, state.parameters.wheels)
-    d_psi, d_t = arcs.by_wheels()
+    by_wheels = arcs.by_wheels()
     between = base_legs(state)
     count = len(between)
     first = np.searchsorted(steps.leg, np.arange(count))
@@ -107,14 +106,10 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
     by_start[:, 0, 2] += carried[:, 1]
     by_start[:, 1, 2] -= carried[:, 0]
     by_start[data.first[i], :, BASE] = 0.0
-    scale = 1 + mean_scales(state, processes)[:, None]
-    by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale
-    by_end[:, :, ENCODERS] = arcs.sensitivity(last) * scale
-    by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
-    radii = state.parameters.wheels.vector[:2]
-    by_start[:, :, SCALES] = by_end[:, :, SCALES] = (
-        by_wheels[:, :, :2] * radii * processes.mean_share[:, None] / scale
-    )
+    by_start[:, :, ENCODERS] = -arcs.sensitivity(first) * scale[:, None]
+    by_end[:, :, ENCODERS] = arcs.sensitivity(last) * scale[:, None]
+    radii, share = state.parameters.wheels.vector[:2], (processes.mean_share / scale)[:, None]
+    by_start[:, :, SCALES] = by_end[:, :, SCALES] = by_wheels[:, :, :2] * radii * share
     by_clock = np.zeros((count, 3))
     if data.base_width > STAMP:
         rates = state.rates[:, -2:]
@@ -128,7 +123,7 @@ def linearize_legs(state: State, processes: Processes) -> Legs:
         if clock.of == "wheels":
             by_shared[:, :, column] = by_clock * clock.stations(data)[i, None]
     for column, name, rolling in data.layout.of(Rolling):
-        further = rolling.by_value(read, state.value(name)) * (1 + mean_scales(state, processes))[read.leg].T
+        further = rolling.by_value(read, state.value(name)) * scale[read.leg].T
         by_shared[:, :, column] = arcs.by_rotations(*further)
     for column, _, drift in data.layout.of(FloorDrift):
         by_shared[:, :2, column] = drift.carried(data, heading, rolled)
@@ -233,10 +228,9 @@ def leg_covariances(
         of_a, of_b = sensitivity[:, a], sensitivity[:, b]
         per_step = right * of_a[:, 0] * of_b[:, 0] + left * of_a[:, 1] * of_b[:, 1]
         root[:, a, b] = root[:, b, a] = steps.total(per_step)
-    d_psi, d_t = arcs.by_wheels()
     variance = bridge_variance if ends_known else mean_variance
     share = noise.wheel_share * np.sqrt(variance(rolled_m(steps, wheels) / noise.wheel_length_m))
-    by_radii = np.concatenate([d_t, d_psi[:, None]], axis=1)[:, :, :2] * wheels.vector[:2] * share[:, None]
+    by_radii = arcs.by_wheels()[:, :, :2] * wheels.vector[:2] * share[:, None]
     slip = np.zeros_like(root)
     slip[:, 0, 0] = slip[:, 1, 1] = _STANDSTILL_M**2 + SLIP_M_PER_SQRT_M**2 * path_m(steps, wheels)
     slip[:, 2, 2] = _STANDSTILL_RAD**2

@@ -20,6 +20,7 @@ from mobilecal_cli.model import (
     HeadChain,
     IntArray,
     Noise,
+    Sources,
     Track,
     WheelTrack,
 )
@@ -185,8 +186,7 @@ class Measurements:
         motions: of a planar sensor over each leg; None where there is none.
         times_ns: (N,) the stations' stamps.
         encoder_step_rad: (2,) resolution of the right and left wheel's encoder; 0 for none.
-        several_wheels: a side has more than one wheel.
-        of_odometry: the rotations of the wheels follow from the base's odometry.
+        sources: of the recordings' measurements.
     """
 
     cameras: CameraRig
@@ -215,8 +215,7 @@ class Measurements:
     motions: SensorMotions | None
     times_ns: IntArray
     encoder_step_rad: FloatArray
-    several_wheels: bool
-    of_odometry: bool
+    sources: Sources
 
     @property
     def stations(self) -> int:

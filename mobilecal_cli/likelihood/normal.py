@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from mobilecal_cli.likelihood.dataset import Dataset
-from mobilecal_cli.likelihood.linearization import Linearization
+from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import Images, summed
@@ -164,13 +164,14 @@ class NormalEquations:
         return out + self.base_by_shared[station].mT @ left if left.ndim else out
 
 
+@solvable()
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     """Build the normal equations of the measurements and eliminate the stations and the boards.
 
     With damping, each diagonal element grows by this share of itself (Levenberg-Marquardt).
 
     Raises:
-        LinAlgError: a singular matrix.
+        SolveError: a singular matrix.
     """
     data, views, legs, weight = lin.data, lin.views, lin.legs, lin.leg_weight
     count, P, B = data.stations, data.layout.size, data.base_width

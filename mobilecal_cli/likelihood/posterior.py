@@ -29,19 +29,10 @@ class Posterior(Linearization):
     What follows from it are functions: `budget`, `evidence`, `jumps`, `residual_tests`, `suggest`.
     """
 
-    def eliminated(self, damping: float = 0.0) -> NormalEquations:
-        """Normal equations of the measurements, stations and boards eliminated; see `normal.eliminated`.
-
-        Raises:
-            SolveError: a singular matrix.
-        """
-        with solvable():
-            return eliminated(self, damping)
-
     @cached_property
     def normal(self) -> NormalEquations:
         """The normal equations without damping."""
-        return self.eliminated()
+        return eliminated(self)
 
     @cached_property
     def station_rows(self) -> FloatArray:
@@ -78,8 +69,7 @@ class Posterior(Linearization):
     @cached_property
     def marginals(self) -> Marginals:
         """Covariances of the predicted measurements."""
-        with solvable():
-            return marginals(self, self.normal, self.conditional_covariance)
+        return marginals(self)
 
     def predicted(self, step: Step) -> Self:
         """The likelihood after an undamped step, all to first order: residuals follow, derivatives stay."""
@@ -157,22 +147,17 @@ def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> Flo
 
 def _sandwich(A: FloatArray, C: FloatArray) -> FloatArray:
     """(n, m, m) A C A^T; C is (n, P, P), or the same (P, P) for all."""
-    return (A @ C if C.ndim > 2 else _times(A, C)) @ A.mT
+    return (A @ C if C.ndim > 2 else np.tensordot(A, C, 1)) @ A.mT
 
 
-def _times(A: FloatArray, C: FloatArray) -> FloatArray:
-    """(n, m, P) times (P, P), as one matrix product."""
-    return np.tensordot(A, C, 1)
-
-
-def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Marginals:
+@solvable()
+def marginals(lin: Posterior) -> Marginals:
     """Marginal covariances of every station and leg, given correct values along unobservable directions.
 
-    C is (P, P) the covariance of the shared parameters.
-
     Raises:
-        LinAlgError: a singular matrix.
+        SolveError: a singular matrix.
     """
+    normal, C = lin.normal, lin.conditional_covariance
     follow, with_board = normal.base_by_shared, normal.base_by_board
     # A station's own errors for a known rest, by base, board, and shared parameters, where the board follows.
     E_inverse = normal.E_inverse
@@ -189,14 +174,14 @@ def marginals(lin: Linearization, normal: NormalEquations, C: FloatArray) -> Mar
     A = views.by_base + views.by_own @ by_base
     F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
     K = A @ with_board + views.by_board + views.by_own @ by_board
-    FC = _times(F, C)
+    FC = np.tensordot(F, C, 1)
     of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ F.mT
     of_views += _sandwich(views.by_own, E_inverse)
     F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
     errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
     i, j = lin.data.legs.T
     following = follow[:, ERRORS]
-    along, transposed = _times(following, C), following.mT
+    along, transposed = np.tensordot(following, C, 1), following.mT
     of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
     before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
     F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared

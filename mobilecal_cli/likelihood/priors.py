@@ -71,13 +71,6 @@ class Priors:
         return np.concatenate([state.parameters.minus(self.anchor), constants])
 
     @cached_property
-    def _kept(self) -> FloatArray:
-        """(K, P) all directions along which the displacement keeps its mean, in units of `scales`."""
-        along = np.zeros((len(self.unobservable), self.layout.size))
-        along[:, : len(NINE)] = self.unobservable
-        return np.concatenate([np.eye(self.layout.size)[self.fixed], along])
-
-    @cached_property
     def scaled_basis(self) -> FloatArray:
         """(P, F) free directions of the parameters, orthonormal in units of `scales`."""
         free = ~self.fixed[len(NINE) :]
@@ -99,11 +92,10 @@ class Priors:
 
     def step_to_mean(self, state: State) -> FloatArray:
         """(P,) shortest step after which the state has its mean along all directions that keep it."""
-        step = np.zeros(self.layout.size)
-        if len(self._kept):
-            off = self._kept @ ((self.mean - self.displacement(state)) / self.scales)
-            step = self.scales * (self._kept.T @ off)
-        return step
+        size, others = self.layout.size, self.layout.size - len(NINE)
+        kept = np.concatenate([np.eye(size)[self.fixed], np.pad(self.unobservable, ((0, 0), (0, others)))])
+        off = kept @ ((self.mean - self.displacement(state)) / self.scales)
+        return np.asarray(self.scales * (kept.T @ off))
 
     def gradient(self, state: State) -> FloatArray:
         """(P,) gradient of half the priors' sum of squares, less the bias of the measurements'."""

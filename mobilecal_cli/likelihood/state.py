@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal, TypeVar
 
@@ -186,7 +186,8 @@ class State:
     def evened(self, steps: Increments) -> Increments:
         """The rotations of wheels at the mean separation that are read at one time, of those that are read."""
         further = (effect.further(steps, value) for value, effect in self.present(Rolling))
-        return steps.turned_further(sum(further, np.zeros((2, len(steps.leg)))))
+        right, left = sum(further, np.zeros((2, len(steps.leg))))
+        return replace(steps, right_rad=steps.right_rad + right, left_rad=steps.left_rad + left)
 
     # -- base ---------------------------------------------------------------------------------------
 

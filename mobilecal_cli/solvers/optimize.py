@@ -10,6 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.linearization import solvable
+from mobilecal_cli.likelihood.normal import eliminated
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
@@ -34,7 +35,7 @@ def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
         SolveError: a singular matrix.
     """
     priors = lin.priors
-    normal = lin.eliminated(damping) if damping else lin.normal
+    normal = eliminated(lin, damping) if damping else lin.normal
     S = priors.basis.T @ (normal.S + np.diag(priors.weight)) @ priors.basis
     s = priors.basis.T @ (normal.s + priors.gradient(lin.state))
     with np.errstate(invalid="ignore", divide="ignore"):

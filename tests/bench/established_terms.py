@@ -171,9 +171,7 @@ class Terms:
         by_second = np.array([[-cos, -sin, 0.0], [sin, -cos, 0.0], [0.0, 0.0, -1.0]])
         by_first = -by_second
         by_first[:2, 2] = [-y, x]
-        d_psi, d_t = arcs.by_wheels()
-        by_wheels = np.concatenate([d_t[0], d_psi])
-        return root @ off, (root @ by_first, root @ by_second, root @ by_wheels)
+        return root @ off, (root @ by_first, root @ by_second, root @ arcs.by_wheels()[0])
 
     @_timed
     def reading(

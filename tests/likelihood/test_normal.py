@@ -11,7 +11,7 @@ from mobilecal_cli.likelihood.corners import corner_residuals
 from mobilecal_cli.likelihood.dataset import Inliers, dataset_of
 from mobilecal_cli.likelihood.legs import linearize_legs
 from mobilecal_cli.likelihood.measurements import ENCODERS, JOINTS, STAMP, SWAY
-from mobilecal_cli.likelihood.normal import _none_negative, roots
+from mobilecal_cli.likelihood.normal import _none_negative, eliminated, roots
 from mobilecal_cli.likelihood.nuisance import floors_of, table
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
@@ -203,7 +203,7 @@ def test_a_damped_step_gains_what_it_promises_along_the_gradient(case, damping):
 
     What is promised is that of any step of the shared parameters: here of one that leaves the clocks, see above.
     """
-    normal, (_, g) = case.lin.eliminated(damping), case.dense
+    normal, (_, g) = eliminated(case.lin, damping), case.dense
     shared = -np.linalg.pinv(normal.S, rcond=1e-13, hermitian=True) @ normal.s * ~case.clocks
     made = normal.step(shared)
     step = np.concatenate([shared, made.boards.ravel(), made.base.ravel(), made.own.ravel()])

@@ -191,8 +191,7 @@ def _of_pose(
     nothing = np.zeros((steps.legs, 2))
     whole = steps.with_ends(nothing, nothing)  # every leg has a step
     arcs = integrate(whole, wheels)
-    d_psi, d_t = arcs.by_wheels()
-    by_wheels = np.concatenate([d_t, d_psi[:, None]], axis=1)
+    by_wheels = arcs.by_wheels()
     covariance = sum(leg_covariances(whole, wheels, noise).values()) + by_wheels @ C @ by_wheels.mT
     variance = (noise.encoder_rad * data.encoder_shares) ** 2
     legs = np.arange(steps.legs)
