@@ -204,27 +204,14 @@ def _joint_tracks(actual: OutsideRobot, route: Route, noise: Noise, seed: int) -
     return tuple(Track(nanoseconds(moments), values[:, j]) for j in range(values.shape[1]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Views:
-    """The board in both cameras at N stations.
-
-    Attributes:
-        T_c_k: (N, 4, 4) board coordinates to left camera coordinates.
-        pixels: of the left and right camera, (N, M, 2) each.
-    """
-
-    T_c_k: FloatArray
-    pixels: tuple[FloatArray, ...]
-
-
 def views(
     actual: OutsideRobot,
     route: Route,
     times_s: FloatArray,
     floor: FloatArray,
     apart_s: FloatArray | float = 0.0,
-) -> Views:
-    """The board's corners in the actual cameras.
+) -> tuple[FloatArray, list[FloatArray]]:
+    """T_c_k, (N, 4, 4), and the board's corners in each of the actual cameras, (N, M, 2) px.
 
     Args:
         actual, route: the ground truth.
@@ -256,7 +243,7 @@ def views(
             first, last = (exposed(camera, T_x_c, late_s + half) for half in (-half_s, half_s))
             at = _row_by_row(first, at, last, camera.height)
         every.append(at + _waves(at, actual.outside, k))
-    return Views(poses[0.0, True], tuple(every))
+    return poses[0.0, True], every
 
 
 def _waves(at: FloatArray, outside: Outside, camera: int) -> FloatArray:
@@ -367,16 +354,16 @@ def extraction_of(
         stamps_s = stamps_s + noise.stamp_s * other_random.normal(size=len(times_s))
     readings = actual.readings(route, stamps_s)
     apart_s = 0.0 if at_rest else noise.pair_s * np.random.default_rng([seed, 13]).normal(size=len(times_s))
-    seen = views(actual, route, times_s, floor, apart_s)
+    true_poses, seen = views(actual, route, times_s, floor, apart_s)
     shifts = noise.shift_px * np.random.default_rng([seed, 14]).normal(size=(len(rig.each), len(times_s), 2))
     sigma = noise.pixel_px or _UNIT_SIGMA_PX
     exact = actual.as_stated and not noise.pixel_px
     observations = []
     for i, time_ns in enumerate(nanoseconds(stamps_s)):
-        T_c_k = seen.T_c_k[i]
+        T_c_k = true_poses[i]
         pixels = [
             at[i] + noise.pixel_px * random.normal(size=at[i].shape) + shift[i]
-            for at, shift in zip(seen.pixels, shifts, strict=True)
+            for at, shift in zip(seen, shifts, strict=True)
         ]
         shown = [k for k, at in enumerate(pixels) if rig.calibrated or in_view(rig.each[k], at)]
         if not shown:

@@ -96,27 +96,32 @@ def true_nominal(robot: SimulatedRobot) -> Nominal:
     return Nominal(robot.T_h_c @ robot.rig_cameras.T_c_reference, robot.wheels)
 
 
+def _panning(robot: SimulatedRobot, name: str) -> SimulatedRobot:
+    """The robot with a head that only pans."""
+    return replace(robot, name=name, joints=robot.joints[:1], tilt="")
+
+
+def _with_one_camera(robot: SimulatedRobot, name: str) -> SimulatedRobot:
+    """The robot with its first camera alone."""
+    return replace(robot, name=name, infos=robot.infos[:1], mounted={"camera": np.eye(4)})
+
+
 @cache
 def one_on_pan_tilt() -> SimulatedRobot:
     """A single camera on a pan-tilt head."""
-    robot = tick_robot()
-    return replace(robot, name="mono", infos=robot.infos[:1], mounted={"camera": np.eye(4)})
+    return _with_one_camera(tick_robot(), "mono")
 
 
 @cache
 def one_that_pans() -> SimulatedRobot:
     """A single camera on a head that only pans."""
-    robot = one_on_pan_tilt()
-    pan, *_ = robot.joints
-    return replace(robot, name="pan", joints=(pan,), tilt="")
+    return _panning(one_on_pan_tilt(), "pan")
 
 
 @cache
 def pair_that_pans() -> SimulatedRobot:
     """A stereo pair on a head that only pans."""
-    robot = tick_robot()
-    pan, *_ = robot.joints
-    return replace(robot, name="pan_pair", joints=(pan,), tilt="")
+    return _panning(tick_robot(), "pan_pair")
 
 
 def _three(robot: SimulatedRobot) -> SimulatedRobot:
@@ -157,10 +162,7 @@ def rgbd_with_odometry() -> SimulatedRobot:
 @cache
 def skid_steer_that_pans() -> SimulatedRobot:
     """Four wheel joints, and a single camera on a head that only pans."""
-    robot = skid_steer_robot()
-    pan, *_ = robot.joints
-    camera = {"infos": robot.infos[:1], "mounted": {"camera": np.eye(4)}}
-    return replace(robot, name="skid_steer_pan", joints=(pan,), tilt="", **camera)
+    return _panning(_with_one_camera(skid_steer_robot(), "one_camera"), "skid_steer_pan")
 
 
 #: (number of cameras, chain) → the robot.

@@ -21,7 +21,7 @@ from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, write_outputs
-from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
     CLOCK_STEPS,
@@ -275,8 +275,7 @@ class Report:
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         created = (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
         self.provenance = Provenance(__version__, created, fit.method, extraction.logs, settings)
-        params = params_yaml(solution, extraction, self.provenance)
-        robot = parameters_from_yaml(params)
+        robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
         _require_own(data.extraction, fit.extraction, robot)
         if last is None:
             self.change = change_from_nominal(robot, extraction.rig.nominal)
@@ -288,7 +287,7 @@ class Report:
         self.values = build_report(self._case)
         self.verdict = self.values.verdict
         level, reasons = self.verdict.level, self.verdict.reasons
-        self.params = with_verdict(params, level, reasons)
+        self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
 
     def __repr__(self) -> str:

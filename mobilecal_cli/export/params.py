@@ -59,8 +59,14 @@ def names_and_units(odometry: AssumedOdometry | None) -> tuple[tuple[str, ...], 
     return (NINE, np.ones(9)) if odometry is None else (_FACTOR_ORDER, odometry.units)
 
 
-def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
-    """The calibrated robot as commented YAML, the same bytes for the same values; without a verdict.
+def params_yaml(
+    solution: Solution,
+    extraction: Extraction,
+    provenance: Provenance,
+    level: str = "",
+    reasons: Sequence[str] = (),
+) -> str:
+    """The calibrated robot as commented YAML, the same bytes for the same values.
 
     ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,
     that is the rectified optical frame, and ``head_eye_raw`` adds the raw one: x_rect = R x_raw, so
@@ -70,6 +76,8 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         solution: the solution.
         extraction: its measurements.
         provenance: time, version, recordings and settings.
+        level: the verdict, "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" for none.
+        reasons: why it is not PASS, whole sentences.
     """
     cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
     T_h_reference = solution.T_h_reference
@@ -101,6 +109,8 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         "params.yaml",
         first_line=FIRST_LINE,
         schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
+        level=level,
+        reasons=reasons,
         camera=camera_words(cameras.reference),
         kind="rectified" if cameras.rectified else "raw",
         head_eye=_transform(chain.head_frame, frame, T_h_reference),
@@ -113,18 +123,6 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
         sources=dump({"logs": logs, "config": provenance.config}).removesuffix("\n"),
         **shown,
     )
-
-
-def with_verdict(params: str, level: str, reasons: Sequence[str]) -> str:
-    """A params.yaml of `params_yaml` with the verdict, which is the paragraph after the schema version.
-
-    Args:
-        params: its text.
-        level: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED".
-        reasons: why it is not PASS, whole sentences.
-    """
-    head, separator, rest = params.partition("\n\n")
-    return f"{head}{separator}{rendered('verdict.yaml', level=level, reasons=reasons)}{rest}"
 
 
 def _transform(parent: str, child: str, T_parent_child: FloatArray) -> dict[str, Any]:

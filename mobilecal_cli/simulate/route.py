@@ -72,12 +72,10 @@ class Drive:
     """A complete drive.
 
     Attributes:
-        stretches: consecutive segments.
-        start: initial pose.
+        stretches: consecutive segments, from the origin.
     """
 
     stretches: tuple[Stretch, ...]
-    start: Pose = (0.0, 0.0, 0.0)
 
     @property
     def breaks_s(self) -> FloatArray:
@@ -86,7 +84,7 @@ class Drive:
 
     def poses(self, times_s: FloatArray) -> FloatArray:
         """(n, 3) base poses at given times."""
-        at_breaks = [self.start]
+        at_breaks: list[Pose] = [(0.0, 0.0, 0.0)]
         for stretch in self.stretches:
             at_breaks.append(moved(at_breaks[-1], stretch, stretch.duration_s))
         breaks = self.breaks_s

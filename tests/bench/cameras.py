@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,14 +23,6 @@ _FISHEYE = {"boofcv": (6, 4), "camodocal": (9, 6)}
 _SAME_PX = 2.0
 
 
-@dataclass(frozen=True)
-class _Mosaic:
-    """Errors, px, of the corners in one picture as stored, and in the demosaiced one; None where no board is found."""
-
-    stored: np.ndarray | None
-    demosaiced: np.ndarray | None
-
-
 def _mosaic(seen: View, seed: int, red: float, blue: float) -> np.ndarray:
     """A picture as a sensor with an RGGB filter stores it."""
     signal = seen.light.copy()
@@ -49,14 +40,14 @@ def _errors(data: bytes, kind: str, seen: View) -> np.ndarray | None:
     return nearest(seen, corners, corners[::-1, ::-1])
 
 
-def _mosaics(seed: int) -> list[_Mosaic]:
-    """One picture by every sensor; none if its squares are too small."""
+def _mosaics(seed: int) -> list[list[np.ndarray | None]]:
+    """One picture by every sensor: errors of its corners as stored and demosaiced; [] if its squares are too small."""
     seen = view(seed)
     if seen.edge_px < _LEAST_EDGE_PX:
         return []
     stored = [cv2.imencode(".png", _mosaic(seen, seed, *gains))[1].tobytes() for gains in _GAINS]
     kinds = "mono8; png compressed", "bayer_rggb8; png compressed"
-    return [_Mosaic(*(_errors(data, kind, seen) for kind in kinds)) for data in stored]
+    return [[_errors(data, kind, seen) for kind in kinds] for data in stored]
 
 
 def bayer(views: int) -> str:
@@ -65,8 +56,8 @@ def bayer(views: int) -> str:
         drawn = [some for some in pool.map(_mosaics, range(views), chunksize=5) if some]
     rows = []
     for (red, blue), tried in zip(_GAINS, zip(*drawn, strict=True), strict=True):
-        counts = [sum(getattr(one, how) is not None for one in tried) for how in ("stored", "demosaiced")]
-        both = [(o.stored, o.demosaiced) for o in tried if o.stored is not None and o.demosaiced is not None]
+        counts = [sum(errors is not None for errors in each) for each in zip(*tried, strict=True)]
+        both = [pair for pair in tried if pair[0] is not None and pair[1] is not None]
         rms = [float(np.sqrt(np.mean(np.stack(errors) ** 2))) for errors in zip(*both, strict=True)]
         row = [f"{red:g}, {blue:g}", *(f"{count} of {len(tried)}" for count in counts), str(len(both))]
         rows.append([*row, *(f"{value:.4f}" for value in rms)])

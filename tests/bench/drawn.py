@@ -1,5 +1,7 @@
 """Robots drawn from their priors: are the standard deviations true, is the bound reached, and what does it cost?"""
 
+from dataclasses import replace
+
 import numpy as np
 
 from mobilecal_cli.model import FloatArray
@@ -16,7 +18,6 @@ from tests.bench.imperfect import (
     run_of,
     true_robot,
     verdict_cells,
-    with_noise,
 )
 from tests.bench.simulated import RUNS_PER_ROUTE, as_described
 from tests.bench.study import NINE_RATIOS, Study, head, line, numbers, results_of, rms
@@ -51,7 +52,7 @@ def one_run(name: str, seed: int) -> tuple[Run, Run, FloatArray]:
     extraction, noise = case.extraction(seed), case.noise_of(seed)
     robot = true_robot(ROBOTS[case.robot](), extraction, case.route(seed))
     bound = bound_of(case.robot, case.motion, case.stations, seed // RUNS_PER_ROUTE, noise)
-    known = run_of(with_noise(extraction, given(noise)), robot)
+    known = run_of(replace(extraction, rig=replace(extraction.rig, noise=given(noise))), robot)
     return known, run_of(extraction, robot), np.sqrt(np.diag(bound))
 
 

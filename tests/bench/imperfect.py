@@ -247,11 +247,6 @@ def given(noise: extractions.Noise) -> dict[str, float]:
     return {name: level for name, level in known.items() if level}
 
 
-def with_noise(extraction: Extraction, known: dict[str, float]) -> Extraction:
-    """The same with given noise levels."""
-    return replace(extraction, rig=replace(extraction.rig, noise=known))
-
-
 def bound_of(
     robot: str, motion: Motion, stations: int, number: int, noise: extractions.Noise = USUAL
 ) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mobilecal_cli.errors import MobilecalError
-from mobilecal_cli.model import Extraction, FloatArray, Track, WheelTrack
+from mobilecal_cli.model import Extraction, Parameters, Track, WheelGeometry, WheelTrack
 from mobilecal_cli.solvers import solve
 from tests.bench.imperfect import CORRELATED, Case
 from tests.bench.study import Study, head, line, measured
@@ -113,7 +113,7 @@ def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
     """Largest difference of the nine in standard deviations of the first; NaN where one was refused."""
     if "T" not in one or "T" not in other:
         return float("nan")
-    return float(np.max(np.abs(_vector(one, one) - _vector(other, one)) / np.array(one["std"])))
+    return float(np.max(np.abs(_nine(other).minus(_nine(one))) / one["std"]))
 
 
 def lost(whole: dict[str, Any], parts: dict[str, Any]) -> float:
@@ -124,11 +124,8 @@ def lost(whole: dict[str, Any], parts: dict[str, Any]) -> float:
     return float(np.sqrt(max(more.max(), 0.0)))
 
 
-def _vector(result: dict[str, Any], reference: dict[str, Any]) -> FloatArray:
-    T, R = np.array(result["T"]), np.array(reference["T"])[:3, :3]
-    turn = T[:3, :3] @ R.T
-    small = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]) / 2
-    return np.concatenate([small, T[:3, 3], result["wheels"]])
+def _nine(result: dict[str, Any]) -> Parameters:
+    return Parameters(np.array(result["T"]), WheelGeometry.of(np.array(result["wheels"])))
 
 
 def main(asked: Study) -> None:

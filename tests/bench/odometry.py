@@ -1,7 +1,7 @@
 """Covariance of odometry: do 95 % regions contain 95 % of the errors over legs that the calibration did not use?"""
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -33,21 +33,6 @@ _OTHER_ROUTES = 5000
 _LEAST, _MOST = 0.5, 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldOut:
-    """Odometry over the legs of another drive of the robot.
-
-    Attributes:
-        error: (L, 3) x, y (m) and heading (rad) of the end in the frame of the start, odometry minus truth.
-        predicted: (L, 3, 3) their covariance, as a filter adds it up from the velocities.
-        direction_rad: (L,) direction from the start to the end in the frame of the start.
-    """
-
-    error: FloatArray
-    predicted: FloatArray
-    direction_rad: FloatArray
-
-
 def robot_of(name: str, seed: int) -> Case:
     """A robot drawn from the priors, whose wheels have noise of their own."""
     case = drawn(name.removesuffix(COARSE))
@@ -58,10 +43,14 @@ def robot_of(name: str, seed: int) -> Case:
     return replace(case, noise=replace(case.noise, **wheels))
 
 
-def held_out(
+def inside(
     robot: CalibratedRobot, found: OdometryCovariance, case: Case, drive: Drive, ends_s: FloatArray, seed: int
-) -> HeldOut:
-    """Odometry with the calibrated wheels over the legs of a drive between some times."""
+) -> FloatArray:
+    """Odometry with the calibrated wheels over the L legs of a drive between some times.
+
+    Returns:
+        (L, 6) whether each error is in its 95 % region, in the order of `QUANTITIES`.
+    """
     true, dt = ROBOTS[case.robot](), 1 / RATE_HZ
     times_s = np.unique(np.concatenate([np.arange(ends_s[0], ends_s[-1], dt), ends_s, drive.breaks_s]))
     times_s = times_s[(times_s >= ends_s[0]) & (times_s <= ends_s[-1])]
@@ -73,7 +62,7 @@ def held_out(
         rolled = np.floor(rolled / step) * step
     motion = integrate(Increments(*np.diff(rolled, axis=0).T, leg, len(ends_s) - 1), robot.wheels)
     poses = drive.poses(ends_s)
-    error, predicted, direction = [], [], []
+    error, predicted, direction = [], [], []  # in the frame of the start: (3,), (3, 3), rad
     for number, (start, end) in enumerate(itertools.pairwise(poses)):
         truth = _seen_from(start, end[None])[0]
         off = np.append(motion.t_m[number], motion.psi_rad[number]) - truth
@@ -84,7 +73,14 @@ def held_out(
         before, after = (drive.wheel_angles(at_s + late * dt / 4, true.wheels) for late in (-1, 1))
         moves = np.any(np.abs(after - before) > 1e-9, axis=1)
         predicted.append(added_up(_seen_from(start, drive.poses(at_s[moves])), truth, found.twist, dt))
-    return HeldOut(np.array(error), np.array(predicted), np.array(direction))
+    e, P, direction_rad = np.array(error), np.array(predicted), np.array(direction)
+    single = e**2 < INSIDE * np.diagonal(P, axis1=1, axis2=2)
+    whole = np.einsum("la,lab,lb->l", e, np.linalg.inv(P), e) < INSIDE_3
+    cos, sin = np.cos(direction_rad), np.sin(direction_rad)
+    along = np.stack([cos * e[:, 0] + sin * e[:, 1], -sin * e[:, 0] + cos * e[:, 1]], axis=1)
+    place = np.mean(along**2 < INSIDE * found.pose[:2], axis=1)
+    heading = e[:, 2] ** 2 < INSIDE * found.pose[5]
+    return np.column_stack([single, whole, place, heading])
 
 
 def _seen_from(start: FloatArray, poses: FloatArray) -> FloatArray:
@@ -110,18 +106,6 @@ def added_up(messages: FloatArray, end: FloatArray, twist: FloatArray, dt: float
     turning = np.stack([messages[:, 1] - end[1], end[0] - messages[:, 0], one])
     parts = zip((along, across, turning), (twist[0], twist[1], twist[5]), strict=True)
     return np.asarray(dt**2 * sum(variance * (rows @ rows.T) for rows, variance in parts))
-
-
-def inside(drive: HeldOut, found: OdometryCovariance) -> FloatArray:
-    """(L, 6) whether each error is in its 95 % region, in the order of `QUANTITIES`."""
-    e, P = drive.error, drive.predicted
-    single = e**2 < INSIDE * np.diagonal(P, axis1=1, axis2=2)
-    whole = np.einsum("la,lab,lb->l", e, np.linalg.inv(P), e) < INSIDE_3
-    cos, sin = np.cos(drive.direction_rad), np.sin(drive.direction_rad)
-    along = np.stack([cos * e[:, 0] + sin * e[:, 1], -sin * e[:, 0] + cos * e[:, 1]], axis=1)
-    place = np.mean(along**2 < INSIDE * found.pose[:2], axis=1)
-    heading = e[:, 2] ** 2 < INSIDE * found.pose[5]
-    return np.column_stack([single, whole, place, heading])
 
 
 def drives(case: Case, seed: int) -> dict[str, tuple[Drive, FloatArray, float | None]]:
@@ -151,7 +135,7 @@ def one_robot(name: str, seed: int) -> tuple[dict[str, FloatArray], FloatArray] 
     result = {}
     for label, (drive, ends_s, distance_m) in drives(case, seed).items():
         exported = odometry_covariance(robot, extraction, RATE_HZ, distance_m)
-        result[label] = inside(held_out(robot, exported, case, drive, ends_s, seed), exported)
+        result[label] = inside(robot, exported, case, drive, ends_s, seed)
     return result, np.array([found.path_m, found.widening, *found.systematic])
 
 

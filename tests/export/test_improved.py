@@ -74,53 +74,47 @@ def stated_px(notes):
     return float(note.split("at most ")[1].split(" px")[0])
 
 
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_camera_info_projects_as_the_fitted_camera(calibrated, side):
-    _, extraction, solution, params = calibrated
-    made = export(params, Target[f"camera_info_{side}"])
-    data = yaml.safe_load(made.content)
-    K_made, D = (
-        np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])
-        for name in ("camera_matrix", "distortion_coefficients")
-    )
-    assert data["distortion_model"] == "plumb_bob"
-    fitted = fitted_cameras(extraction, solution).each[side == "right"]
-    assert pytest.approx(fitted.K, rel=1e-9) == K_made
-    rays, pixels = over_the_image(fitted)
-    ours = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D[0])[0][:, 0]
-    off = np.linalg.norm(ours - pixels, axis=1).max()
-    assert off <= stated_px(made.notes) * 1.05
-    stated = extraction.rig.cameras.each[side == "right"]
-    before = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), stated.K, stated.D)[0][:, 0]
-    assert off < np.linalg.norm(before - pixels, axis=1).max() / 5
+def matrix(data, name):
+    return np.array(data[name]["data"]).reshape(data[name]["rows"], data[name]["cols"])
 
 
-def test_camera_info_rectifies_the_fitted_pair(calibrated):
+def off_px(camera, K_made, D):
+    """Largest distance of OpenCV's projection with written numbers from a camera's own, over the image."""
+    rays, pixels = over_the_image(camera)
+    found = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D)[0][:, 0]
+    return np.linalg.norm(found - pixels, axis=1).max()
+
+
+def test_camera_info_is_that_of_the_fitted_pair(calibrated):
     """R and P of both files: a point in the rectified frames of both cameras differs by the baseline alone."""
     _, extraction, solution, params = calibrated
-    cameras = fitted_cameras(extraction, solution)
-    left, right = (
-        yaml.safe_load(export(params, Target[f"camera_info_{side}"]).content) for side in ("left", "right")
-    )
-    R_left, R_right = (np.array(data["rectification_matrix"]["data"]).reshape(3, 3) for data in (left, right))
-    P_right = np.array(right["projection_matrix"]["data"]).reshape(3, 4)
-    T = se3.transform(R_left, np.zeros(3)) @ cameras.T_c_each[1] @ se3.transform(R_right.T, np.zeros(3))
+    cameras, R = fitted_cameras(extraction, solution), []
+    for fitted, stated, side in zip(cameras.each, extraction.rig.cameras.each, cameras.names, strict=True):
+        made = export(params, Target[f"camera_info_{side}"])
+        data = yaml.safe_load(made.content)
+        assert data["distortion_model"] == "plumb_bob"
+        K_made = matrix(data, "camera_matrix")
+        assert pytest.approx(fitted.K, rel=1e-9) == K_made
+        off = off_px(fitted, K_made, matrix(data, "distortion_coefficients")[0])
+        assert off <= stated_px(made.notes) * 1.05
+        assert off < off_px(fitted, stated.K, stated.D) / 5
+        R.append(se3.transform(matrix(data, "rectification_matrix"), np.zeros(3)))
+    P_right = matrix(data, "projection_matrix")
+    T = R[0] @ cameras.T_c_each[1] @ se3.inverse(R[1])
     assert T[:3, :3] == pytest.approx(np.eye(3), abs=1e-8)
     assert T[:3, 3] == pytest.approx([-P_right[0, 3] / P_right[0, 0], 0, 0], abs=1e-8)
 
 
-def test_camchain_projects_as_the_fitted_pair(calibrated):
+def test_camchain_is_that_of_the_fitted_pair(calibrated):
     _, extraction, solution, params = calibrated
     made = export(params, Target.camchain)
     data = yaml.safe_load(made.content)
     cameras = fitted_cameras(extraction, solution)
     assert np.array(data["cam1"]["T_cn_cnm1"]) == pytest.approx(se3.inverse(cameras.T_c_each[1]), abs=1e-9)
-    for name, fitted in (("cam0", cameras.each[0]), ("cam1", cameras.each[1])):
-        fu, fv, pu, pv = data[name]["intrinsics"]
-        rays, pixels = over_the_image(fitted)
-        K_made, D = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), np.array(data[name]["distortion_coeffs"])
-        ours = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), K_made, D)[0][:, 0]
-        assert np.linalg.norm(ours - pixels, axis=1).max() <= stated_px(made.notes) * 1.05
+    for chain, fitted in zip(data.values(), cameras.each, strict=True):
+        fu, fv, pu, pv = chain["intrinsics"]
+        K_made = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]])
+        assert off_px(fitted, K_made, np.array(chain["distortion_coeffs"])) <= stated_px(made.notes) * 1.05
 
 
 def test_the_urdf_with_the_chain_moves_as_the_fitted_head(calibrated, tmp_path):

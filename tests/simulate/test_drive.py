@@ -53,14 +53,14 @@ stretches = st.builds(Stretch, st.floats(0.1, 3.0), st.floats(-1.0, 1.0), st.flo
 @given(st.lists(stretches, min_size=1, max_size=4))
 def test_wheels_and_poses_agree_with_small_steps(parts):
     """The paper's eq. 1 in small steps, from the wheel angles alone, gives the poses."""
-    drive = Drive(tuple(parts), (0.3, -0.2, 0.5))
+    drive = Drive(tuple(parts))
     times_s = np.union1d(np.linspace(0, drive.breaks_s[-1], 4001), drive.breaks_s)
     right, left = np.diff(drive.wheel_angles(times_s, WHEELS), axis=0).T
     run = (WHEELS.radius_right_m * right + WHEELS.radius_left_m * left) / 2
     turn = (WHEELS.radius_right_m * right - WHEELS.radius_left_m * left) / WHEELS.separation_m
-    heading = 0.5 + np.concatenate([[0], np.cumsum(turn)])
+    heading = np.concatenate([[0], np.cumsum(turn)])
     middle = heading[:-1] + turn / 2
-    x, y = 0.3 + np.sum(run * np.cos(middle)), -0.2 + np.sum(run * np.sin(middle))
+    x, y = np.sum(run * np.cos(middle)), np.sum(run * np.sin(middle))
     # The midpoint rule is wrong by (w dt)^2 / 24 of the way: under 1e-6 of 12 m here.
     assert drive.poses(times_s[-1:])[0] == pytest.approx((x, y, heading[-1]), abs=1.2e-5)
 

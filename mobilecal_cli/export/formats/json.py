@@ -10,13 +10,18 @@ import numpy as np
 from mobilecal_cli import se3
 from mobilecal_cli.export.formats import CONVENTION, Exported, Source, rectified_note
 from mobilecal_cli.export.params import names_and_units
-from mobilecal_cli.model import CalibratedRobot
 
 
 def export(of: Source) -> Exported:
     """The nine parameters with their covariance"""
     robot, T, known = of.robot, of.robot.T_parent_child, of.robot.knowledge
     order, units = names_and_units(robot.odometry)
+    names = ("radius_left_m", "radius_right_m", "separation_m")
+    wheels: dict[str, Any] = {name: getattr(robot.wheels, name) for name in names}
+    if robot.odometry is not None:
+        factors = {**robot.factors, "std": robot.factors_std}
+        assumed_m = robot.odometry.wheels.separation_m
+        wheels = {"odometry": {"topic": robot.odometry.topic, **factors, "assumed_separation_m": assumed_m}}
     data: dict[str, Any] = {
         "convention": CONVENTION,
         "parent_frame": robot.parent_frame,
@@ -25,7 +30,7 @@ def export(of: Source) -> Exported:
         "T_parent_child": T.tolist(),
         "translation_m": T[:3, 3].tolist(),
         "quaternion_xyzw": se3.quaternion_xyzw(T[:3, :3]).tolist(),
-        **_wheels(robot),
+        **wheels,
         "order": order,
         "covariance": None if known is None else (known.covariance / np.outer(units, units)).tolist(),
         "observable": None if known is None else known.observable.tolist(),
@@ -35,22 +40,3 @@ def export(of: Source) -> Exported:
     }
     text = json.dumps(data, indent=1, allow_nan=False) + "\n"
     return Exported(text.encode(), rectified_note(robot), states_verdict=True)
-
-
-def _wheels(robot: CalibratedRobot) -> dict[str, Any]:
-    """The wheels; of a robot with odometry alone its factors."""
-    if robot.odometry is None:
-        wheels = robot.wheels
-        return {
-            "radius_left_m": wheels.radius_left_m,
-            "radius_right_m": wheels.radius_right_m,
-            "separation_m": wheels.separation_m,
-        }
-    return {
-        "odometry": {
-            "topic": robot.odometry.topic,
-            **robot.factors,
-            "std": robot.factors_std,
-            "assumed_separation_m": robot.odometry.wheels.separation_m,
-        },
-    }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from xml.parsers.expat import ParserCreate
 
@@ -141,10 +141,10 @@ def patched_urdf(
     if len(wheel_joints) == len(SIDES):
         height_m, heights = (None, ()) if no_radius else _height(file, urdf, robot, wheel_joints)
         if height_m is not None or not no_separation:
-            for name, T in _wheel_origins(urdf, robot, wheel_joints):
+            for name, place in _wheel_places(urdf, robot, wheel_joints):
                 if height_m is not None:
-                    T[2, 3] = height_m
-                file.set(name, "origin", _origin(T), ("xyz",))
+                    place[2] = height_m
+                file.set(name, "origin", {"xyz": _numbers(place)})
         joints = f"joints {wheel_joints['left']!r} and {wheel_joints['right']!r}"
         apart = f"{robot.wheels.separation_m:.6g} m apart"
         changes.append(f"{joints}: {'separation unchanged, it is unobservable' if no_separation else apart}")
@@ -202,11 +202,11 @@ class _File:
                 text = text[:end].rstrip() + f' {name}="{value}"'.encode() + text[end:]
         self.put(tag, element, text)
 
-    def set(self, joint: str, element: str, values: Mapping[str, str], some: Sequence[str] = ()) -> None:
-        """Give an element of a joint some attributes, or only `some` of them if the joint has the element."""
+    def set(self, joint: str, element: str, values: Mapping[str, str]) -> None:
+        """Give an element of a joint some attributes."""
         tags = self.places.get(("joint", joint, element))
         if tags:
-            self.change(tags[0], {name: values[name] for name in some or values}, element)
+            self.change(tags[0], values, element)
         else:
             inside = self.places["joint", joint, ""][-1][1]
             self.put((inside, inside), element, _element(element, values).encode())
@@ -342,10 +342,10 @@ def _added(file: _File, urdf: Urdf, robot: CalibratedRobot) -> bytes:
     return "".join(f"  {line}\n" for line in lines).encode()
 
 
-def _wheel_origins(
+def _wheel_places(
     urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side, str]
 ) -> Iterable[tuple[str, FloatArray]]:
-    """New origins of both wheel joints: on the old axle, about its old midpoint."""
+    """New places of both wheel joints in their parents, (3,) m: on the old axle, about its old midpoint."""
     T = {side: _wheel_center(urdf, name) for side, name in wheel_joints.items()}
     axle = T["left"][1] - T["right"][1]
     if np.linalg.norm(axle) < _SAME_PLACE_M:
@@ -357,9 +357,7 @@ def _wheel_origins(
     separation_m = drawn_m if robot.unobservable[8] else robot.wheels.separation_m
     for side, sign in zip(SIDES, (0.5, -0.5), strict=True):
         place = middle + sign * separation_m * axle / drawn_m
-        moved = urdf.joints[wheel_joints[side]].T_parent_child.copy()
-        moved[:3, 3] = se3.act(se3.inverse(T[side][0]), place[None])[0]
-        yield wheel_joints[side], moved
+        yield wheel_joints[side], se3.act(se3.inverse(T[side][0]), place[None])[0]
 
 
 def _wheel_center(urdf: Urdf, name: str) -> tuple[FloatArray, FloatArray]:
