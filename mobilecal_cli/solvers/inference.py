@@ -156,16 +156,6 @@ class Inference:
 
     # -- priors -------------------------------------------------------------------------------------
 
-    def _anchor(self, present: Parameters) -> Parameters:
-        """Where displacements count from: nominal values where there are any, the present ones otherwise."""
-        T_h_c, wheels = self.nominal.T_h_c, self.nominal.wheels
-        return Parameters(present.T_h_c if T_h_c is None else T_h_c, wheels or present.wheels)
-
-    def _user_weight(self, priors: Priors) -> FloatArray:
-        """(P,) inverse variances of the priors that count as measurements: the user's, and the constants'."""
-        nominal = [name in NINE and name not in self.constraints.priors for name in self.data.layout.names]
-        return np.where(nominal, 0.0, priors.weight)
-
     def priors(self, state: State, unobservable: FloatArray | None = None) -> Priors:
         """Priors from nominal values and from the user, and what the user fixed.
 
@@ -176,16 +166,18 @@ class Inference:
             state: where displacements count from without a nominal value, and the cameras.
             unobservable: (K, 9) directions that keep their prior.
         """
-        layout, anchor = self.data.layout, self._anchor(state.parameters)
-
+        layout, nominal, present = self.data.layout, self.nominal, state.parameters
+        # Displacements count from nominal values where there are any, from the present ones otherwise.
+        T_h_c = present.T_h_c if nominal.T_h_c is None else nominal.T_h_c
+        anchor = Parameters(T_h_c, nominal.wheels or present.wheels)
         stated = self.data.cameras.T_c_reference
         meant = anchor.seen_from(stated)
-        seen = state.parameters.seen_from(state.cameras.T_c_reference)
-        apart = seen.minus(meant) - state.parameters.minus(anchor)
+        seen = present.seen_from(state.cameras.T_c_reference)
+        apart = seen.minus(meant) - present.minus(anchor)
         origin = np.concatenate([np.zeros(3), meant.vector[3:], np.zeros(len(layout.constants))])
         mean, weight = np.zeros(layout.size), layout.prior_sigmas(anchor.wheels) ** -2
-        weight[:6] *= self.nominal.T_h_c is not None
-        weight[6:9] *= self.nominal.wheels is not None
+        weight[:6] *= nominal.T_h_c is not None
+        weight[6:9] *= nominal.wheels is not None
         for name, (value, sigma) in self.constraints.priors.items():
             if name in layout.names:  # one of several recordings may not show a constant
                 k = layout.names.index(name)
@@ -240,8 +232,10 @@ class Inference:
         return self._fit_from(Posterior.at(state, inliers, noise, self.priors(state)), most_steps)
 
     def _fit_from(self, start: Posterior, most_steps: int = MOST_STEPS) -> Fit:
+        # Priors that count as measurements: the user's, and the constants'.
+        nominal = [name in NINE and name not in self.constraints.priors for name in self.data.layout.names]
         for _ in range(_OBSERVABILITY_ROUNDS):
-            user = self._user_weight(start.priors)
+            user = np.where(nominal, 0.0, start.priors.weight)
             _, unobservable = directions(start, user)
             self._require_nominal(unobservable)
             start = _unbiased(start.under(self.priors(start.state, unobservable)))

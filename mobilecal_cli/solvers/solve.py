@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -112,19 +112,16 @@ def solve(
     except (SolveError, np.linalg.LinAlgError) as error:
         refusal = _refusal(extraction, search)
         if refusal is None and isinstance(error, SolveError):
-            raise _with_request(error, asked) from error.__cause__
+            if not asked:
+                raise
+            # What the user asks for may be the cause.
+            hint = f"leave out {', '.join(asked)}, or correct the value; or {error.hint}"
+            raise SolveError(error.message, hint) from error.__cause__
         raise refusal or SolveError(
             "the measurements do not determine all parameters",
             "record more stations, with the whole board in the images",
         ) from error
     return replace(solution, diagnosis=_diagnosis(solution, extraction, search))
-
-
-def _with_request(error: SolveError, asked: Sequence[str]) -> SolveError:
-    """The error with a hint that what the user asks may be the cause."""
-    if not asked:
-        return error
-    return SolveError(error.message, f"leave out {', '.join(asked)}, or correct the value; or {error.hint}")
 
 
 def _by_likelihood(extraction: Extraction, inference: Inference, search: Search) -> Solution:

@@ -1,26 +1,45 @@
 """The iterative linear method on exact data: every parameter to 1e-9, from every start."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import Increments
-from mobilecal_cli.likelihood.measurements import MotionPairs
+from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import WheelGeometry
+from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.solvers import initial
 from mobilecal_cli.solvers.initial import grid_of_starts, linear_estimate
 from mobilecal_cli.solvers.linear import Rounds
-from tests.solvers.world import WHEELS, make_pairs, relative_errors
+from tests.extractions import Noise, joined, simulated
+from tests.truth import errors
 
+ROBOT = paper_robot()
+WHEELS = ROBOT.wheels
 EXACT = 1e-9
+
+
+def drive(seed=0, motion="standard", stations=12, pixel_px=0.0):
+    """A recording of the paper's robot without nominal values, exact but for the noise of corners."""
+    return simulated(motion, Noise(pixel_px), ROBOT, stations, seed, nominal=False)
+
+
+@cache
+def pairs_of(seed=0, motion="standard", pixel_px=0.0):
+    return dataset_of(drive(seed, motion, pixel_px=pixel_px)).pairs
+
+
+def largest_error(estimate):
+    return np.abs(errors(estimate.parameters, ROBOT)).max()
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_exact_data_without_nominal_wheels(seed):
-    estimate = linear_estimate(make_pairs(seed))
-    assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    estimate = linear_estimate(pairs_of(seed))
+    assert largest_error(estimate) < EXACT
     assert estimate.point_rms_m < 1e-12
     assert estimate.rounds_to_tolerance <= 3
     assert estimate.start_from == "grid"
@@ -29,9 +48,9 @@ def test_exact_data_without_nominal_wheels(seed):
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_nominal_wheels_ten_percent_off(factor):
     nominal = WheelGeometry.of(WHEELS.vector * [factor, 1, 1 / factor])
-    for long_way_round in (False, True):
-        estimate = linear_estimate(make_pairs(1, long_way_round=long_way_round), nominal)
-        assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    for motion in ("standard", "large_turns"):
+        estimate = linear_estimate(pairs_of(1, motion), nominal)
+        assert largest_error(estimate) < EXACT
         assert estimate.start_from == "nominal"
 
 
@@ -39,18 +58,18 @@ def test_nominal_wheels_ten_percent_off(factor):
 def test_from_any_start(start, monkeypatch):
     starts = [np.array(start), *grid_of_starts()]
     monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", lambda: starts)
-    estimate = linear_estimate(make_pairs(2, long_way_round=True))
-    assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    estimate = linear_estimate(pairs_of(2, "large_turns"))
+    assert largest_error(estimate) < EXACT
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_legs_that_turn_by_up_to_three_hundred_degrees_and_more(seed):
-    pairs = make_pairs(seed, long_way_round=True)
+def test_legs_that_turn_by_more_than_270_degrees(seed):
+    pairs = pairs_of(seed, "large_turns")
     right, left = pairs.steps.totals_rad.T
     turns = (WHEELS.radius_right_m * right - WHEELS.radius_left_m * left) / WHEELS.separation_m
-    assert np.degrees(np.abs(turns)).max() > 290
+    assert np.degrees(np.abs(turns)).max() > 270
     estimate = linear_estimate(pairs)
-    assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    assert largest_error(estimate) < EXACT
     assert estimate.rival_point_rms_m > 0.1  # the wrongly unwrapped answers are far worse, and told so
 
 
@@ -59,33 +78,25 @@ def test_legs_that_turn_by_up_to_three_hundred_degrees_and_more(seed):
 def test_the_bare_iteration_needs_no_grid_when_legs_turn_little(start, monkeypatch):
     monkeypatch.setattr("mobilecal_cli.solvers.initial.grid_of_starts", lambda: [np.array(start)])
     monkeypatch.setattr("mobilecal_cli.solvers.initial._scouted", lambda pairs, starts: starts)
-    estimate = linear_estimate(make_pairs(3))
-    assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    estimate = linear_estimate(pairs_of(3))
+    assert largest_error(estimate) < EXACT
 
 
 def test_several_logs_join_no_leg_between_them():
-    one, two = make_pairs(0, stations=7), make_pairs(5, stations=6)
-    turned = [
-        np.concatenate([getattr(p.steps, f"{side}_rad") for p in (one, two)]) for side in ("right", "left")
-    ]
-    both = MotionPairs(
-        *(np.concatenate([getattr(p, name) for p in (one, two)]) for name in ("T_v_h", "T_c_k", "points_c")),
-        np.concatenate([one.legs, two.legs + 7]),
-        np.concatenate([one.chain, two.chain + 6]),
-        Increments(*turned, np.concatenate([one.steps.leg, two.steps.leg + 6]), 11),
-    )
-    assert np.abs(relative_errors(linear_estimate(both).parameters)).max() < EXACT
+    both = dataset_of(joined(drive(0, stations=7), drive(5, stations=6))).pairs
+    assert len(both.legs) == 11
+    assert largest_error(linear_estimate(both)) < EXACT
 
 
 def test_the_boards_frame_does_not_matter():
-    pairs = make_pairs(4)
+    pairs = pairs_of(4)
     random = np.random.default_rng(0)
     turned = np.linalg.qr(random.normal(size=(3, 3)))[0]
     turned *= np.sign(np.linalg.det(turned))
     T_k_other = np.eye(4)
     T_k_other[:3, :3], T_k_other[:3, 3] = turned, random.normal(size=3)
     estimate = linear_estimate(replace(pairs, T_c_k=pairs.T_c_k @ T_k_other))
-    assert np.abs(relative_errors(estimate.parameters)).max() < EXACT
+    assert largest_error(estimate) < EXACT
 
 
 def changed_wheels(pairs, right_sign=1, left_sign=1, swapped=False):
@@ -107,13 +118,13 @@ def changed_wheels(pairs, right_sign=1, left_sign=1, swapped=False):
 )
 @pytest.mark.parametrize("noise", [0.0, 0.2])
 def test_signs_of_wrong_encoders(change, signs, noise):
-    pairs = changed_wheels(make_pairs(0, pixel_px=noise), **change)
+    pairs = changed_wheels(pairs_of(0, pixel_px=noise), **change)
     wheels = linear_estimate(pairs, WHEELS).parameters.wheels
     assert np.sign(wheels.vector).tolist() == list(signs)
 
 
 def test_history_tells_the_paper_rounds_and_the_fixed_point():
-    estimate = linear_estimate(make_pairs(0, pixel_px=0.3))
+    estimate = linear_estimate(pairs_of(0, pixel_px=0.3))
     assert estimate.history[-1] is estimate.parameters
     assert 1 < estimate.rounds_to_tolerance < estimate.rounds
     before = estimate.history[estimate.rounds_to_tolerance - 2].wheels
@@ -126,7 +137,7 @@ def test_history_tells_the_paper_rounds_and_the_fixed_point():
 @pytest.mark.parametrize("nominal", [None, WHEELS])
 def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
     """The iteration ended at wheels without size, and divided by them with a warning of NumPy."""
-    pairs = make_pairs(seed)
+    pairs = pairs_of(seed)
     same = replace(pairs, steps=replace(pairs.steps, left_rad=pairs.steps.right_rad))
     with pytest.raises(SolveError, match=r"found no answer on 11 legs"):
         linear_estimate(same, nominal)
@@ -136,7 +147,7 @@ def test_wheels_with_identical_readings_have_no_answer(seed, nominal):
 
 def test_impossible_wheels_are_no_rivals_of_possible_ones(monkeypatch):
     """Mirrored, with negative radii, a solution may be nearly as good."""
-    pairs = make_pairs(3)
+    pairs = pairs_of(3)
     known = replace(linear_estimate(pairs), point_rms_m=0.02)
     wheels = WheelGeometry(*(known.parameters.wheels.vector * [-1.0, -1.0, 1.0]))
     mirrored = replace(known, parameters=replace(known.parameters, wheels=wheels), point_rms_m=0.022)

@@ -5,17 +5,19 @@ import pytest
 
 from mobilecal_cli.solvers.initial import linear_estimate
 from mobilecal_cli.solvers.transfer import point_rms_m, refine_lm, refine_powell, residuals_m
-from tests.solvers.world import TRUTH, make_pairs, relative_errors
+from tests.solvers.test_linear import ROBOT, largest_error, pairs_of
+from tests.truth import errors, parameters_of
+
+TRUTH = parameters_of(ROBOT)
 
 
 def test_the_truth_carries_every_point_onto_itself():
-    # The world itself loses digits where it drives nearly straight about a far-off centre.
-    assert np.abs(residuals_m(make_pairs(0), TRUTH)).max() < 1e-12
+    assert np.abs(residuals_m(pairs_of(0), TRUTH)).max() < 1e-12
 
 
 def test_error_in_mm_by_hand():
     # Wheels as they are, but the camera 10 mm further along its own x axis than the truth.
-    pairs = make_pairs(0, moves=False)
+    pairs = pairs_of(0, "base_fixed")
     along_x = np.concatenate([np.zeros(3), TRUTH.T_h_c[:3, 0] * 0.01, np.zeros(3)])
     shifted = TRUTH.plus(along_x)
     # p^ - p = (R_ci_cj - I) d for the shift d: only turned legs show it.
@@ -27,26 +29,26 @@ def test_error_in_mm_by_hand():
 
 @pytest.mark.parametrize("refine", [refine_lm, refine_powell])
 def test_exact_data(refine):
-    pairs = make_pairs(1)
+    pairs = pairs_of(1)
     refined = refine(pairs, linear_estimate(pairs).parameters)
-    assert np.abs(relative_errors(refined.parameters)).max() < 1e-9
+    assert largest_error(refined) < 1e-9
 
 
 def test_lm_finds_the_truth_from_far_off():
-    pairs = make_pairs(1)
+    pairs = pairs_of(1)
     start = TRUTH.plus(np.array([0.2, -0.15, 0.2, 0.05, -0.05, 0.05, 0.03, -0.02, 0.08]))
     refined = refine_lm(pairs, start)
-    assert np.abs(relative_errors(refined.parameters)).max() < 1e-9
+    assert largest_error(refined) < 1e-9
     assert np.all(np.diff(refined.point_rms_history_m) <= 0)
     assert refined.point_rms_history_m[0] == pytest.approx(point_rms_m(pairs, start))
 
 
 def test_powell_and_lm_reach_the_same_minimum():
-    pairs = make_pairs(0, pixel_px=0.3)
+    pairs = pairs_of(0, pixel_px=0.3)
     start = linear_estimate(pairs)
     lm, powell = refine_lm(pairs, start.parameters), refine_powell(pairs, start.parameters)
     assert powell.point_rms_m == pytest.approx(lm.point_rms_m, rel=1e-9)
-    assert relative_errors(powell.parameters) == pytest.approx(relative_errors(lm.parameters), abs=1e-5)
+    assert errors(powell.parameters, ROBOT) == pytest.approx(errors(lm.parameters, ROBOT), abs=1e-5)
     assert lm.point_rms_m <= start.point_rms_m
     assert lm.point_rms_history_m[-1] == lm.point_rms_m
     assert powell.point_rms_history_m[-1] == powell.point_rms_m
