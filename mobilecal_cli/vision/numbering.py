@@ -19,7 +19,7 @@ import numpy as np
 
 from mobilecal_cli.model import Board, FloatArray, IntArray, Observation, Rejection
 from mobilecal_cli.vision.grid import turned, turned_view, turns
-from mobilecal_cli.vision.pose import absolute_orientation
+from mobilecal_cli.vision.pose import absolute_orientation, rotation_between
 
 AMBIGUOUS = "board orientation ambiguous"
 _ROUNDS = 100  # a few more than the least are usual
@@ -72,19 +72,12 @@ def _turn(observation: Observation, board: Board, quarter_turns: int) -> Observa
     )
 
 
-def _rotation_between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """R with a ~ R b for unit vectors (N, 3), by singular value decomposition (Wahba's problem)."""
-    U, _, Vt = np.linalg.svd(a.T @ b)
-    R: FloatArray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    return R
-
-
 def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k: FloatArray) -> _Fit:
     """Alternate between A, n and the turns from an initial estimate; R_c_k is (turns, N, 3, 3)."""
     stations = np.arange(len(vertical_h))
     misfit = np.zeros((len(stations), len(R_c_k)))
     for round_ in range(_ROUNDS):
-        A = _rotation_between(R_c_k[choice, stations] @ vertical_k, vertical_h)
+        A = rotation_between(R_c_k[choice, stations] @ vertical_k, vertical_h)
         vertical_c = vertical_h @ A.T
         backward = np.einsum("nji,nj->ni", R_c_k[choice, stations], vertical_c).mean(axis=0)
         vertical_k = backward / max(float(np.linalg.norm(backward)), 1e-12)
