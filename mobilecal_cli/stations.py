@@ -294,8 +294,8 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     breaks = np.diff(edges)
     if not len(breaks):
         return
-    *others, longest = np.argsort(breaks, kind="stable").tolist()
-    usual_ns = max((int(breaks[k]) for k in others), default=0)
+    longest = int(np.argmax(breaks))
+    usual_ns = int(np.delete(breaks, longest).max(initial=0))
     since, until = (int(at) for at in edges[longest : longest + 2])
     long_ns = max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns)
     if until - since > long_ns and not _still(channels, since, until):

@@ -14,9 +14,8 @@ from mobilecal_cli.vision.values import INCONSISTENT, BoardPose, Miss, StereoPoi
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
 _POSE_STEPS = 50  # far more than any pose needs
-_FACTOR = 10.0  # of the damping after a good or a bad step, as usual
-_SMALL = 1e-6  # damping that hardly shortens a step
-_CONVERGED = 1e-10  # relative change of the sum of squares
+_DAMPING, _FACTOR = 1e-6, 10.0  # at first, hardly shortening a step; and its change after a good or a bad one
+_CONVERGED = 1e-10  # relative change of the sum of squares that a step promises
 
 
 def reproject(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -209,24 +208,19 @@ def board_pose(
         r = (root @ residual[..., None]).ravel()
         return float(r @ r), rms(residual), A.T @ A, A.T @ r
 
-    T_c_k, scale, damping = start, 1.0, _SMALL
+    T_c_k, scale, damping = start, 1.0, _DAMPING
     cost, rms_px, normal, gradient = at(T_c_k, scale)
     for _ in range(_POSE_STEPS):
         step = np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), np.float64)
-        if damping <= _SMALL and step @ gradient <= _CONVERGED * cost:
+        if step @ gradient <= _CONVERGED * cost:
             break
         trial_T = se3.exp(step[:6]) @ T_c_k
         trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
         ahead = np.all(depths(rig, se3.act(trial_T, trial_scale * points_k)) > 0)
         trial = at(trial_T, trial_scale) if ahead else None
         if trial is not None and trial[0] <= cost:
-            done = cost - trial[0] <= _CONVERGED * cost or cost < 1e-20
-            T_c_k, scale, damping = trial_T, trial_scale, max(damping / _FACTOR, 1e-12)
+            T_c_k, scale, damping = trial_T, trial_scale, damping / _FACTOR
             cost, rms_px, normal, gradient = trial
-            if done:
-                break
-        elif damping > 1e6:
-            break
         else:
             damping *= _FACTOR
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
