@@ -140,26 +140,20 @@ def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[i
     """Index of each image of one camera → index of the nearest one of another, which is in one pair at most."""
     if not len(one_ns) or not len(other_ns):
         return {}
-    after = np.clip(np.searchsorted(other_ns, one_ns), 1, max(len(other_ns) - 1, 1))
-    before, after = after - 1, np.minimum(after, len(other_ns) - 1)
-    nearer_before = np.abs(one_ns - other_ns[before]) <= np.abs(one_ns - other_ns[after])
-    nearest = np.where(nearer_before, before, after)
+    nearest = np.searchsorted(other_ns[:-1] + np.diff(other_ns) // 2, one_ns)
     distance_ns = np.abs(one_ns - other_ns[nearest])
     best: dict[int, int] = {}
     for i in np.argsort(distance_ns, kind="stable"):
         if distance_ns[i] <= tolerance_s * _NS:
             best.setdefault(int(nearest[i]), int(i))
-    return {i: j for j, i in sorted(best.items(), key=lambda item: item[1])}
+    return {i: j for j, i in best.items()}
 
 
 def _silences(recorded_ns: Mapping[str, IntArray]) -> Iterator[str]:
     """A note where one camera recorded nothing for a while and another did: a cable, or a full disk."""
-    most = max(recorded_ns, key=lambda name: len(recorded_ns[name]))
-    for name in recorded_ns:
-        other = next(k for k in recorded_ns if k != name) if len(recorded_ns) == 2 else most
-        if other == name:
-            continue
-        own, others = recorded_ns[name], recorded_ns[other]
+    for name, own in recorded_ns.items() if len(recorded_ns) > 1 else ():
+        other = max((k for k in recorded_ns if k != name), key=lambda k: len(recorded_ns[k]))
+        others = recorded_ns[other]
         edges = np.sort(np.concatenate([own, others[[0, -1]]]))
         longest = int(np.argmax(np.diff(edges)))
         begin, end = edges[longest : longest + 2]
@@ -300,8 +294,8 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     breaks = np.diff(edges)
     if not len(breaks):
         return
-    *others, longest = np.argsort(breaks, kind="stable").tolist()
-    usual_ns = max((int(breaks[k]) for k in others), default=0)
+    longest = int(np.argmax(breaks))
+    usual_ns = int(np.delete(breaks, longest).max(initial=0))
     since, until = (int(at) for at in edges[longest : longest + 2])
     long_ns = max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns)
     if until - since > long_ns and not _still(channels, since, until):
@@ -365,8 +359,8 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
             if FEW_READINGS in lacking.values()
             else "check that cameras, joints and wheels use the same clock and were recorded at the same time",
         )
-    shown = _Shown(signals.images, channels)
-    pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok])
+    shown = _Shown(signals.images)
+    pairs, frozen = shown.current([pair for pair, ok in zip(pairs, covered, strict=True) if ok], channels)
     if not pairs:
         raise RecordingError(
             f"the images of all {len(frozen)} {what} were taken before the last motion of the robot: they do not "
@@ -386,46 +380,35 @@ def _paired(signals: Signals, prismatic: frozenset[str]) -> _Pairs:
 class _Shown:
     """Which images of a log are new: cameras and drivers may repeat an image, with new stamps."""
 
-    def __init__(self, images: Mapping[str, PictureIndex], channels: Sequence[_Channel]) -> None:
+    def __init__(self, images: Mapping[str, PictureIndex]) -> None:
         self._since = {
             name: dict(zip(index.time_ns.tolist(), index.since_ns.tolist(), strict=True))
             for name, index in images.items()
         }
-        self._channels = channels
         self._used: set[tuple[str, int]] = set()
-        self._moved_since: set[tuple[str, int]] = set()
 
     def _of(self, shot: Shot) -> list[tuple[str, int, int]]:
         """Camera and time of each image, and when it was shown first."""
         cameras = zip(self._since.items(), shot.times_ns, strict=True)
         return [(name, at_ns, since[at_ns]) for (name, since), at_ns in cameras if at_ns is not None]
 
-    def current(self, pairs: Sequence[Shot]) -> tuple[list[Shot], list[Rejection]]:
-        """Pairs whose images still show what the cameras see, and rejections of those with a frozen camera."""
+    def current(
+        self, pairs: Sequence[Shot], channels: Sequence[_Channel]
+    ) -> tuple[list[Shot], list[Rejection]]:
+        """Pairs with images newer than the last motion of the robot, and rejections of those with a frozen camera."""
         kept: list[Shot] = []
         frozen: list[Rejection] = []
         for pair in pairs:
-            stale = [
-                (name, at_ns - since_ns)
+            stale = {
+                name: at_ns - since_ns
                 for name, at_ns, since_ns in self._of(pair)
-                if self._moved(name, since_ns, at_ns)
-            ]
+                if since_ns != at_ns and not _still(channels, since_ns, at_ns)
+            }
             if not stale:
                 kept.append(pair)
-            elif any(age_ns > _FROZEN_S * _NS for _, age_ns in stale):
-                names = " and ".join(name for name, _ in stale)
-                frozen.append(Rejection("stations", _FROZEN, names, pair.time_ns))
+            elif max(stale.values()) > _FROZEN_S * _NS:
+                frozen.append(Rejection("stations", _FROZEN, " and ".join(stale), pair.time_ns))
         return kept, frozen
-
-    def _moved(self, name: str, since_ns: int, until_ns: int) -> bool:
-        """Whether the robot moved while a camera repeated an image."""
-        if since_ns == until_ns:
-            return False
-        if (name, since_ns) not in self._moved_since:
-            if _still(self._channels, since_ns, until_ns):
-                return False
-            self._moved_since.add((name, since_ns))
-        return True
 
     def new(self, pairs: Sequence[Shot]) -> list[Shot]:
         """The pairs, in order of time, with images that no pair has that was passed before."""

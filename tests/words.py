@@ -109,7 +109,8 @@ def files(paths: tuple[str, ...] = PROSE) -> Iterator[Path]:
 def found_in(path: Path) -> Iterator[str]:
     """Each unwanted term of a file, as a line that an editor can jump to."""
     reader = {".md": _markdown, ".jinja": _template, ".py": _python}[path.suffix]
-    for number, line in reader(path.read_text(encoding="utf-8")):
+    text = path.read_text(encoding="utf-8")
+    for number, line in reader(text) if _ANY.search(text) else ():
         prose = _CODE.sub(_blank, line)
         for pattern, instead in _TERMS if _ANY.search(prose) else ():
             for match in pattern.finditer(prose):

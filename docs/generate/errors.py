@@ -106,7 +106,10 @@ def _constants(tree: ast.AST) -> dict[str, ast.expr]:
 
 
 def _raised(path: Path) -> Iterator[tuple[str, Entry]]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    text = path.read_text(encoding="utf-8")
+    if not any(f"{name}(" in text for name in KINDS):
+        return
+    tree = ast.parse(text)
     top = _constants(tree)
     module = path.relative_to(PACKAGE).with_suffix("").as_posix()
     functions = [node for node in ast.walk(tree) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef))]

@@ -108,17 +108,8 @@ class FittedCorners:
 
 def _steps(grid: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Steps to the next corner along a row and along a column, (M, 2) each, by differences of second order."""
-    along, down = np.empty_like(grid), np.empty_like(grid)
-    along[:, 1:-1], down[1:-1] = grid[:, 2:] - grid[:, :-2], grid[2:] - grid[:-2]
-    along[:, 0], down[0] = (
-        4 * grid[:, 1] - 3 * grid[:, 0] - grid[:, 2],
-        4 * grid[1] - 3 * grid[0] - grid[2],
-    )
-    along[:, -1], down[-1] = (
-        3 * grid[:, -1] - 4 * grid[:, -2] + grid[:, -3],
-        3 * grid[-1] - 4 * grid[-2] + grid[-3],
-    )
-    return 0.5 * along.reshape(-1, 2), 0.5 * down.reshape(-1, 2)
+    down, along = np.gradient(grid, axis=(0, 1), edge_order=2)
+    return along.reshape(-1, 2), down.reshape(-1, 2)
 
 
 def _normals(along: FloatArray, down: FloatArray) -> FloatArray:
@@ -149,21 +140,15 @@ def _offsets(half: int) -> Single:
     return offsets
 
 
-def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.uint8], BoolArray | None]:
-    """Square windows centered on whole pixels, (M, P), and which pixels are in the image (None: all)."""
-    side = 2 * half + 1
-    corner = middle - half
-    height, width = image.shape
-    inside = None
-    if corner.min() < 0 or (corner + side).max(axis=0)[0] > width or (corner + side).max(axis=0)[1] > height:
-        reach = np.arange(side)
-        x, y = corner[:, :1] + reach, corner[:, 1:] + reach
-        in_x, in_y = (x >= 0) & (x < width), (y >= 0) & (y < height)
-        inside = (in_y[:, :, None] & in_x[:, None, :]).reshape(len(middle), -1)
-        image = np.pad(image, side, mode="edge")
-        corner = np.clip(corner + side, 0, np.array(image.shape[::-1]) - side)
-    view = sliding_window_view(image, (side, side))
-    return view[corner[:, 1], corner[:, 0]].reshape(len(middle), -1), inside
+def _windows(image: GrayImage, middle: IntArray, half: int) -> tuple[NDArray[np.uint8], BoolArray]:
+    """Square windows centered on whole pixels, (M, P), and which of their pixels are in the image."""
+    side, (height, width) = 2 * half + 1, image.shape
+    corner = np.clip(middle - half, -side, [width, height])
+    x, y = corner[:, :1] + np.arange(side), corner[:, 1:] + np.arange(side)
+    inside = ((y >= 0) & (y < height))[:, :, None] & ((x >= 0) & (x < width))[:, None]
+    padded = np.asarray(cv2.copyMakeBorder(image, side, side, side, side, cv2.BORDER_REPLICATE), np.uint8)
+    grey = sliding_window_view(padded, (side, side))[corner[:, 1] + side, corner[:, 0] + side]
+    return grey.reshape(len(middle), -1), inside.reshape(len(middle), -1)
 
 
 class _Fit:
@@ -214,11 +199,8 @@ class _Fit:
     def _choose_pixels(self, distance: Single) -> None:
         """Select the pixels used for the fit, and fill the constant columns."""
         near = (distance > self._lower) & (distance < self._upper)
-        chosen = near[:, 0] & near[:, 1]
-        if self._inside is not None:
-            chosen &= self._inside
         weight = self._columns[:, 4]
-        weight[:] = chosen
+        weight[:] = near[:, 0] & near[:, 1] & self._inside
         self.used = weight.sum(axis=1).astype(np.float64)
         np.multiply(weight[:, None], self._offsets[:2], out=self._columns[:, 5:7])
         np.multiply(weight, self._grey, out=self._columns[:, 7])

@@ -24,8 +24,7 @@ from mobilecal_cli.vision.grid import at_full_size, canonical, reduced, right_ha
 from mobilecal_cli.vision.grid_map import fit_grid
 from mobilecal_cli.vision.growing import Grown, grow_any
 from mobilecal_cli.vision.markers import detect_markers
-from mobilecal_cli.vision.saddles import least_response, may_show_board
-from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, SECOND_BOARD, Appearance, Detection, Miss
+from mobilecal_cli.vision.values import LARGE_PX, OCCLUDED, SECOND_BOARD, Appearance, Detection, Miss, Single
 
 _SMALLEST_PICTURE = 64  # px; OpenCV refuses smaller ones
 # For uneven light; slow in full images.
@@ -34,9 +33,12 @@ _PAINTED = 1.2  # margin painted over beyond the corners, in squares
 # Reasons that no other search changes.
 _FINAL = ("squares too small", "board extends beyond the grid", "blurred")
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
-# Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
-_ENOUGH = (1, 10_000)
 _SMALLEST_BOARD = 12  # corners: 4 x 3
+# Saddle points.
+_BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
+_NEIGHBORS = np.ones((3, 3), np.uint8)
+_WORTH = 0.02  # share of the strongest response; usually 1 % of the peaks exceed it, the others are noise
+_FAINTEST = 0.1  # response of a corner in the same light, as a share of the board's weakest
 
 
 def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float = 1.0) -> FloatArray | None:
@@ -101,7 +103,7 @@ def detect(
     """
     if min(image.shape) < _SMALLEST_PICTURE:
         return Miss("no board found", f"the image has only {image.shape[1]} x {image.shape[0]} px")
-    scales = (0.5, 1.0) if image.shape[1] >= LARGE_PX else (1.0, 0.5)
+    scales = (0.5, 1.0) if image.shape[1] >= LARGE_PX else (1.0,)
     grids = (_classic(image, columns, rows, 0, scale) for scale in scales)
     grid = next((grid for grid in grids if grid is not None), None)
     result = _judge(image, grid) if grid is not None else None
@@ -148,7 +150,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
     """Search for the board after the fast search failed or its corners were rejected."""
     if first is not None and first.reason in _FINAL:
         return first
-    grown = grow_any(image, columns * rows)
+    grown = grow_any(image)
     scale, reason = 0.25, Miss("no board found", f"no grid of {columns} x {rows} corners")
     if grown is not None and grown.grid.size >= 2 * _TELLING * columns * rows:
         grid = grown.grid
@@ -235,12 +237,46 @@ def _sizes_in(image: GrayImage) -> list[tuple[int, int]]:
 
 def _whole_board(image: GrayImage) -> tuple[int, int, Detection] | None:
     """Columns, rows and corners of a whole board in an image, None if there is none."""
-    for enough in _ENOUGH:
-        grown = grow_any(image, enough)
-        if grown is None:
-            return None
-        rows, columns = sorted(grown.grid.shape[:2])
-        found = detect(image, columns, rows)
-        if isinstance(found, Detection):
-            return columns, rows, found
-    return None
+    grown = grow_any(image)
+    if grown is None:
+        return None
+    rows, columns = sorted(grown.grid.shape[:2])
+    detection = detect(image, columns, rows)
+    return (columns, rows, detection) if isinstance(detection, Detection) else None
+
+
+# A checkerboard corner is a saddle point of brightness: the determinant of the second derivatives is negative. All
+# corners of a board have a similar response, and few images without a board have as many strong saddle points.
+
+
+def may_show_board(image: GrayImage, corners: int, least: float) -> bool:
+    """Whether there are as many saddle points with at least this response as the board has corners."""
+    return least == 0 or len(_peaks(_responses(image), least)) >= corners
+
+
+def least_response(image: GrayImage, corners: int) -> float:
+    """Response that the corners of a board have in the light of an image that shows one; 0 for any."""
+    responses = _responses(image)
+    peaks = _peaks(responses, _WORTH * float(responses.max()))
+    if len(peaks) < corners:
+        return 0.0
+    return _FAINTEST * float(np.partition(peaks, len(peaks) - corners)[len(peaks) - corners])
+
+
+def _responses(image: GrayImage) -> Single:
+    """Negative determinant of the second derivatives of an image at reduced size, in arbitrary units."""
+    scale = 0.25 if image.shape[1] >= LARGE_PX else 0.5
+    small = cv2.GaussianBlur(reduced(image, scale), *_BLUR)
+    saddle, by_xx, by_yy = (
+        np.asarray(cv2.Sobel(small, cv2.CV_32F, *by, ksize=3), np.float32) for by in ((1, 1), (2, 0), (0, 2))
+    )
+    saddle *= saddle
+    by_xx *= by_yy
+    saddle -= by_xx
+    return saddle
+
+
+def _peaks(responses: Single, least: float) -> Single:
+    """Local maxima above a limit."""
+    peaks: Single = responses[(responses > least) & (responses == cv2.dilate(responses, _NEIGHBORS))]
+    return peaks

@@ -10,9 +10,8 @@ import numpy as np
 from mobilecal_cli.model import Board, FloatArray, GrayImage
 from mobilecal_cli.vision.acceptance import MIN_EDGE_PX, accepted, check_size, colors, fit_board
 from mobilecal_cli.vision.corner_model import FittedCorners, refine
-from mobilecal_cli.vision.detection import find_board
+from mobilecal_cli.vision.detection import find_board, least_response, may_show_board
 from mobilecal_cli.vision.grid import smallest_edge_px
-from mobilecal_cli.vision.saddles import least_response, may_show_board
 from mobilecal_cli.vision.values import OCCLUDED, Appearance, Detection, Miss
 
 _LONGEST_GAP_NS = 500_000_000  # longest time over which the board's motion is extrapolated

@@ -19,7 +19,7 @@ from mobilecal_cli.model import BoolArray, Camera, FloatArray
 _ROUGH_PX = 0.2
 _BETTER = 0.7
 _LENS_PX = 0.3  # error of the lens model, against which its likely values count
-_LENS_STEPS, _LITTLE = 4, 0.01
+_LENS_TRIALS = 20  # most lenses that are tried
 _FOCAL_LENGTHS = (0.2, 0.3, 0.45, 0.7)  # in units of the larger side of the image: 290 to 80 degrees across
 _LARGEST_RAD = 3.0  # angle to the optical axis; the projection ends at pi
 #: How far a lens may be from those tried: logarithm of the focal length, and center in units of the larger side.
@@ -37,11 +37,6 @@ class Fisheye:
 
     center_px: FloatArray
     focal_px: float
-
-    def moved(self, change: FloatArray, side_px: float) -> Fisheye:
-        """The lens after a change (3,) of focal length and center, in units of what is likely."""
-        by = _SPREAD * change
-        return Fisheye(self.center_px + side_px * by[1:], self.focal_px * float(np.exp(by[0])))
 
     def reaches(self, pixels: FloatArray) -> bool:
         """Whether all pixels (M, 2) are images of directions."""
@@ -239,28 +234,26 @@ def fit_grid(grid: FloatArray, image_shape: tuple[int, int] | None = None) -> Gr
 
 
 def _fisheye_fit(grid: FloatArray, image_shape: tuple[int, int]) -> GridMap | None:
-    """The smoothest map through a fisheye lens, by Gauss-Newton steps on the lens from the best of a few."""
+    """The smoothest map through a fisheye lens: least squares on the lens, from the best of a few."""
+    from scipy.optimize import least_squares  # slow to import, and few images need it
+
     (height, width), side_px = image_shape, max(image_shape)
     center_px = np.array([(width - 1) / 2, (height - 1) / 2])
     tried = [Fisheye(center_px, side_px * focal) for focal in _FOCAL_LENGTHS]
     lenses = [lens for lens in tried if lens.reaches(grid.reshape(-1, 2))]
     if not lenses:
         return None
-    start, change = min(lenses, key=lambda lens: _fit(grid, lens).sigma_px), np.zeros(3)
+    start = min(lenses, key=lambda lens: _fit(grid, lens).sigma_px)
 
-    def cost(change: FloatArray) -> tuple[FloatArray, GridMap]:
-        fit = _fit(grid, start.moved(change, side_px))
-        return np.append(fit.residual / _LENS_PX, change), fit
+    def fit(change: FloatArray) -> GridMap:
+        """The map through the lens after a change (3,) of focal length and center, in units of what is likely."""
+        by = _SPREAD * change
+        return _fit(grid, Fisheye(start.center_px + side_px * by[1:], start.focal_px * float(np.exp(by[0]))))
 
-    costs, best = cost(change)
-    for _ in range(_LENS_STEPS):
-        J = np.stack([cost(change + _LITTLE * unit)[0] - costs for unit in np.eye(3)], axis=1) / _LITTLE
-        change = change - np.linalg.lstsq(J, costs)[0]
-        new_costs, fit = cost(change)
-        if np.sum(new_costs**2) >= np.sum(costs**2):
-            break
-        costs, best = new_costs, fit
-    return best
+    def cost(change: FloatArray) -> FloatArray:
+        return np.append(fit(change).residual / _LENS_PX, change)
+
+    return fit(least_squares(cost, np.zeros(3), method="lm", max_nfev=_LENS_TRIALS).x)
 
 
 def _fit(grid: FloatArray, lens: Fisheye | None) -> GridMap:

@@ -14,9 +14,8 @@ from mobilecal_cli.vision.values import INCONSISTENT, BoardPose, Miss, StereoPoi
 _TRIANGULATION_STEPS = 12
 _MOST_APART_PX = 20.0  # beyond it the pixels are not the same point, and the linearized covariance is invalid
 _POSE_STEPS = 50  # far more than any pose needs
-_FACTOR = 10.0  # of the damping after a good or a bad step, as usual
-_SMALL = 1e-6  # damping that hardly shortens a step
-_CONVERGED = 1e-10  # relative change of the sum of squares
+_DAMPING, _FACTOR = 1e-6, 10.0  # at first, hardly shortening a step; and its change after a good or a bad one
+_CONVERGED = 1e-10  # relative change of the sum of squares that a step promises
 
 
 def reproject(rig: CameraRig, points_c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -52,27 +51,21 @@ def depths(rig: CameraRig, points_c: FloatArray) -> FloatArray:
 
 
 def _nearest_to_rays(rig: CameraRig, flat: Sequence[FloatArray]) -> FloatArray:
-    """Midpoints between the rays of the first two cameras: (M, 2) z = 1 coordinates of each → (M, 3), m."""
-    ones = np.ones((len(flat[0]), 1))
-    ray, other = (np.hstack([f, ones]) @ T[:3, :3].T for f, T in zip(flat[:2], rig.T_c_each, strict=False))
-    start, end = (T[:3, 3] for T in rig.T_c_each[:2])
-    origin = end - start
-    aa = np.sum(ray * ray, axis=1)
-    bb = np.sum(other * other, axis=1)
-    ab = np.sum(ray * other, axis=1)
-    # Parallel rays intersect at infinity; a small determinant keeps the result finite.
-    determinant = aa * bb - ab * ab
-    determinant = np.where(np.abs(determinant) < 1e-14, 1e-14, determinant)
-    along = (bb * (ray @ origin) - ab * (other @ origin)) / determinant
-    along_other = (ab * (ray @ origin) - aa * (other @ origin)) / determinant
-    midpoint: FloatArray = start + 0.5 * (along[:, None] * ray + origin + along_other[:, None] * other)
-    return midpoint
+    """Points of least squared distance from the rays of all cameras: (M, 2) z = 1 coordinates of each → (M, 3), m."""
+    normal = np.tile(1e-14 * np.eye(3), (len(flat[0]), 1, 1))  # parallel rays: finite points
+    right_side = np.zeros((len(flat[0]), 3, 1))
+    for own, T in zip(flat, rig.T_c_each, strict=True):
+        ray = np.column_stack([own, np.ones(len(own))]) @ T[:3, :3].T
+        across = np.eye(3) - ray[:, :, None] * ray[:, None] / np.sum(ray**2, axis=1)[:, None, None]
+        normal += across
+        right_side += across @ T[:3, 3:]
+    return np.asarray(np.linalg.solve(normal, right_side)[..., 0], dtype=np.float64)
 
 
 def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss:
     """Triangulate the corners that two or more cameras see by minimizing the reprojection error.
 
-    Starts from the midpoint of two rays and does Gauss-Newton iterations on the residuals of each point,
+    Starts from the points nearest to the rays and does Gauss-Newton iterations on the residuals of each point,
     weighted by the noise of the corners (the cost of Hartley and Sturm 1997, here for any number of cameras and
     with lens distortion). The covariance of a point is (J^T W J)^-1.
 
@@ -118,10 +111,15 @@ def triangulate(rig: CameraRig, views: Sequence[Corners]) -> StereoPoints | Miss
     return StereoPoints(points, np.linalg.inv(normal).astype(np.float64), residual_px)
 
 
+def rotation_between(a: FloatArray, b: FloatArray) -> FloatArray:
+    """R that best maps vectors b (N, 3) to a (N, 3), by singular value decomposition (Wahba's problem)."""
+    U, _, Vt = np.linalg.svd(a.T @ b)
+    R: FloatArray = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return R
+
+
 def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArray:
     """Rigid motion from frame b to frame a that best aligns two sets of points.
-    Horn, "Closed-form solution of absolute orientation using unit quaternions", 1987: the rotation is the
-    eigenvector of the 4 x 4 matrix N (section 4A) with the largest eigenvalue.
 
     Args:
         points_a, points_b: (M, 3) the same points in frames a and b, not all on one line.
@@ -130,12 +128,7 @@ def absolute_orientation(points_a: FloatArray, points_b: FloatArray) -> FloatArr
         T_a_b, (4, 4).
     """
     mean_a, mean_b = points_a.mean(axis=0), points_b.mean(axis=0)
-    S = (points_b - mean_b).T @ (points_a - mean_a)
-    N = np.empty((4, 4))  # rows and columns in the order x, y, z, w
-    N[:3, :3] = S + S.T - np.trace(S) * np.eye(3)
-    N[:3, 3] = N[3, :3] = S[1, 2] - S[2, 1], S[2, 0] - S[0, 2], S[0, 1] - S[1, 0]
-    N[3, 3] = np.trace(S)
-    R = se3.from_quaternion_xyzw(np.linalg.eigh(N)[1][:, -1])
+    R = rotation_between(points_a - mean_a, points_b - mean_b)
     return se3.transform(R, mean_a - R @ mean_b)
 
 
@@ -215,24 +208,19 @@ def board_pose(
         r = (root @ residual[..., None]).ravel()
         return float(r @ r), rms(residual), A.T @ A, A.T @ r
 
-    T_c_k, scale, damping = start, 1.0, _SMALL
+    T_c_k, scale, damping = start, 1.0, _DAMPING
     cost, rms_px, normal, gradient = at(T_c_k, scale)
     for _ in range(_POSE_STEPS):
         step = np.asarray(np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient), np.float64)
-        if damping <= _SMALL and step @ gradient <= _CONVERGED * cost:
+        if step @ gradient <= _CONVERGED * cost:
             break
         trial_T = se3.exp(step[:6]) @ T_c_k
         trial_scale = scale * float(np.exp(step[6])) if free_scale else 1.0
         ahead = np.all(depths(rig, se3.act(trial_T, trial_scale * points_k)) > 0)
         trial = at(trial_T, trial_scale) if ahead else None
         if trial is not None and trial[0] <= cost:
-            done = cost - trial[0] <= _CONVERGED * cost or cost < 1e-20
-            T_c_k, scale, damping = trial_T, trial_scale, max(damping / _FACTOR, 1e-12)
+            T_c_k, scale, damping = trial_T, trial_scale, damping / _FACTOR
             cost, rms_px, normal, gradient = trial
-            if done:
-                break
-        elif damping > 1e6:
-            break
         else:
             damping *= _FACTOR
     covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)

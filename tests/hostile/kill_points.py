@@ -1,6 +1,7 @@
 """Kill a process at every moment at which it touches the disk while it writes its outputs.
 
-`python -m tests.hostile.kill_points DIRECTORY` prints one line a moment: what was done last, and what is there then.
+`python -m tests.hostile.kill_points DIRECTORY` prints one line a moment: what was done last, and what is there then. An
+empty line ends each way: a new output, one that replaces another, and the same where the two cannot be exchanged.
 """
 
 import os
@@ -66,4 +67,6 @@ def try_all(folder: Path, existing: bool, exchange: bool) -> None:
 
 
 if __name__ == "__main__":
-    try_all(Path(sys.argv[1]), sys.argv[2] == "existing", sys.argv[3] == "exchange")
+    for existing, exchange in ((False, True), (True, True), (True, False)):
+        try_all(Path(sys.argv[1]), existing, exchange)
+        os.write(1, b"\n")

@@ -218,6 +218,7 @@ def large_png() -> bytes:
 SOLVE = ("calibrate", "e.npz", "-o", "out")
 READ = ("calibrate", "log.mcap", "-o", "out")
 BAG = ("calibrate", "bag", "-o", "out")
+LINEAR = ("--method", "linear")  # fast, where the input alone matters
 RIG = ("calibrate", LOG, "--config", "rig.yaml", "-o", "out")
 RADII = "{radius_left_m: %s, radius_right_m: 0.1, separation_m: 0.5}"
 
@@ -267,13 +268,12 @@ CASES = (
         ("calibrate", LOG, *(f"--set=cameras.{side}.image={IMAGES[0]}" for side in ("left", "right"))), 2,
         "cameras.left.image and cameras.right.image are both",
     ),
-    Case("a joint reads 1e300 in every second message: dropped", READ, 0, "PASS", positions(head_pan_joint=1e300)),
+    Case("a joint reads 1e300 in every second message: dropped", (*READ, *LINEAR), 0, "PASS", positions(head_pan_joint=1e300)),
     Case("a URDF with a wheel radius of 1e-300 m", READ, 2, "cylinder radius: 1e-300 m is not possible", urdf('radius="0.225"', 'radius="1e-300"')),
     Case("a URDF with a negative wheel radius", READ, 2, "cylinder radius: -0.1 m is not possible", urdf('radius="0.225"', 'radius="-0.1"')),
     Case("a URDF with an origin at 1e300 m", READ, 2, "origin xyz: 1e+300 m is not possible", urdf('xyz="0.04 0.0', 'xyz="1e300 0.0')),
     Case("JPEG images of 1 x 65500 pixels", READ, 3, "images are 1 x 65500 pixels, but their camera_info states 640 x 480", pictures(tall_jpeg)),
     Case("the left images are mirrored", READ, 4, "the images of the left camera are mirrored", pixels(IMAGES[:1], lambda p: p[:, ::-1])),
-    Case("the right images are mirrored", READ, 4, "the images of the right camera are mirrored", pixels(IMAGES[1:], lambda p: p[:, ::-1])),
     Case("PNG images of 8190 x 8190 pixels", READ, 3, "image size 8190x8190 exceeds the limit", pictures(large_png)),
     Case("WebP images", READ, 3, "that begin with b'RIFF", pictures(encoded("WEBP"))),
     Case("WebP images, with `--board`", (*READ, "--board", "8x6"), 3, "that begin with b'RIFF", pictures(encoded("WEBP"))),
@@ -282,7 +282,7 @@ CASES = (
     Case("log times beyond 2^63 ns", READ, 3, "/stereo/left/camera_info: none of its 24 messages can be read", far_future),
     Case("text for times in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET timestamp='late'")),
     Case("text for messages in a database", BAG, 3, "/stereo/left/camera_info: none of its 24 messages can be read", database("UPDATE messages SET data='text'")),
-    Case("metadata.yaml names one file 6,000 times: read once", BAG, 0, "PASS", repeated_metadata),
+    Case("metadata.yaml names one file 6,000 times: read once", (*BAG, *LINEAR), 0, "PASS", repeated_metadata),
     Case("camera_info: distortion model `double_sphere`", READ, 3, "unknown distortion model 'double_sphere'", infos(distortion_model=lambda _: "double_sphere")),
     Case("camera_info: distortion model `omni`", READ, 3, "unknown distortion model 'omni'", infos(distortion_model=lambda _: "omni")),
     Case("camera_info: a focal length of 1e-9 px", READ, 3, "K: fx is 1e-09 (range 1 to 1e+06 px)", infos(k=at(0, 1e-9))),

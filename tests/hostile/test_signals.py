@@ -173,7 +173,8 @@ def test_an_interruption_after_the_output_is_in_place_says_so(tmp_path):
     )
     extraction(tmp_path)
     (tmp_path / "work").mkdir()
-    result = python("-c", code, "calibrate", tmp_path / "e.npz", "-o", "out", cwd=tmp_path / "work")
+    arguments = ["calibrate", tmp_path / "e.npz", "--method", "linear", "-o", "out"]
+    result = python("-c", code, *arguments, cwd=tmp_path / "work")
     assert result.returncode == 130
     assert result.stderr == f"interrupted: written: {tmp_path / 'work' / 'out'}\n"
     assert whole_or_nothing(tmp_path / "work")

@@ -76,18 +76,31 @@ def test_a_misfit_of_all_stations_is_kept_and_noted():
     check_square(measured(pairs()), SQUARE_M)
 
 
-@pytest.mark.parametrize("mistake", ["exchanged", "mirrored", "upside down"])
-def test_the_arrangement_of_the_images_is_named(mistake: str) -> None:
-    width, height = RIG.each[0].width - 1, RIG.each[0].height - 1
-    wrong = []
-    for left, right in pairs():
-        if mistake == "exchanged":
-            wrong.append((right, left))
-            continue
-        ends, signs = ([width, 0], [-1, 1]) if mistake == "mirrored" else ([width, height], [-1, -1])
-        a, b = (Detection(ends + d.pixels * signs, 0.05) for d in (left, right))
-        wrong.append((a, b))
-    with pytest.raises(ObservationError, match=f"images.* are {mistake}: at 8 of 8 stations") as told:
+WIDTH, HEIGHT = RIG.each[0].width - 1, RIG.each[0].height - 1
+
+
+def mirrored(image: Detection) -> Detection:
+    """Numbered right-handed again, as by the detector."""
+    grid = ([WIDTH, 0] + image.pixels * [-1, 1]).reshape(BOARD.rows, BOARD.columns, 2)
+    return Detection(grid[:, ::-1].reshape(-1, 2), 0.05)
+
+
+def upside_down(image: Detection) -> Detection:
+    return Detection([WIDTH, HEIGHT] - image.pixels, 0.05)
+
+
+@pytest.mark.parametrize(
+    ("mistake", "spoil"),
+    [
+        ("the left and the right images are exchanged", lambda left, right: (right, left)),
+        ("both cameras are mirrored", lambda left, right: (mirrored(left), mirrored(right))),
+        ("the right camera are mirrored", lambda left, right: (left, mirrored(right))),
+        ("both cameras are upside down", lambda left, right: (upside_down(left), upside_down(right))),
+    ],
+)
+def test_the_arrangement_of_the_images_is_named(mistake: str, spoil: Callable) -> None:
+    wrong = [spoil(*pair) for pair in pairs()]
+    with pytest.raises(ObservationError, match=rf"{mistake}: at [78] of 8 stations") as told:
         check_arrangement(measured(wrong), wrong, RIG, BOARD)
     assert told.value.hint
 

@@ -6,9 +6,8 @@ import pytest
 from mobilecal_cli import se3
 from mobilecal_cli.model import Board
 from mobilecal_cli.vision import BoardFollower, Detection, Miss, detect
-from mobilecal_cli.vision.detection import find_board
+from mobilecal_cli.vision.detection import find_board, least_response, may_show_board
 from mobilecal_cli.vision.following import follow
-from mobilecal_cli.vision.saddles import least_response, may_show_board
 from mobilecal_cli.vision.values import Appearance, rms
 from tests.vision.scenes import detected, missed, opencv_pixels, pose, render, stereo_rig
 
