@@ -51,11 +51,6 @@ def _limit_px(grid_map: GridMap) -> float:
     return max(_LEAST_OFF_PX, min(_MOST_OFF * smallest_edge_px(grid_map.corners), _MOST_OFF_TIMES * usual_px))
 
 
-def off_grid(grid_map: GridMap) -> BoolArray:
-    """(rows, columns) whether a corner is off the grid of the others."""
-    return np.asarray(grid_map.off_px > _limit_px(grid_map))
-
-
 def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tuple[FittedCorners, GridMap]:
     """Fit all corners of a board; bad ones twice, from where the others predict them.
 
@@ -69,7 +64,7 @@ def fit_board(image: GrayImage, grid: FloatArray, appearance: Appearance) -> tup
     # Where most corners are not corners, no lens would make them a board.
     is_board = np.mean(fit.fitted) >= 1 - _MOST_BAD
     grid_map = fit_grid(fit.pixels.reshape(grid.shape), image.shape if is_board else None)
-    bad = off_grid(grid_map) | ~fit.fitted.reshape(grid_map.shape)
+    bad = (grid_map.off_px > _limit_px(grid_map)) | ~fit.fitted.reshape(grid_map.shape)
     if not 0 < np.mean(bad) <= _MOST_BAD:
         return fit, grid_map
     again = fit_corners(image, grid_map.predicted(bad), appearance)

@@ -44,8 +44,6 @@ _STEP_PX, _STEP_BLUR_PX = 1.0, 0.4  # largest step of a corner and of the blur i
 # One iteration leaves about 1/50 of the step (measured: 0.06 sigma of 3). After a step no longer than this,
 # in units of sigma, another iteration would reduce the variance by less than 1 %.
 _CONVERGED = 6.0
-_FAR_PX = 0.5  # a corner that still moves this far is on its way, whatever the others do
-_MOST_FAR = 0.2  # if more corners do, there is no board, and another iteration would not find one
 # Approximation of erf(z / sqrt(2)) within 4e-4 by tanh, which is fast in single precision.
 _TANH_1 = np.float32(np.sqrt(2 / np.pi))
 _TANH_3 = np.float32(0.044715 * np.sqrt(2 / np.pi))
@@ -295,13 +293,8 @@ def fit_corners(image: GrayImage, grid: FloatArray, appearance: Appearance) -> F
         fit.round()
         variance = (fit.cov[:, 0, 0] + fit.cov[:, 1, 1]) / 2
         moved = (fit.step[:, 0] ** 2 + fit.step[:, 1] ** 2) / 2
-        far = np.count_nonzero(moved >= _FAR_PX**2)
         converged = upper_median(moved) < _CONVERGED**2 * upper_median(variance)
-        if (
-            (appearance.noise_grey is not None or done > 1)
-            and converged
-            and not 0 < far <= _MOST_FAR * len(moved)
-        ):
+        if converged and (appearance.noise_grey is not None or done > 1):
             break
     start = grid.reshape(-1, 2)
     off = fit.pixels - start

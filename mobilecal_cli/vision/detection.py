@@ -16,7 +16,6 @@ from mobilecal_cli.vision.acceptance import (
     check_sharpness,
     check_size,
     fit_board,
-    off_grid,
     outer_squares_whole,
 )
 from mobilecal_cli.vision.corner_model import refine, refine_widely
@@ -56,18 +55,12 @@ def _classic(image: GrayImage, columns: int, rows: int, flags: int, scale: float
 def _judge(image: GrayImage, grid: FloatArray) -> Detection | Miss:
     """Refine corners and apply the acceptance checks."""
     grid = right_handed(grid)
-    for _ in range(2):
-        if (small := check_size(grid)) is not None:
-            return small
-        grid = refine(image, grid, smallest_edge_px(grid))
-        grid_map = fit_grid(grid, image.shape)
-        bad = off_grid(grid_map)
-        if not bad.any():
-            break
-        grid = grid_map.predicted(bad)  # restart corners that diverged where the others predict them
     if (small := check_size(grid)) is not None:
         return small
-    appearance = Appearance(outer_whole=outer_squares_whole(image, grid_map))
+    grid = refine(image, grid, smallest_edge_px(grid))
+    if (small := check_size(grid)) is not None:
+        return small
+    appearance = Appearance(outer_whole=outer_squares_whole(image, fit_grid(grid, image.shape)))
     grid = refine_widely(image, grid, smallest_edge_px(grid), appearance.outer_whole)
     fit, grid_map = fit_board(image, grid, appearance)
     dark_at_origin = check_colors(image, grid_map)
