@@ -87,9 +87,9 @@ def without_skipped(out):
     return [{**row, "skipped": ""} for row in table(out)]
 
 
-def records(out):
-    """Robot → when its record was completed."""
-    return {path.stem: path.stat().st_mtime_ns for path in (out / batch_module.RECORDS).glob("*.json")}
+def results(out):
+    """Robot → when its result was written."""
+    return {path.parent.name: path.stat().st_mtime_ns for path in out.glob("*/params.yaml")}
 
 
 def test_a_failure_stops_no_other_robot(local):
@@ -118,11 +118,11 @@ def only_the_broken_one(logs, *given, **named):
 
 def test_what_is_done_is_not_done_again(local, fleet, monkeypatch):
     out, _ = local
-    before = records(out)
+    before = results(out)
     monkeypatch.setattr(batch_module, "calibrate", only_the_broken_one)
     rows = batch_module.batch(fleet, out, run=in_this_process)
     assert [row.verdict for row in rows] == ["ERROR"] + ["PASS"] * ROBOTS_HERE
-    assert records(out) == before
+    assert results(out) == before
     assert [row.skipped for row in rows] == [""] + ["already done"] * ROBOTS_HERE
     said = "Skipped, already done: 2 (robot_0, robot_1)."
     assert fleet_text(rows).splitlines()[-1] == said
@@ -152,14 +152,14 @@ def test_a_killed_worker_loses_nothing(local, fleet, tmp_path):
         if done == ROBOTS_HERE:
             workers[0].send_signal(signal.SIGKILL)
             workers[0].wait()
-            then.update(records(out))
+            then.update(results(out))
 
     with local_cluster(tmp_path, workers=2) as (address, workers):
         rows = batch_module.batch(fleet, out, run=partial(on_cluster, address=address), progress=progress)
     assert len(rows) == ROBOTS_HERE + 1
     assert without_skipped(out) == without_skipped(local[0])  # a lost result is read from its record
     assert len(then) >= ROBOTS_HERE - 1  # the broken one has no result
-    assert then.items() <= records(out).items()
+    assert then.items() <= results(out).items()
 
 
 @pytest.mark.long
