@@ -13,7 +13,6 @@ from mobilecal_cli.model import BoolArray, Camera, FloatArray
 
 _NEWTON_STEPS = 60  # a few are usual; near the edge of a model's range, steps are short
 _CONVERGED = 1e-11  # distance in distorted z = 1 coordinates: 1e-8 px at f = 1000 px
-_SINGULAR = 1e-12  # determinant of a Jacobian
 _EXACT = 5e-16  # relative rounding error of the distorted coordinates
 _CORRECTION_ROUNDS = 6  # Newton's method on a displacement of a few pixels
 _MOST_HALF_WAVES = 6  # over the image: a wave of a third of its width
@@ -222,15 +221,24 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     return project_with_jacobian(camera, points)[0]
 
 
-def _undistort(camera: Camera, target: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Newton's method: z = 1 coordinates of distorted ones (..., 2), and where it finds them; see `undistorted`."""
+def _undistort_equidistant(D: FloatArray, target: FloatArray) -> tuple[FloatArray, BoolArray]:
+    radius = np.linalg.norm(target, axis=-1)
+    theta = np.minimum(radius, np.pi / 2)
+    for _ in range(_NEWTON_STEPS):
+        value, slope = _theta_distorted(D, theta)
+        step = (radius - value) / np.where(slope > 0.05, slope, 1.0)
+        # Steps stay in the half space in front of the camera: there is no solution outside.
+        theta = np.clip(theta + step, 0.0, np.pi / 2)
+    value, slope = _theta_distorted(D, theta)
+    good = (np.abs(value - radius) < _CONVERGED) & (slope > 0) & (theta < np.pi / 2 - 1e-6)
+    safe = np.where(radius > 0, radius, 1.0)
+    scale = np.where(radius > 0, np.tan(np.where(good, theta, 0.0)) / safe, 1.0)
+    return scale[..., None] * target, good
 
-    def distort(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        value, J = _distorted(camera, np.concatenate([points, np.ones_like(points[..., :1])], axis=-1))
-        return value, J[..., :2]
 
+def _undistort_polynomial(D: FloatArray, target: FloatArray) -> tuple[FloatArray, BoolArray]:
     points = target.copy()
-    value, J = distort(points)
+    value, J = _distort_polynomial(D, points)
     error = np.linalg.norm(value - target, axis=-1)
     exact = _EXACT * (1 + np.linalg.norm(target, axis=-1))
     for _ in range(_NEWTON_STEPS):
@@ -240,10 +248,10 @@ def _undistort(camera: Camera, target: FloatArray) -> tuple[FloatArray, BoolArra
         x, y = np.moveaxis(target - value, -1, 0)
         determinant = a * d - b * c
         adjugate = np.stack([d * x - b * y, a * y - c * x], axis=-1)  # of J, times the residual
-        step = adjugate / np.where(np.abs(determinant) > _SINGULAR, determinant, 1.0)[..., None]
+        step = adjugate / np.where(np.abs(determinant) > 1e-6, determinant, 1.0)[..., None]
         factor = np.ones(error.shape)
         for _ in range(12):  # shorten a step that increases the error
-            trial, trial_J = distort(points + factor[..., None] * step)
+            trial, trial_J = _distort_polynomial(D, points + factor[..., None] * step)
             trial_error = np.linalg.norm(trial - target, axis=-1)
             worse = ~(trial_error <= error)
             if not worse.any():
@@ -256,10 +264,10 @@ def _undistort(camera: Camera, target: FloatArray) -> tuple[FloatArray, BoolArra
         value = np.where(better[..., None], trial, value)
         J = np.where(better[..., None, None], trial_J, J)
         error = np.where(better, trial_error, error)
-    # False roots lie beyond the radius where the model folds back. On the way to them, the determinant of the
+    # False roots lie beyond the radius where the polynomial folds back. On the way to them, the determinant of the
     # Jacobian passes through zero.
     way_out = np.linspace(0.1, 1.0, 10)[:, None] * points[..., None, :]
-    (a, b), (c, d) = np.moveaxis(distort(way_out)[1], (-2, -1), (0, 1))
+    (a, b), (c, d) = np.moveaxis(_distort_polynomial(D, way_out)[1], (-2, -1), (0, 1))
     close = error < _CONVERGED * (1 + np.linalg.norm(target, axis=-1))
     return points, close & np.all(a * d - b * c > 0, axis=-1)
 
@@ -280,7 +288,9 @@ def undistorted(camera: Camera, pixels: FloatArray) -> tuple[FloatArray, BoolArr
     target = (_uncorrected(camera, pixels) - camera.K[:2, 2]) @ np.asarray(
         np.linalg.inv(A), dtype=np.float64
     ).T
-    if camera.distortion != "equidistant" and not np.any(camera.D):
+    if camera.distortion == "equidistant":
+        return _undistort_equidistant(camera.D, target)
+    if camera.distortion == "none" or not np.any(camera.D):
         return target, np.ones(target.shape[:-1], dtype=np.bool_)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a trial step may diverge
-        return _undistort(camera, target)
+        return _undistort_polynomial(camera.D, target)
