@@ -192,8 +192,7 @@ def write_outputs(directory: Path, files: Mapping[str, bytes], force: bool) -> N
             write_synced(folder / name, content)
 
     check_output(directory, force)
-    target = Path(os.path.abspath(directory))  # noqa: PTH100  (not resolve(): a link stays one, which is refused)
-    write_all([(target, recognized_output, write)], force)
+    write_all([(directory, recognized_output, write)], force)
 
 
 def write_file(path: Path, content: bytes, force: bool) -> None:
@@ -225,15 +224,17 @@ def write_all(outputs: Sequence[tuple[Path, Recognize, Callable[[Path], None]]],
         OutputError: writing failed; or an output appeared during the work.
     """
     with ExitStack() as stack:
+        # Not resolve(): a link stays one, which is refused.
+        targets = [Path(os.path.abspath(path)) for path, _, _ in outputs]  # noqa: PTH100
         partials = []
-        for path, recognize, write in outputs:
+        for target, (path, recognize, write) in zip(targets, outputs, strict=True):
             with _writing(path):
-                partials.append(stack.enter_context(partial_of(path, recognize)))
+                partials.append(stack.enter_context(partial_of(target, recognize)))
                 write(partials[-1])
         with uninterrupted():
-            for written, (path, recognize, _) in zip(partials, outputs, strict=True):
+            for written, target, (path, recognize, _) in zip(partials, targets, outputs, strict=True):
                 with _writing(path):
-                    place(written, path, recognize, force)
+                    place(written, target, recognize, force)
 
 
 def write_synced(path: Path, content: bytes) -> None:

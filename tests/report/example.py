@@ -201,7 +201,7 @@ STATION_LEVELS = replace(STATION_NOISE, pixel_px=0.1, wheel_rad_per_sqrt_rad=0.0
 
 
 def recorded(constants, noise=STATION_LEVELS, motion="standard", stations=12, seed=1):
-    extraction = simulated(motion, noise, ROBOT, stations, seed, constants)
+    extraction = simulated(motion, noise, ROBOT, stations, seed, constants=constants)
     return replace(with_nominal(extraction, true_nominal(ROBOT)), logs=(LogSource("log.mcap", "0" * 64),))
 
 

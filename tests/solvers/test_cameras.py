@@ -148,7 +148,7 @@ def test_other_cameras_have_priors_of_a_drawing():
     assert rows["shift_beside_z"].kind == "camera_position"
     assert "baseline_scale" not in rows
     constants = {"turn_beside_x": 0.01, "shift_beside_z": 0.004, "turn_aside_y": -0.01, "focal_aside": 0.002}
-    found = fitted(simulated("standard", UNEVEN, robot, 24, 2, constants))
+    found = fitted(simulated("standard", UNEVEN, robot, 24, 2, constants=constants))
     assert nees(found.parameters, found.covariance, robot) < 2.7
     for name in ("turn_beside_x", "turn_aside_y", "shift_beside_z"):
         constant = found.solution.constants[name]
@@ -169,7 +169,7 @@ def test_other_cameras_have_priors_of_a_drawing():
 )
 def test_a_camera_that_is_not_where_it_is_drawn_is_named_and_does_no_harm(name, wrong, words):
     robot = three_on_pan_tilt()
-    extraction = simulated("standard", UNEVEN, robot, 24, 2, {name: wrong})
+    extraction = simulated("standard", UNEVEN, robot, 24, 2, constants={name: wrong})
     found = fitted(extraction)
     assert nees(found.parameters, found.covariance, robot) < 2.7
     assert not found.solution.outliers

@@ -36,7 +36,7 @@ def extraction_of(motion="standard", seed=1, noise=NOISE, stations=12, **more):
 
 def misstated(name, by, robot=ROBOT, noise=NOISE, stations=12):
     """A recording of a robot whose description is wrong by so much."""
-    return simulated("standard", noise, robot, stations, 1, {name: by})
+    return simulated("standard", noise, robot, stations, 1, constants={name: by})
 
 
 def with_noise(extraction, known=GIVEN):

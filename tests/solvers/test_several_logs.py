@@ -265,7 +265,9 @@ def test_recordings_of_different_cameras(second):
     """The right camera is turned by 1.1 degrees against camera_info: in both recordings alike, or to either side."""
     noise = replace(STATION_NOISE, pixel_px=0.05, joint_rad=2e-4, wheel_rad_per_sqrt_rad=0.003)
     turns = enumerate((0.02, second))
-    parts = (simulated("standard", noise, ROBOT, 8, seed, {"stereo_r_x": turn}) for seed, turn in turns)
+    parts = (
+        simulated("standard", noise, ROBOT, 8, seed, constants={"stereo_r_x": turn}) for seed, turn in turns
+    )
     extraction = joined(*parts)
     found = solve(extraction)
     assert found.diagnosis is None

@@ -110,7 +110,7 @@ def test_an_observation_of_a_part_is_completed_by_its_pose(kind):
     left, right = (find_board(image, board) for image, _ in made)
     station = Station(0, True, (), 0, np.zeros(1), np.zeros(1))
     for square_m in (board.square_m, None):
-        seen = observe(0, station, [left], [right], RIG, board, square_m)
+        seen = observe(station, [left], [right], RIG, board, square_m)
         assert isinstance(seen, Observation), seen
         np.testing.assert_array_equal(seen.views[0].seen, left.seen)
         assert seen.square_m == pytest.approx(board.square_m, rel=0.01)

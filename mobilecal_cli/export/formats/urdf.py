@@ -19,7 +19,7 @@ from mobilecal_cli.kinematics.urdf import Urdf, UrdfJoint, parse_urdf
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.model import NINE, SIDES, CalibratedRobot, FloatArray, Side
 from mobilecal_cli.rig.config import LARGEST_URDF_BYTES
-from mobilecal_cli.rig.wheels import wheel_distance_m
+from mobilecal_cli.rig.wheels import urdf_wheels, wheel_distance_m
 
 #: Sizes of a URDF that differ more from the nominal and the calibrated ones are those of another robot.
 _OTHER_ROBOT = 0.1
@@ -303,7 +303,8 @@ def _check_robot(urdf: Urdf, robot: CalibratedRobot, wheel_joints: Mapping[Side,
             )
     odometry = robot.odometry
     if odometry is not None and odometry.separation_share == WHEEL_SIGMA:  # the separation is that of a URDF
-        drawn_m, assumed_m = wheel_distance_m(urdf, {}, urdf.root), odometry.wheels.separation_m
+        drawn_m = wheel_distance_m(urdf, urdf_wheels(urdf, {}), urdf.root)
+        assumed_m = odometry.wheels.separation_m
         if drawn_m is not None and abs(drawn_m / assumed_m - 1) > _OTHER_ROBOT:
             raise ConfigError(
                 f"URDF: the wheels are {drawn_m:.6g} m apart; in the calibration {assumed_m:.6g} m are assumed",
