@@ -326,8 +326,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
     """The most probable jump of each part at an optimum that is `traced`, the best first, significant or not."""
     data = lin.data
     logs, starts, stations = np.unique(data.log, return_index=True, return_counts=True)
-    # Of two recordings, either may be the one that differs; a shorter one is an outlier.
-    differing = starts[stations >= _FEWEST_EACH_SIDE][len(logs) <= 2 :].tolist()
+    # Of two recordings, either may be the one that differs; one of a single leg is an outlier.
+    differing = starts[stations > _FEWEST_EACH_SIDE][len(logs) <= 2 :].tolist()
     inside: list[int] = []
     for log in logs:
         mine = np.flatnonzero((data.log == log) & lin.inliers.views)
@@ -342,6 +342,8 @@ def likeliest(lin: Posterior) -> list[Jump]:
         # Each recording has a place of the board of its own; and a board keeps its size and shape meanwhile.
         of_this = {"board": inside, **dict.fromkeys(BETWEEN, differing)}.get(name, differing + inside)
         moments = np.array(of_this, dtype=np.int64)
+        if not len(moments):
+            continue
         every = max(1, math.ceil(len(moments) / _MOST_MOMENTS))
         tests = _scores(lin, part, moments[::every])
         if every > 1:
