@@ -39,6 +39,14 @@ class Verdict:
         """One sentence or two for each criterion that is not met; none for PASS."""
         return tuple(check.why for check in self.checks if not check.met)
 
+    def check(self, of: str) -> Check:
+        """A criterion by its id, such as "point_error".
+
+        Raises:
+            KeyError: there is none.
+        """
+        return {check.id: check for check in self.checks}[of]
+
 
 def verdict_of(case: Case) -> Verdict:
     """The verdict: the first criterion that is not met decides."""

@@ -85,7 +85,7 @@ def _with_scales(inference: Inference, as_stated: Inference, fit: Fit) -> Fit:
         else:
             supposed = _supposed(as_stated, fit.lin.state.parameters, wider)
             fit = _without_outliers(as_stated, _first_fit(as_stated, supposed))
-    noisy = outliers.too_many(fit.inliers)
+    noisy = outliers.too_many(fit.data, fit.inliers)
     if noisy:
         _LOG.info("more than a third of the %s are outliers: taken as noise", " and ".join(noisy))
         all_of = Inliers.all_of(fit.data)

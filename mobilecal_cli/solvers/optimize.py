@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -15,17 +14,27 @@ from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.model import FloatArray
 
-MOST_STEPS = 250  # of one optimization
-#: Of the first trial after one without damping that does not help; less than the least is none.
+MOST_STEPS = 250  # tried, of one optimization
+#: Of the first step after one without damping that does not help; less than the least is none.
 _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-3, 1e-6, 1e6
-#: Of the damping: growth after a trial that does not help, so many times faster after each further one; largest fall
+#: Of the damping: growth after a step that does not help, so many times faster after each further one; largest fall
 #: after one that does.
 _GROWTH, _LARGEST_FALL = 4.0, 10.0
-_CONVERGED, _NO_CHANGE = 1e-10, 1e-13  # of the cost
+_CONVERGED = 1e-10  # of the cost
 _NEAR, _ROUNDING = 1e-4, 1e-12  # 0.01 standard deviations, which the last step removes; and of the cost
-#: A trial that promises less (0.03 standard deviations) and does not help is the last: readings between which others
-#: are interpolated give the cost kinks along the clocks' offsets.
-_KINKED = 1e-3
+_SLOW = 1e-6  # of the cost: after the last allowed step, a smaller gain counts as converged
+# Readings between which others are interpolated give the cost kinks along the clocks' offsets. There steps gain little
+# for long: the optimization ends where they gain less than this (0.03 standard deviations), and no longer ever less by
+# leaps, or where a step that promises less does not help.
+_KINKED, _LEAP = 1e-3, 0.05
+
+
+def _stalls(history: list[float]) -> bool:
+    """Whether the last two steps gained little, and the last not much less than the one before."""
+    if len(history) < 3:
+        return False
+    before, last = history[-3] - history[-2], history[-2] - history[-1]
+    return last < _KINKED and last > _LEAP * before
 
 
 def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
@@ -54,52 +63,6 @@ def to_first_order(lin: Posterior) -> Posterior:
     return lin.predicted(proposed(lin)[0])
 
 
-def lowered(
-    lin: Posterior,
-    damping: float = 0.0,
-    near: float = -math.inf,
-    weighted: Callable[[Posterior], Posterior] = lambda lin: lin,
-) -> tuple[Posterior, float, float]:
-    """One step down.
-
-    Args:
-        lin: where to start.
-        damping: of the first trial; each further one has more.
-        near: decrease of the cost; where an undamped step promises less, it is taken to first order.
-        weighted: gives a point with the weights that its cost depends on.
-
-    Returns:
-        The point after the first step that lowers the cost, the damping of the next one, and the decrease that was
-        promised: 0 at the point itself, where no step helps.
-
-    Raises:
-        SolveError: a singular matrix even under the largest damping.
-    """
-    start, growth = weighted(lin), _GROWTH
-    while True:
-        promised = math.inf
-        try:
-            step, promised = proposed(start, damping)
-            if damping == 0 and promised <= near:
-                return lin.predicted(step), 0.0, promised
-            trial = lin.after(step)
-            with np.errstate(
-                over="ignore", invalid="ignore"
-            ):  # far off, the cost may overflow: no improvement
-                gained = start.cost - weighted(trial).cost
-            if gained >= -_NO_CHANGE * start.cost and trial.state.parameters.wheels.separation_m > 0:
-                # As much smaller as the promise was kept (Nielsen, 1999).
-                kept = min(gained / max(promised, _ROUNDING), 1.0)
-                damping *= max(1 / _LARGEST_FALL, 1 - (2 * kept - 1) ** 3)
-                return trial, damping if damping > _LEAST_DAMPING else 0.0, promised
-        except SolveError:
-            if damping > _LARGEST_DAMPING:
-                raise
-        if damping > _LARGEST_DAMPING or promised < _KINKED:
-            return lin, 0.0, 0.0
-        damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
-
-
 def optimize(
     start: Posterior,
     on_step: Callable[[], None] = lambda: None,
@@ -108,12 +71,13 @@ def optimize(
     """Minimize the sum of squares of all inliers and priors.
 
     The legs' covariance stays that of the start; call again from the result to renew it. A start that is off the fixed
-    values is moved onto them first. The last step, a short one, is taken to first order.
+    values is moved onto them first. A trial that leads to a singular matrix counts as a step that does not help. The
+    last step, a short one, is taken to first order.
 
     Args:
         start: where to start.
         on_step: called before each step.
-        most_steps: within which a minimum must be reached.
+        most_steps: tried, within which a minimum must be reached.
 
     Returns:
         The likelihood at the minimum, and (n,) costs from the start on.
@@ -125,16 +89,37 @@ def optimize(
     shift = lin.priors.step_to_mean(lin.state)
     if np.any(shift):
         lin = Posterior.at(lin.state.plus_shared(shift), lin.inliers, lin.noise, lin.priors)
-    damping, history = 0.0, [lin.cost]
-    for _ in range(most_steps):
+    damping, growth, history, converged = 0.0, _GROWTH, [lin.cost], False
+    for trials in range(most_steps + 1):
         on_step()
-        near = _NEAR + _ROUNDING * lin.cost
-        lin, damping, promised = lowered(lin, damping, near)
-        if promised <= near:
-            return lin, np.array(history)
-        history.append(lin.cost)
-        if damping < _FIRST_DAMPING and history[-2] - lin.cost <= _CONVERGED * history[-2]:
-            return lin, np.array(history)
+        try:
+            step, gain = proposed(lin, damping)
+        except SolveError:
+            damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
+            if damping > _LARGEST_DAMPING:
+                raise
+            continue
+        if converged or (damping == 0 and gain <= _NEAR + _ROUNDING * lin.cost):
+            return lin if converged else lin.predicted(step), np.array(history)
+        trial = lin.after(step)
+        before = lin.cost
+        with np.errstate(over="ignore", invalid="ignore"):  # far off, the cost may overflow: no improvement
+            better = trial.cost <= before * (1 + 1e-13)
+        if better and trial.state.parameters.wheels.separation_m > 0:
+            converged = before - trial.cost <= _CONVERGED * before + 1e-14 and damping < 1e-3
+            lin = trial
+            history.append(lin.cost)
+            converged |= trials + 1 == most_steps and history[-2] - lin.cost < _SLOW * lin.cost
+            converged |= _stalls(history)
+            # As much smaller as the promise was kept (Nielsen, 1999).
+            kept = min((history[-2] - lin.cost) / max(gain, _ROUNDING), 1.0)
+            damping *= max(1 / _LARGEST_FALL, 1 - (2 * kept - 1) ** 3)
+            damping, growth = 0.0 if damping < _LEAST_DAMPING or converged else damping, _GROWTH
+        else:
+            damping, growth = damping * growth or _FIRST_DAMPING, growth * _GROWTH
+            if damping > _LARGEST_DAMPING or gain < _KINKED:
+                converged, damping = True, 0.0  # no step helps any more: the minimum, to rounding
+                history.append(lin.cost)
     raise SolveError(
         f"the maximum-likelihood estimate did not converge in {most_steps} steps",
         "check the head chain and the topics, signs and units of joints and wheels in rig.yaml, and that neither the "

@@ -209,11 +209,32 @@ def known_by(fit: Fit, kind: str) -> float:
     return redundancy + guess_worth(redundancy)
 
 
-def too_many(inliers: Inliers) -> tuple[str, ...]:
-    """Kinds of measurements more than a third of which are outliers; at a station, images or readings are."""
+def too_many(data: Dataset, inliers: Inliers) -> tuple[str, ...]:
+    """Kinds of measurements more than a third of which are outliers; at a station, images or readings are.
+
+    Those one after another at an end of a recording count as none: noise is everywhere, a change is from there on.
+    """
     stations = inliers.views & inliers.readings.all(axis=1)
-    used = {"readings": stations, "legs": inliers.legs, "views": stations}
-    return tuple(kind for kind, each in used.items() if np.sum(~each) > _TOO_MANY * each.size)
+    shares = {"readings": stations, "legs": inliers.legs, "views": stations}
+    log = {"legs": data.log[data.legs[:, 0]]}
+    scattered = {kind: used[~_at_an_end(used, log.get(kind, data.log))] for kind, used in shares.items()}
+    return tuple(kind for kind, used in scattered.items() if np.sum(~used) > _TOO_MANY * used.size)
+
+
+def _at_an_end(used: BoolArray, log: IntArray) -> BoolArray:
+    """(n,) outliers before the first used measurement of their recording, or after the last: a stretch of them.
+
+    Args:
+        used: (n,) in order of time.
+        log: (n,) recording of each.
+    """
+    outside = np.zeros_like(used)
+    for mine in (np.flatnonzero(log == number) for number in np.unique(log)):
+        inside = np.flatnonzero(used[mine])
+        if len(inside):
+            for stretch in (mine[: inside[0]], mine[inside[-1] + 1 :]):
+                outside[stretch] = len(stretch) > _STRETCH
+    return outside
 
 
 def changed(inliers: Inliers, kind: str, places: list[tuple[int, ...]], to: bool) -> Inliers:

@@ -7,10 +7,10 @@ no influence. Their sum has many minima. So each measurement has a weight, and t
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.special import chdtri
@@ -23,7 +23,7 @@ from mobilecal_cli.likelihood.measurements import JOINTS
 from mobilecal_cli.likelihood.posterior import Posterior
 from mobilecal_cli.likelihood.state import State
 from mobilecal_cli.model import BoolArray, FloatArray, IntArray
-from mobilecal_cli.solvers.optimize import lowered
+from mobilecal_cli.solvers.optimize import proposed
 
 _CHANCE = 1e-4  # that a good measurement is beyond its limit
 #: Largest squared distance of each kind: chi-squared. And the median of good measurements over it.
@@ -35,6 +35,8 @@ _LAST_WIDTH = 0.05  # over the limit: hardly a measurement is between used and r
 _NARROWER = 3.0  # width over the next one
 _STEPS = 2  # of all unknowns at each width
 _LITTLE = 1.0  # of the cost: a step that promises less waits for the next width
+_ROUNDS = 5  # from a minimum that is not sure
+_TRIALS, _LEAST_DAMPING = 12, 1e-4  # of one step, each with ten times the damping: the last with 1e7
 #: Share of stations or legs that do not agree, or median distance over the usual one: then more starts are tried.
 _MANY, _MUCH = 1 / 4, 4.0
 _TINY = 1e-9  # weight and distance that stand for 0
@@ -64,6 +66,8 @@ def agreeing(starts: Iterable[Posterior], near: Iterable[Posterior]) -> tuple[St
             "check the signs and units of joints and wheels in rig.yaml, and that the base turns and drives",
         )
     least = _least(minima)
+    for again in itertools.islice(_onward(least), _ROUNDS):
+        least = again
     views = least.used["views"] & (np.sum(~least.used["readings"], axis=1) <= 1)
     readings = least.used["readings"] | ~views[:, None]
     legs = _holding(least.lin.data.legs, views, least.used["legs"])
@@ -135,6 +139,16 @@ def _minima(starts: Iterable[Posterior], width: float) -> Iterator[_Minimum]:
             yield minimum
 
 
+def _onward(minimum: _Minimum) -> Iterator[_Minimum]:
+    """Lower minima, each from the one before, until one is sure: what was far off at a start may be near by then."""
+    while not minimum.sure:
+        again = next(_minima([minimum.lin], _NEAR_WIDTH), minimum)
+        if again.cost > minimum.cost - _LITTLE:
+            return
+        minimum = again
+        yield minimum
+
+
 def _minimum(lin: Posterior, width: float) -> _Minimum:
     lin = lin.changed(state=lin.state.plus_shared(lin.priors.step_to_mean(lin.state)), apart=True)
     weights = {"readings": np.ones(lin.data.joints.shape)}
@@ -148,8 +162,8 @@ def _minimum(lin: Posterior, width: float) -> _Minimum:
         weights = {kind: _weight(of, width, max(usual[kind], 1.0)) for kind, of in beyond.items()}
         weights["views"] = weights["views"] * lin.inliers.views
         for _ in range(_STEPS):
-            lin, damping, promised = lowered(lin, damping, weighted=partial(_weighted, weights=weights))
-            if promised < _LITTLE:
+            lin, damping, gain = _stepped(lin, weights, damping)
+            if gain < _LITTLE:
                 break
     used = {kind: weight > 0.5 for kind, weight in weights.items()}
     cost = _weighted(lin, {kind: of.astype(np.float64) for kind, of in used.items()}).cost
@@ -216,3 +230,26 @@ def _weighted(lin: Posterior, weights: Mapping[str, FloatArray]) -> Posterior:
             "own_sigmas": _own_sigmas(lin, weights["readings"]) * factor[:, None],
         },
     )
+
+
+def _stepped(
+    lin: Posterior, weights: Mapping[str, FloatArray], damping: float
+) -> tuple[Posterior, float, float]:
+    """The point after one step that lowers the weighted cost, the next damping, and the decrease that was promised.
+
+    The point itself, and no decrease, where no step does.
+    """
+    start = _weighted(lin, weights)
+    for _ in range(_TRIALS):
+        try:
+            step, gain = proposed(start, damping)
+            trial = lin.after(step)
+            # Far off, the cost may overflow: no improvement.
+            with np.errstate(over="ignore", invalid="ignore"):
+                better = _weighted(trial, weights).cost <= start.cost
+            if better and trial.state.parameters.wheels.separation_m > 0:
+                return trial, damping / 10 if damping > _LEAST_DAMPING else 0.0, gain
+        except SolveError:
+            pass
+        damping = max(10 * damping, _LEAST_DAMPING)
+    return lin, 0.0, 0.0

@@ -85,7 +85,7 @@ def test_cameras_without_a_common_trigger_leave_the_result_right(robot, seed):
 def test_cameras_with_a_common_trigger_lose_little_by_it():
     extraction = replace(moving(0.0), kinds={}).extraction(0)
     free = solve(extraction).uncertainty
-    known = solve(imperfect.with_noise(extraction, {"pair_s": 1e-8})).uncertainty
+    known = solve(replace(extraction, rig=replace(extraction.rig, noise={"pair_s": 1e-8}))).uncertainty
     assert free.noise.pair_s < 1e-4
     assert np.all(free.std < 1.05 * known.std)
 
