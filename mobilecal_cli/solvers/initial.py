@@ -23,7 +23,7 @@ from mobilecal_cli.likelihood.measurements import MotionPairs, heading_of, plana
 from mobilecal_cli.likelihood.state import State, planar
 from mobilecal_cli.model import FloatArray, LinearEstimate, Parameters, WheelGeometry
 from mobilecal_cli.solvers.linear import NO_SIZE_M, InitialPrior, Rounds, ratios_of
-from mobilecal_cli.solvers.transfer import base_motion, dead_reckoned, leg_rms_m, point_rms_m
+from mobilecal_cli.solvers.transfer import base_motion, leg_rms_m, point_rms_m
 
 PAPER_TOLERANCE = 1e-3  # section 3.5, step 6: no parameter moves by more than 0.1 %
 FIXED_POINT = 1e-13  # relative change of a parameter by rounding alone
