@@ -398,12 +398,14 @@ class _Shown:
         """Pairs with images newer than the last motion of the robot, and rejections of those with a frozen camera."""
         kept: list[Shot] = []
         frozen: list[Rejection] = []
+        moved: set[tuple[str, int]] = set()  # camera, and since when: looked at once, of thousands of images
         for pair in pairs:
-            stale = {
-                name: at_ns - since_ns
-                for name, at_ns, since_ns in self._of(pair)
-                if since_ns != at_ns and not _still(channels, since_ns, at_ns)
-            }
+            stale: dict[str, int] = {}
+            for name, at_ns, since_ns in self._of(pair):
+                is_new = since_ns == at_ns
+                if (name, since_ns) in moved or not (is_new or _still(channels, since_ns, at_ns)):
+                    moved.add((name, since_ns))
+                    stale[name] = at_ns - since_ns
             if not stale:
                 kept.append(pair)
             elif max(stale.values()) > _FROZEN_S * _NS:

@@ -32,6 +32,8 @@ _PAINTED = 1.2  # margin painted over beyond the corners, in squares
 # Reasons that no other search changes.
 _FINAL = ("squares too small", "board extends beyond the grid", "blurred")
 _TELLING = 0.3  # share of the expected corners; a smaller grid is no evidence of the board
+# Corner counts at which growing stops: the first usually covers the whole board, the second tries everything.
+_ENOUGH = (1, 10_000)
 _SMALLEST_BOARD = 12  # corners: 4 x 3
 # Saddle points.
 _BLUR = (5, 5), 1.0  # px; removes noise but keeps the corners of 7 px squares
@@ -143,7 +145,7 @@ def _thorough(image: GrayImage, columns: int, rows: int, first: Miss | None) -> 
     """Search for the board after the fast search failed or its corners were rejected."""
     if first is not None and first.reason in _FINAL:
         return first
-    grown = grow_any(image)
+    grown = grow_any(image, columns * rows)
     scale, reason = 0.25, Miss("no board found", f"no grid of {columns} x {rows} corners")
     if grown is not None and grown.grid.size >= 2 * _TELLING * columns * rows:
         grid = grown.grid
@@ -230,12 +232,15 @@ def _sizes_in(image: GrayImage) -> list[tuple[int, int]]:
 
 def _whole_board(image: GrayImage) -> tuple[int, int, Detection] | None:
     """Columns, rows and corners of a whole board in an image, None if there is none."""
-    grown = grow_any(image)
-    if grown is None:
-        return None
-    rows, columns = sorted(grown.grid.shape[:2])
-    detection = detect(image, columns, rows)
-    return (columns, rows, detection) if isinstance(detection, Detection) else None
+    for enough in _ENOUGH:
+        grown = grow_any(image, enough)
+        if grown is None:
+            return None
+        rows, columns = sorted(grown.grid.shape[:2])
+        detection = detect(image, columns, rows)
+        if isinstance(detection, Detection):
+            return columns, rows, detection
+    return None
 
 
 # A checkerboard corner is a saddle point of brightness: the determinant of the second derivatives is negative. All

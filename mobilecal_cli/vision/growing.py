@@ -139,13 +139,14 @@ def _seed(image: GrayImage, smallest: tuple[int, int]) -> FloatArray | None:
     return at_full_size(grid, picture, image)
 
 
-def grow_any(image: GrayImage) -> Grown | None:
-    """The largest grid that can be grown in an image."""
-    grown: list[Grown] = []
+def grow_any(image: GrayImage, enough: int) -> Grown | None:
+    """The largest grid that can be grown in an image; the search ends at `enough` corners."""
+    best: Grown | None = None
     for smallest in _SEEDS:
         seed = _seed(image, smallest)
-        if seed is None:
+        grown = grow(image, seed) if seed is not None else None
+        if grown is not None and (best is None or grown.grid.size > best.grid.size):
+            best = grown
+        if seed is None or (best is not None and best.grid.size >= 2 * enough):
             break
-        if (grid := grow(image, seed)) is not None:
-            grown.append(grid)
-    return max(grown, key=lambda each: each.grid.size, default=None)
+    return best

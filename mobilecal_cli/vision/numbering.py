@@ -22,7 +22,8 @@ from mobilecal_cli.vision.grid import turned, turned_view, turns
 from mobilecal_cli.vision.pose import absolute_orientation, rotation_between
 
 AMBIGUOUS = "board orientation ambiguous"
-_ROUNDS = 25  # so that A and n can follow the turns
+_ROUNDS = 100  # a few more than the least are usual
+_LEAST_ROUNDS = 20  # least number of iterations, so that A and n can follow the turns
 _CLEAR_RAD = 0.15  # least difference in misfit between the best and the second-best numbering
 _CLEAR_FACTOR = 3.0  # the same, in units of the rms misfit
 _RIVAL_RAD = 0.02  # misfit of another numbering that noise explains
@@ -75,14 +76,17 @@ def _fit(R_c_k: FloatArray, vertical_h: FloatArray, choice: IntArray, vertical_k
     """Alternate between A, n and the turns from an initial estimate; R_c_k is (turns, N, 3, 3)."""
     stations = np.arange(len(vertical_h))
     misfit = np.zeros((len(stations), len(R_c_k)))
-    for _ in range(_ROUNDS):
+    for round_ in range(_ROUNDS):
         A = rotation_between(R_c_k[choice, stations] @ vertical_k, vertical_h)
         vertical_c = vertical_h @ A.T
         backward = np.einsum("nji,nj->ni", R_c_k[choice, stations], vertical_c).mean(axis=0)
         vertical_k = backward / max(float(np.linalg.norm(backward)), 1e-12)
         cosine = np.einsum("tnij,j,ni->nt", R_c_k, vertical_k, vertical_c)
         misfit = np.arccos(np.clip(cosine, -1, 1))
-        choice = np.argmin(misfit, axis=1)
+        best = np.argmin(misfit, axis=1)
+        if np.array_equal(best, choice) and round_ > _LEAST_ROUNDS:
+            break
+        choice = best
     return _Fit(choice, misfit)
 
 
