@@ -118,8 +118,8 @@ def _path(suggestion: Suggestion) -> str:
     """How the base gets to a suggested stop."""
 
     def turn(rad: float, what: str) -> str:
-        degrees, side = math.degrees(rad), "left" if rad > 0 else "right"
-        return f"{what} {side} by {abs(degrees):.0f} degrees" if round(degrees) else ""
+        degrees, side = abs(round(math.degrees(rad))), "left" if rad > 0 else "right"
+        return f"{what} {side} by {degrees} degree{'' if degrees == 1 else 's'}" if degrees else ""
 
     drive = suggestion.drive_m
     driven = f"drive {'forward' if drive > 0 else 'back'} by {abs(drive):.1f} m" if drive else ""
