@@ -42,6 +42,7 @@ studies: $(VENV)/.dev  ## compute the tables of docs/validation/results.md again
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m tests.words
 
 types: $(VENV)/.dev
 	$(BIN)/mypy

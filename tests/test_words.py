@@ -1,10 +1,6 @@
-"""Prose uses the field's terms and one spelling; `tests.words` has the list."""
+"""What `make lint` finds in prose: the list of `tests.words`."""
 
 from tests import words
-
-
-def test_no_unwanted_term_in_the_projects_prose():
-    assert [line for path in words.files() for line in words.found_in(path)] == []
 
 
 def test_the_check_sees_docstrings_messages_comments_templates_and_pages(tmp_path, monkeypatch):
