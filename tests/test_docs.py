@@ -9,7 +9,7 @@ import yaml
 
 from mobilecal_cli import errors
 from mobilecal_cli.__main__ import HELP
-from mobilecal_cli.export.extraction import _OLDEST_READ, SCHEMA_VERSION
+from mobilecal_cli.export.extraction import SCHEMA_VERSION
 from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.command import python
 from tests.conftest import REPOSITORY
@@ -59,12 +59,9 @@ def test_the_tables_of_formats_and_robots_are_up_to_date():
     assert "`--robot paper\\|tick\\|" in page
 
 
-def test_the_stated_schema_versions_of_an_extraction_are_those_of_the_code():
+def test_the_stated_schema_version_of_an_extraction_is_that_of_the_code():
     text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
-    stated = r"its schema version\s\((\d+)\); versions (\d+) to (\d+) are still read"
-    written, oldest, newest_old = re.search(stated, text).groups()
-    assert int(written) == SCHEMA_VERSION
-    assert [int(oldest), int(newest_old)] == [_OLDEST_READ, SCHEMA_VERSION - 1]
+    assert int(re.search(r"its schema version\s\((\d+)\)", text).group(1)) == SCHEMA_VERSION
 
 
 def test_the_table_of_priors_is_that_of_the_code():

@@ -20,7 +20,6 @@ from mobilecal_cli import __version__
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.reading import problems_of
 from mobilecal_cli.model import (
-    SIDES,
     Board,
     Corners,
     Extraction,
@@ -38,8 +37,6 @@ SCHEMA_VERSION = 9
 #: Most stations with a small image.
 THUMBNAILS = 60
 _LARGEST_THUMBNAIL = 10_000  # bytes
-# 5: both wheels at the same times; 6: no priors of constants; 7: settled_by; 8: stereo pairs only
-_OLDEST_READ = 5
 #: An hour of 100 Hz joints and wheels and a thousand stations of 100 corners are a quarter of this.
 LARGEST_BYTES = 2**29
 _LARGEST = 1e12
@@ -170,10 +167,9 @@ def extraction_from_npz(source: bytes | Path) -> Extraction:
             f"unpack it if it contains a recording, or {_HINT}",
         )
     version = header.get("schema_version")
-    if version not in range(_OLDEST_READ, SCHEMA_VERSION + 1):
+    if version != SCHEMA_VERSION:
         raise RecordingError(
-            f"{name}: schema version {version!r}; this version of mobilecal reads {_OLDEST_READ} to {SCHEMA_VERSION}",
-            _HINT,
+            f"{name}: schema version {version!r}; this version of mobilecal reads {SCHEMA_VERSION}", _HINT
         )
     try:
         return _extraction(header, arrays)
@@ -219,14 +215,6 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
 
 
 def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extraction:
-    rig = header["rig"]
-    if "settled_by" in rig:  # the name in schema versions 5 to 7
-        rig["setting_sources"] = rig.pop("settled_by")
-    if "left" in rig["cameras"]:  # schema versions 5 to 8
-        rig["cameras"] = _pair(rig["cameras"])
-    rig["noise"] = {
-        name: level for name, level in rig["noise"].items() if level is not None
-    }  # None was estimated
     stated = _Header.model_validate({name: header[name] for name in _Header.model_fields})
     names = stated.rig.cameras.names
     observations = tuple(_observation(arrays, names, i) for i in range(stated.observations))
@@ -248,28 +236,11 @@ def _extraction(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Extr
 
 
 def _wheels(arrays: dict[str, NDArray[Any]], name: str) -> WheelTrack:
-    if f"{name}.time_ns" in arrays:  # schema version 5
-        parts = (arrays[f"{name}.{part}"] for part in ("time_ns", "right_rad", "left_rad"))
-        wheels = WheelTrack.at_same_times(*parts)
-    else:
-        sides = (f"{name}.{side}" for side in ("right", "left"))
-        wheels = WheelTrack(*(Track(arrays[f"{side}.time_ns"], arrays[f"{side}.rad"]) for side in sides))
+    sides = (f"{name}.{side}" for side in ("right", "left"))
+    wheels = WheelTrack(*(Track(arrays[f"{side}.time_ns"], arrays[f"{side}.rad"]) for side in sides))
     if not len(wheels.time_ns):
         raise ValueError(f"{name}: no readings of both wheels")
     return wheels
-
-
-def _pair(pair: dict[str, Any]) -> dict[str, Any]:
-    """The plain form of a stereo pair of earlier versions as that of a `CameraRig`."""
-    return {
-        "names": list(SIDES),
-        "each": [pair["left"], pair["right"]],
-        "T_c_each": [np.eye(4).tolist(), pair["T_c_r"]],
-        "R_rect": [pair["R_rect_c"], pair["R_rect_r"]],
-        "rectified": pair["rectified"],
-        "reference": pair.get("reference", "left"),
-        "calibrated": True,
-    }
 
 
 def _observation(arrays: dict[str, NDArray[Any]], names: Sequence[str], index: int) -> Observation:

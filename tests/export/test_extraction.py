@@ -191,38 +191,6 @@ def test_damaged_thumbnails_are_left_out(tmp_path, damage):
     assert_same(make_extraction(n=2), extraction_from_npz(path))
 
 
-def test_a_file_with_both_wheels_at_the_same_times_is_read():
-    """Schema version 5, as it was written: one array of stamps for both wheels."""
-    extraction = make_extraction(n=2)
-    (track,) = extraction.wheels
-    content = {name: array for name, array in usual().items() if not name.startswith("wheels.")}
-    content["header"]["schema_version"] = 5
-    content |= {f"wheels.0.{name}": getattr(track, name) for name in ("time_ns", "right_rad", "left_rad")}
-    assert_same(extraction, extraction_from_npz(written(content)))
-
-
-def test_a_file_without_priors_is_read():
-    """Schema version 6, as it was written: no priors, corrections or shifts, fewer noise levels, another name."""
-
-    def older(header):
-        rig = header["rig"]
-        header["schema_version"] = 6
-        rig["settled_by"] = rig.pop("setting_sources")
-        del rig["prior_sigmas"]
-        rig["noise"] |= {"pixel_px": None, "joint_rad": None}  # estimated
-        pair = rig["cameras"]
-        for camera in pair["each"]:
-            del camera["correction"]
-        (left, right), (R_rect_c, R_rect_r) = pair["each"], pair["R_rect"]
-        rig["cameras"] = {name: pair[name] for name in ("rectified", "reference")}
-        rig["cameras"] |= {"left": left, "right": right, "T_c_r": pair["T_c_each"][1]}
-        rig["cameras"] |= {"R_rect_c": R_rect_c, "R_rect_r": R_rect_r}
-        for link in rig["chain"]["links"]:
-            link.pop("shift_m", None)
-
-    assert_same(make_extraction(n=2), extraction_from_npz(with_header(older)))
-
-
 def test_numpy_alone_can_read_it_and_the_bytes_hold_no_time():
     content = usual()
     assert content["observations.points_c"].shape == (2, 54, 3)
