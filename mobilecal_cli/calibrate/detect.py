@@ -326,6 +326,7 @@ def detect_all(
         searched += images
         progress("detecting the board", searched, total)
 
+    count(0)
     detections: list[StationDetections] = []
     waiting: deque[Future[Path]] = deque()
     done, ahead, workers = 0, iter(segments), min(jobs, len(segments) // 2)
