@@ -225,6 +225,7 @@ def with_wheel(whole, side, from_ns, change):
     return replace(whole, wheels=(replace(wheels, **{side: changed}),))
 
 
+@pytest.mark.long
 def test_a_wheel_that_changes_under_a_fixed_camera_is_no_exchange_of_both():
     """With the camera turned around, reversed wheels fit as well as the right ones: refused as swapped or reversed."""
     case = Case(robot="camera on the base", stations=12).drawn(noise=CORRELATED)

@@ -256,6 +256,7 @@ def test_the_recording_with_the_mistake_is_named(recorded):
     assert found.cure == "negate wheels.right.sign in rig.yaml, for this recording only"
 
 
+@pytest.mark.long
 def test_wheels_of_one_recording_that_fits_by_itself_are_named():
     """With a camera on the base, the base looks turned around: "no known mistake explains it"."""
     first, second = (simulated("standard", NOISE, "fixed_camera", stations=8, seed=seed) for seed in (4, 5))
