@@ -81,15 +81,21 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
 
     Raises:
         RecordingError: no wheel is found; the hint lists what is present.
-        ConfigError: several sets match, or a counter lacks its ticks per revolution.
+        ConfigError: several sets match, one side alone is known, or a counter lacks its ticks per revolution.
     """
     if config.wheels.odometry is not None:
         return _odometry(config, description, config.wheels.odometry)
     stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
     wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description) | stated
     sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
-    if len(sources) < len(SIDES):
-        sources = _odometry(config, description, _odometry_topic(description)) | sources
+    if not sources:
+        sources = _odometry(config, description, _odometry_topic(description))
+    missing = next((side for side in SIDES if side not in sources), None)
+    if missing is not None:
+        raise ConfigError(
+            f"one wheel alone is stated, and no joint or counter is named as the {missing} wheel",
+            f"set wheels.{missing} too, or neither of both; joints present: {listed(joint_state_names(description))}",
+        )
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
         topic, joint, field = min(both, key=str)
