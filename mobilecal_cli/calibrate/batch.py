@@ -9,7 +9,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -328,7 +328,10 @@ def _in_a_pool(jobs: Sequence[FleetJob], count: int) -> Iterator[FleetRow]:
         if submit is None:  # no process can be started
             yield from map(run_job, jobs)
             return
-        for future in as_completed([submit(run_job, job) for job in jobs]):
+        futures: list[Future[Path]] = []
+        with suppress(BrokenProcessPool):  # a process may die while the jobs are submitted
+            futures.extend(submit(run_job, job) for job in jobs)
+        for future in as_completed(futures):
             with suppress(BrokenProcessPool):
                 yield answer(future)
 

@@ -6,6 +6,9 @@ import signal
 import socket
 import sys
 import xml.etree.ElementTree as ET
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -190,6 +193,31 @@ def test_a_process_that_dies_takes_no_other_along(monkeypatch):
     verdicts = {row.name: row.verdict for row in rows}
     assert verdicts == {"r0": "PASS", "r1": "ERROR", "r2": "PASS"}
     assert "died" in next(row.reason for row in rows if row.name == "r1")
+
+
+def test_a_process_that_dies_while_jobs_are_submitted(monkeypatch):
+    jobs = [SimpleNamespace(name=f"r{n}") for n in range(3)]
+
+    def answered(name):
+        future = Future()
+        future.set_result(name)
+        return future
+
+    @contextmanager
+    def breaking(count):
+        """The second submission of a pool of several fails."""
+        submitted = iter([False, count > 1, count > 1])
+
+        def submit(task, job):
+            if next(submitted):
+                raise BrokenProcessPool
+            return answered(job.name)
+
+        yield submit
+
+    monkeypatch.setattr(batch_module, "processes", breaking)
+    monkeypatch.setattr(batch_module, "answer", lambda future: SimpleNamespace(name=future.result()))
+    assert [row.name for row in batch_module.in_processes(jobs, 2)] == ["r0", "r1", "r2"]
 
 
 def row(number, **changes):
