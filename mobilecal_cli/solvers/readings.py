@@ -88,8 +88,10 @@ class Readings:
     @property
     def roams(self) -> bool:
         """Whether the base drives and turns, on enough legs: that can tell mistakes apart."""
-        enough, motion = self.legs >= FEWEST_STATIONS - 1, self.motion
-        return enough and motion.drives and motion.turns and motion.turned_rad > _TURNED_RAD
+        if self.legs < FEWEST_STATIONS - 1:
+            return False
+        motion = self.motion
+        return motion.drives and motion.turns and motion.turned_rad > _TURNED_RAD
 
     @property
     def distinguishes(self) -> bool:

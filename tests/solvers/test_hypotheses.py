@@ -19,7 +19,18 @@ from mobilecal_cli.solvers.readings import readings_of
 from mobilecal_cli.solvers.search import Search, _two_boards, other_focal_lengths
 from tests.extractions import Noise, joined, simulated
 from tests.hostile import meaning
-from tests.hostile.meaning import PAN, WRONG, both, from_middle, joints, late, late_joints, same, wheels
+from tests.hostile.meaning import (
+    PAN,
+    WRONG,
+    both,
+    from_middle,
+    joint,
+    joints,
+    late,
+    late_joints,
+    same,
+    wheels,
+)
 from tests.judging import judge
 
 ROBOT = tick_robot()
@@ -54,6 +65,16 @@ def test_a_robot_without_joints_has_no_mistake_in_their_readings():
     rows = [row.cause for family in families for row in family(readings)]
     assert rows
     assert not [cause for cause in rows if re.search(r"\bjoints?\b", cause)]
+
+
+@pytest.mark.parametrize("spoil", [wheels(meaning.times(0), same), joint(PAN, lambda q: 0.1)])
+def test_readings_that_do_not_fit_without_a_nominal_camera_are_refused(spoil):
+    """It ended in "min() arg is an empty sequence": nothing shows how the images would have the readings."""
+    spoilt = spoil(twelve())
+    unknown = replace(spoilt.rig, nominal=replace(spoilt.rig.nominal, T_h_reference=None))
+    with pytest.raises(SolveError) as caught:
+        solve(replace(spoilt, rig=unknown))
+    assert caught.value.hint
 
 
 def said_of(extraction):
