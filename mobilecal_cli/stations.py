@@ -398,7 +398,7 @@ class _Shown:
         """Pairs with images newer than the last motion of the robot, and rejections of those with a frozen camera."""
         kept: list[Shot] = []
         frozen: list[Rejection] = []
-        moved: set[tuple[str, int]] = set()  # camera, and since when: tried once for thousands of images
+        moved: set[tuple[str, int]] = set()  # camera, and time of its last new image: tested once
         for pair in pairs:
             stale: dict[str, int] = {}
             for name, at_ns, since_ns in self._of(pair):

@@ -88,13 +88,14 @@ def wheel_sources(config: RigConfig, description: RobotDescription) -> dict[Side
     stated = {side: wheel for side, wheel in config.wheels.of_sides.items() if wheel.sources}
     wheels = stated if len(stated) == len(SIDES) else _wheels_by_name(config, description) | stated
     sources = {side: _source(side, wheels[side], description) for side in SIDES if side in wheels}
-    if not sources:
+    missing = [side for side in SIDES if side not in sources]
+    if len(missing) == len(SIDES):
         sources = _odometry(config, description, _odometry_topic(description))
-    missing = next((side for side in SIDES if side not in sources), None)
-    if missing is not None:
+    elif missing:
+        (side,) = missing
         raise ConfigError(
-            f"one wheel alone is stated, and no joint or counter is named as the {missing} wheel",
-            f"set wheels.{missing} too, or neither of both; joints present: {listed(joint_state_names(description))}",
+            f"only one wheel is stated, and no joint or counter is named as the {side} wheel",
+            f"set wheels.{side}, too, or leave both out; joints present: {listed(joint_state_names(description))}",
         )
     read = {side: {(part.topic, part.joint, part.field) for part in sources[side].every} for side in SIDES}
     if sources["left"].baked_in is None and (both := read["left"] & read["right"]):
