@@ -232,7 +232,7 @@ class Extraction:
 
     def with_notes(self, hint: str) -> str:
         """A hint, with the first notes on a recording that cannot be used."""
-        return "; noted: ".join([hint, *self.notes[:_NOTED]])
+        return "; noted: ".join([hint, *(note.removesuffix(".") for note in self.notes[:_NOTED])])
 
     def of_log(self, log: int) -> Extraction:
         """The measurements of one log."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -55,7 +55,7 @@ def verdict_of(case: Case) -> Verdict:
     checks = (*(check for check in case.checks if check.name), *gated)
     decisive = next((check for check in checks if not check.met), None)
     if decisive is not None:
-        return decided_by(decisive, checks)
+        return decided_by(decisive, checks, case.gates)
     if solution.uncertainty is None:
         unknown = "gives no standard deviations, so the expected errors in use are unknown"
         error = f"The point error is {solution.point_rms_m * 1e3:.1f} mm."
@@ -77,13 +77,21 @@ def _first(checks: Iterable[Check]) -> str:
     return "" if look is None else f" Check first: {look.why} {look.next_step}"
 
 
-def decided_by(check: Check, checks: tuple[Check, ...]) -> Verdict:
-    """The verdict where one check decides."""
+def decided_by(check: Check, checks: tuple[Check, ...], gates: Collection[str] = ()) -> Verdict:
+    """The verdict where one check decides; the reason also has every other gate that is not met.
+
+    Args:
+        check: the one that decides.
+        checks: all.
+        gates: names of the gates, which are the ids of checks of expected errors in use.
+    """
     level: Level = "NOT ENOUGH" if check.outcome == "not_enough" else "FAIL"
     if check.id.startswith(GATE):
         level = "GATE FAILED"
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
-    return Verdict(level, check.why, check.next_step + first, checks)
+    asked = (each for each in checks if each.id.startswith(GATE) or each.id in gates)
+    others = (each.why for each in asked if not each.met and each is not check)
+    return Verdict(level, " ".join((check.why, *others)), check.next_step + first, checks)
 
 
 _USE_GATES = frozenset(figure.name for figure in FIGURES)

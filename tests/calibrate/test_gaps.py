@@ -65,7 +65,7 @@ def test_too_few_stations_count_the_reasons():
         require_stations(few)
     assert "rejected: 5 x blurred, 4 x no board" in caught.value.message
     note = "/left/image: 23 of 24 stamps occur twice; the first is kept"
-    few = replace(whole, observations=whole.observations[:1], counts={"stations": 1}, notes=(note,))
+    few = replace(whole, observations=whole.observations[:1], counts={"stations": 1}, notes=(f"{note}.",))
     with pytest.raises(ObservationError, match=r"at 1 of 1 stations \(at least 4 needed\)") as caught:
         require_stations(few)
     assert caught.value.hint == f"stop at more places in front of the board; noted: {note}"

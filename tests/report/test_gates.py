@@ -120,6 +120,19 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
     ]
 
 
+@pytest.mark.parametrize(
+    "gates",
+    [
+        ["point_rms_mm=0.1", "legs=50"],
+        ["predicted.camera_mm=0.001", "predicted.point_mm=0.001", "legs=50"],
+    ],
+)
+def test_the_reason_names_every_failed_gate(solution, extraction, gates):
+    verdict = judge(solution, extraction, gates_of(gates, {}))
+    assert verdict.reason == " ".join(verdict.reasons)
+    assert len(verdict.reasons) == len(gates)
+
+
 def test_junit():
     def check(name, value, limit, text, next_step, **more):
         return Metric(text, at_least=name == "stations").check(value, limit, text, next_step, **more)
