@@ -213,10 +213,15 @@ def check_square(measured: Sequence[Measured | Rejection], square_m: float) -> N
         raise error
 
 
-def square_error(square_m: float, stations: Sequence[Measured]) -> ObservationError | None:
-    """The error if the median side of a square by a stereo pair, m, is not the stated one."""
+def square_error(
+    square_m: float, stations: Sequence[Measured], farther: float = 1.0
+) -> ObservationError | None:
+    """The error if the median side of a square by a stereo pair, m, is not the stated one.
+
+    The limit grows with the distance of the board: it is the one of boards that are so many times `farther`.
+    """
     side_m = float(np.median([station.square_m for station in stations]))
-    limit = float(np.median([station.square_tolerance for station in stations]))
+    limit = farther * float(np.median([station.square_tolerance for station in stations]))
     if abs(side_m - square_m) <= limit * square_m:
         return None
     return ObservationError(
