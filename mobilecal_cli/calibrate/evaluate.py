@@ -7,12 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
+from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.calibrate.load import load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
 from mobilecal_cli.model.text import listed
 from mobilecal_cli.report.evaluation import Evaluated, judge_evaluation
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.report.verdict import evaluated_figures, gate_checks, gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig
 from mobilecal_cli.solvers import clock_offsets, solve

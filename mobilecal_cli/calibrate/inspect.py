@@ -13,7 +13,7 @@ import numpy as np
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.extract import describe, refuse_equal_files, size_bytes
-from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS, Gap, gaps_between
+from mobilecal_cli.calibrate.gaps import FEWEST_STATIONS
 from mobilecal_cli.calibrate.sample import sample_board
 from mobilecal_cli.errors import ConfigError, ObservationError, RecordingError, SolveError
 from mobilecal_cli.kinematics import cut_at, integrate, unseen_height
@@ -35,6 +35,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers import Extent, Recording, join_splits, open_recording, read_signals, sha256_of
 from mobilecal_cli.report.checks import MIN_STATIONS
 from mobilecal_cli.report.inspection import Finding, Inspection, JointRange, MotionView, TopicView
+from mobilecal_cli.report.motion import Gap, gaps_between
 from mobilecal_cli.report.verdict import gates_of
 from mobilecal_cli.rig.config import UNCONFIGURED, RigConfig, load_rig, read_urdf
 from mobilecal_cli.rig.head import outside_chain

@@ -16,12 +16,12 @@ import numpy as np
 from mobilecal_cli import __version__
 from mobilecal_cli.calibrate import Progress, silent, source_date
 from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
-from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
+from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.export.outputs import check_output, write_outputs
-from mobilecal_cli.export.params import parameters_from_yaml, params_yaml
+from mobilecal_cli.export.params import parameters_from_yaml, params_yaml, with_verdict
 from mobilecal_cli.kinematics import FEWEST_LEGS
 from mobilecal_cli.model import (
     CLOCK_STEPS,
@@ -41,6 +41,7 @@ from mobilecal_cli.ranges import HOLD_OUT
 from mobilecal_cli.report.comparison import change_from_nominal, change_since
 from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.report.page import report_html
 from mobilecal_cli.report.plots import path_picture
 from mobilecal_cli.report.text import job_summary, notebook_html, summary_text
@@ -275,7 +276,8 @@ class Report:
         settings = settings_of(extraction) | ({} if fit.hold_out is None else {"hold_out": fit.hold_out})
         created = (source_date() or datetime.now(UTC)).strftime("%Y-%m-%dT%H:%M:%SZ")
         self.provenance = Provenance(__version__, created, fit.method, extraction.logs, settings)
-        robot = parameters_from_yaml(params_yaml(solution, extraction, self.provenance))
+        params = params_yaml(solution, extraction, self.provenance)
+        robot = parameters_from_yaml(params)
         _require_own(data.extraction, fit.extraction, robot)
         if last is None:
             self.change = change_from_nominal(robot, extraction.rig.nominal)
@@ -287,7 +289,7 @@ class Report:
         self.values = build_report(self._case)
         self.verdict = self.values.verdict
         level, reasons = self.verdict.level, self.verdict.reasons
-        self.params = params_yaml(solution, extraction, self.provenance, level, reasons)
+        self.params = with_verdict(params, level, reasons)
         self.robot = replace(robot, verdict=level, reasons=reasons)
 
     def __repr__(self) -> str:

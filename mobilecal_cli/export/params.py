@@ -59,14 +59,20 @@ def names_and_units(odometry: AssumedOdometry | None) -> tuple[tuple[str, ...], 
     return (NINE, np.ones(9)) if odometry is None else (_FACTOR_ORDER, odometry.units)
 
 
-def params_yaml(
-    solution: Solution,
-    extraction: Extraction,
-    provenance: Provenance,
-    level: str = "",
-    reasons: Sequence[str] = (),
-) -> str:
-    """The calibrated robot as commented YAML, the same bytes for the same values.
+def with_verdict(params: str, level: str, reasons: Sequence[str]) -> str:
+    """params.yaml with a verdict in front of the first section.
+
+    Args:
+        params: as `params_yaml` writes it.
+        level: "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED".
+        reasons: why it is not PASS, whole sentences.
+    """
+    header, _, sections = params.partition("\n\n")
+    return f"{header}\n\n{rendered('verdict.yaml', level=level, reasons=reasons)}\n{sections}"
+
+
+def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenance) -> str:
+    """The calibrated robot as commented YAML, without a verdict, the same bytes for the same values.
 
     ``head_eye`` is the transform of the reference camera: T_h_reference = T_h_c T_c_reference. With rectified images,
     that is the rectified optical frame, and ``head_eye_raw`` adds the raw one: x_rect = R x_raw, so
@@ -76,8 +82,6 @@ def params_yaml(
         solution: the solution.
         extraction: its measurements.
         provenance: time, version, recordings and settings.
-        level: the verdict, "PASS", "FAIL", "NOT ENOUGH" or "GATE FAILED"; "" for none.
-        reasons: why it is not PASS, whole sentences.
     """
     cameras, chain, uncertainty = solution.cameras, extraction.rig.chain, solution.uncertainty
     T_h_reference = solution.T_h_reference
@@ -109,8 +113,6 @@ def params_yaml(
         "params.yaml",
         first_line=FIRST_LINE,
         schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
-        level=level,
-        reasons=reasons,
         camera=camera_words(cameras.reference),
         kind="rectified" if cameras.rectified else "raw",
         head_eye=_transform(chain.head_frame, frame, T_h_reference),

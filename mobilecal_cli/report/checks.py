@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 import numpy as np
 
 from mobilecal_cli import se3
-from mobilecal_cli.kinematics import encoder_steps_rad, unseen_height
+from mobilecal_cli.kinematics import encoder_steps_rad
 from mobilecal_cli.likelihood import nuisance
 from mobilecal_cli.model import (
     CAMERA_INFO_CHANGES,
@@ -37,6 +37,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.model.text import capitalized, visible
 from mobilecal_cli.report.criteria import CHANGED, Case, Check, Metric, Outcome, criterion
 from mobilecal_cli.report.findings import ERROR_PARTS, contradiction_sentences
+from mobilecal_cli.report.motion import MOTION, missing_motion, motion_cure, small_motion
 from mobilecal_cli.report.numbers import (
     PARAMETERS,
     odometry_factors,
@@ -48,15 +49,7 @@ from mobilecal_cli.report.numbers import (
     stations_looked_at,
     std_text,
 )
-from mobilecal_cli.report.use import (
-    FIGURES,
-    MOTION,
-    missing_motion,
-    motion_cure,
-    next_step_of,
-    small_motion,
-    uses,
-)
+from mobilecal_cli.report.use import FIGURES, next_step_of, uses
 
 #: Nine unknowns need four stations; twice that gives enough redundancy to detect errors.
 MIN_STATIONS = 8
@@ -364,13 +357,8 @@ def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
             f": the stated values of {', '.join(ignored)} are ignored",
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
         )
-    lacking = missing_motion(motion, missing)
-    because = " and ".join(too_little for too_little, _ in lacking.values())
-    shows_head = "tilt_range_deg" if unseen_height(case.extraction.rig.chain) is None else "turned_deg"
-    told = {*lacking, *(("turned_deg",) if "proportion" in lacking else ())}
-    cures = [MOTION[shows_head].cure] if head and shows_head not in told else []
-    cures += [cure for _, cure in lacking.values()]
-    return f": {because}" if because else "", f"Record again and {'; '.join(cures)}."
+    because, cure = missing_motion(motion, missing, case.extraction.rig.chain)
+    return f": {because}" if because else "", f"Record again and {cure}."
 
 
 @criterion(*(Metric(f"motion.{key}", extent.unit, True, "stations") for key, extent in MOTION.items()))

@@ -27,8 +27,8 @@ from mobilecal_cli.model.text import capitalized, wrapped
 from mobilecal_cli.report.checks import ERROR_BAD, MIN_STATIONS, rms, unexplained
 from mobilecal_cli.report.criteria import Check, Metric, Outcome, check_lines
 from mobilecal_cli.report.formats import ByName, JsonValue, Table, by, json_text, like
+from mobilecal_cli.report.motion import motion_cure
 from mobilecal_cli.report.numbers import DEG, std_text, value_text
-from mobilecal_cli.report.use import motion_cure
 from mobilecal_cli.report.verdict import GATE, Verdict, decided_by
 
 #: Largest differences that pass. Two recordings of an unchanged robot differ by a tenth of this.

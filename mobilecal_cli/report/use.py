@@ -13,45 +13,6 @@ from mobilecal_cli.ranges import ACCURACY, accuracy
 from mobilecal_cli.report.numbers import DEG, std_text
 
 
-class Extent(NamedTuple):
-    """An extent of the motion. With a small one, a parameter depends on a difference about as small as the noise.
-
-    Attributes:
-        least: limit.
-        unit: "degrees" or "m".
-        digits: decimals to show.
-        of_head: whether it is of the head, and not of the base.
-        name: label.
-        too_small: what is wrong with a small one, "{}" for its value.
-        cure: as a command.
-    """
-
-    least: float
-    unit: str
-    digits: int
-    of_head: bool
-    name: str
-    too_small: str
-    cure: str
-
-    def text(self, value: float) -> str:
-        """A value with its unit."""
-        return f"{value:.{self.digits}f} {self.unit}"
-
-
-#: Keys of `Solution.motion`.
-MOTION = {
-    "pan_range_deg": Extent(10.0, "degrees", 1, True, "pan range of the head", "the head panned by {} only",
-                            "pan the head by 20 degrees or more between stops"),
-    "tilt_range_deg": Extent(5.0, "degrees", 1, True, "tilt range of the head", "the head tilted by {} only",
-                             "tilt the head up and down by 15 degrees or more between stops"),
-    "turned_deg": Extent(20.0, "degrees", 1, False, "rotation of the base", "the base turned by {} only",
-                         "turn the base by 20 degrees or more between stops"),
-    "driven_m": Extent(0.2, "m", 2, False, "path length of the base", "the base drove {} only",
-                       "drive forward and back by 20 cm or more between stops"),
-}  # fmt: skip
-
-
 @dataclass(frozen=True, slots=True)
 class Figure:
     """One expected error in use.
@@ -144,37 +105,6 @@ def uses(solution: Solution, limits: Mapping[str, float]) -> tuple[Error, ...]:
         for f, limit in pairs
         if limit is not None
     )
-
-
-def small_motion(motion: Mapping[str, float], head: bool, base: bool) -> dict[str, Extent]:
-    """Extents of the head, or of the base, that are below their limits, by their keys."""
-    return {
-        key: extent
-        for key, extent in MOTION.items()
-        if (head if extent.of_head else base) and motion.get(key, extent.least) < extent.least
-    }
-
-
-def motion_cure(motion: Mapping[str, float], head: bool, base: bool) -> str:
-    """What to do about small motion of the head, or of the base, as sentences; "" where it is enough."""
-    small = small_motion(motion, head, base).items()
-    return " ".join(f"{extent.cure.capitalize()} (now {extent.text(motion[key])})." for key, extent in small)
-
-
-def missing_motion(motion: Mapping[str, float], names: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """Motion that a recording lacks to determine these parameters, by its keys: what was too little, and the cure."""
-    of_base = set(names) & set(NINE[6:])
-    small = small_motion(motion, bool(set(names) & set(NINE[:6])), bool(of_base))
-    lacking = {
-        key: (extent.too_small.format(extent.text(motion[key])), extent.cure) for key, extent in small.items()
-    }
-    if of_base and not {"turned_deg", "driven_m"} & set(small):
-        driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
-        lacking["proportion"] = (
-            f"the base drove {driven} and turned by {turned}, almost always in one proportion",
-            "turn in place at some stops, and drive straight between others",
-        )
-    return lacking
 
 
 #: A cure that improves the least certain expected error by less is not worth a sentence.

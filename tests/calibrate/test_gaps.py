@@ -3,10 +3,11 @@ from functools import cache
 
 import pytest
 
-from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable, require_stations
+from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.steps import fitted, held_out
 from mobilecal_cli.errors import ObservationError, SolveError
 from mobilecal_cli.model import NINE, Nominal, Rejection, WheelTrack
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.vision import AMBIGUOUS, SQUARES_UNKNOWN
 from tests.extractions import Noise, joined, simulated
 
@@ -27,7 +28,7 @@ def test_enough_motion_has_no_gap(motion):
     [
         ("head_fixed", "translation along the vertical", "the head's tilt spans only 0.", "tilt the head up"),
         ("straight", "separation", "only drives straight", "turn the base"),
-        ("spin", "common scale", "only turns in place", "drive forward or back"),
+        ("spin", "common scale", "only turns in place", "drive forward and back"),
         (
             "base_fixed",
             "radius_right, radius_left, separation",

@@ -20,7 +20,7 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 
 from mobilecal_cli.calibrate import inspect
 from mobilecal_cli.calibrate.batch import fleet_jobs
-from mobilecal_cli.calibrate.gaps import motion_gaps, require_stations
+from mobilecal_cli.calibrate.gaps import require_stations
 from mobilecal_cli.calibrate.load import load
 from mobilecal_cli.comparison import difference, history
 from mobilecal_cli.errors import MobilecalError, RecordingError
@@ -41,6 +41,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers import open_recording, pictures_near, read_description, read_images, read_signals
 from mobilecal_cli.report.comparison import Comparison, comparison_text
 from mobilecal_cli.report.inspection import inspection_json, inspection_text
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.rig.config import load_rig
 from mobilecal_cli.rig.resolve import survey_rig
 from mobilecal_cli.rig.settings import settings_of

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from mobilecal_cli.calibrate.steps import Data, Fit, Report
-from mobilecal_cli.export.params import params_yaml
+from mobilecal_cli.export.params import params_yaml, with_verdict
 from mobilecal_cli.model import (
     Board,
     CalibratedRobot,
@@ -84,9 +84,8 @@ def make_provenance(extraction: Extraction) -> Provenance:
 
 def params_of(solution: Solution, extraction: Extraction, level="", reasons=(), **provenance) -> str:
     """params.yaml of a solution, with a verdict if there is one; further arguments replace the provenance's."""
-    return params_yaml(
-        solution, extraction, replace(make_provenance(extraction), **provenance), level, reasons
-    )
+    text = params_yaml(solution, extraction, replace(make_provenance(extraction), **provenance))
+    return with_verdict(text, level, reasons) if level else text
 
 
 def case_of(

@@ -8,13 +8,13 @@ import pytest
 from mobilecal_cli.likelihood.nuisance import KINDS
 from mobilecal_cli.model import NINE
 from mobilecal_cli.ranges import ACCURACY
+from mobilecal_cli.report.motion import missing_motion
 from mobilecal_cli.report.use import (
     FAMILIES,
     FIGURES,
     STATED,
     family_of,
     family_shares,
-    missing_motion,
     next_step_of,
     shares_of,
     use_sentence,
@@ -115,22 +115,24 @@ def test_a_base_at_rest_is_not_enough_for_the_wheels():
 
 
 @pytest.mark.parametrize(
-    ("motion", "unknown", "keys", "said"),
+    ("motion", "unknown", "cures", "said"),
     [
-        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["proportion"],
+        ({"turned_deg": 318.0, "driven_m": 0.37}, NINE[6:], ["turn in place"],
          "the base drove 0.37 m and turned by 318.0 degrees, almost always in one proportion"),
-        ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turned_deg"], "the base turned by 2.1 degrees only"),
-        ({"turned_deg": 407.1, "driven_m": 5.71}, NINE[8:], ["proportion"],
+        ({"turned_deg": 2.1, "driven_m": 3.3}, NINE[8:], ["turn the base"], "the base turned by 2.1 degrees only"),
+        ({"turned_deg": 407.1, "driven_m": 5.71}, NINE[8:], ["turn in place"],
          "the base drove 5.71 m and turned by 407.1 degrees, almost always in one proportion"),
-        ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turned_deg", "driven_m"], "the base turned by 0.0 degrees only"),
-        ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], [], None),
+        ({"turned_deg": 0.0, "driven_m": 0.0}, NINE[6:], ["turn the base", "drive forward"],
+         "the base turned by 0.0 degrees only and the base drove 0.00 m only"),
+        ({"turned_deg": 90.0, "driven_m": 3.0}, NINE[:3], ["tilt the head"], ""),
+        ({"turned_deg": 9.0, "driven_m": 3.0}, NINE, ["tilt the head", "turn the base"], "the base turned by 9.0 degrees only"),
     ],
 )  # fmt: skip
-def test_the_missing_motion_of_the_base_is_named(motion, unknown, keys, said):
+def test_the_missing_motion_of_the_base_is_named(motion, unknown, cures, said):
     """Where both motions were there, on a circle or in place, each came with as much of the other."""
-    found = missing_motion(motion, unknown)
-    assert list(found) == keys
-    assert [too_little for too_little, _ in found.values()][:1] == [said] * bool(said)
+    because, cure = missing_motion(motion, unknown, make_extraction().rig.chain)
+    assert because == said
+    assert all(each.startswith(start) for each, start in zip(cure.split("; "), cures, strict=True))
 
 
 def test_the_words_know_every_source():

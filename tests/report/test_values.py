@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
+from mobilecal_cli.export import params
 from mobilecal_cli.export.params import parameters_from_yaml
 from mobilecal_cli.model import Corners, Nominal
 from mobilecal_cli.report.formats import json_text
@@ -26,6 +27,7 @@ from tests.report.example import (
     page_of,
     params_of,
     recorded,
+    report_on,
     solved,
 )
 from tests.report.schema import validated
@@ -128,6 +130,13 @@ def test_params_yaml_keeps_all_noise_levels():
     written = parameters_from_yaml(params_of(solution, extraction))
     for level in ("pixel_px", "joint_rad", "floor_rad", "floor_m", "stamp_s", "wheel_share"):
         assert written.knowledge.noise[level] == pytest.approx(getattr(noise, level), rel=1e-8)
+
+
+def test_a_report_renders_params_yaml_once(solution, extraction, monkeypatch):
+    rendered, names = params.rendered, []
+    monkeypatch.setattr(params, "rendered", lambda name, **of: names.append(name) or rendered(name, **of))
+    report_on(solution, extraction)
+    assert names == ["params.yaml", "verdict.yaml"]
 
 
 def test_an_extraction_without_logs_has_a_report():

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.gaps import motion_gaps, require_observable
+from mobilecal_cli.calibrate.gaps import require_observable
 from mobilecal_cli.calibrate.steps import Data, Report, fitted
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.kinematics import unseen_height
 from mobilecal_cli.model import NINE, FixedLink, HeadChain, JointLink, WheelTrack
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.simulate.robot import fixed_camera_robot
 from mobilecal_cli.solvers.constraints import Constraints
 from mobilecal_cli.solvers.inference import Inference

@@ -9,11 +9,11 @@ import pytest
 from scipy.special import stdtrit
 
 from mobilecal_cli import se3
-from mobilecal_cli.calibrate.gaps import motion_gaps
 from mobilecal_cli.errors import SolveError
 from mobilecal_cli.likelihood.dataset import dataset_of
 from mobilecal_cli.model import NINE, Corners, WheelGeometry
 from mobilecal_cli.report.formats import json_text
+from mobilecal_cli.report.motion import motion_gaps
 from mobilecal_cli.simulate.robot import paper_robot
 from mobilecal_cli.simulate.route import Drive, Stretch, plan_route
 from mobilecal_cli.solvers import constraints_of, solve
