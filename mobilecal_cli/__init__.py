@@ -12,10 +12,14 @@ In a notebook or a script:
 Importing this package does no work: each name is loaded on first use.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from __future__ import annotations
 
+from importlib import import_module
+
+TYPE_CHECKING = False  # that of typing, whose import would take the time in which Ctrl-C prints a traceback
 if TYPE_CHECKING:
+    from typing import Any
+
     from mobilecal_cli.calibrate.export import export as export_to
     from mobilecal_cli.calibrate.load import Data
     from mobilecal_cli.calibrate.load import read_params as load

@@ -1,20 +1,19 @@
 """Entry point of the command; a signal ends it in the same way at any time, also during imports."""
 
-import errno
+from __future__ import annotations
+
 import os
-import shutil
+import signal
 import sys
-import warnings
-from contextlib import suppress
-from pathlib import Path
 
 from mobilecal_cli import __version__
-from mobilecal_cli.files import interruption
+
+TYPE_CHECKING = False  # that of typing, which takes as long to import as all else here
+if TYPE_CHECKING:
+    from pathlib import Path
 
 _BROKEN_PIPE = 141  # 128 + SIGPIPE, as a shell shows it for other programs
 _OUTPUT = 7  # as OutputError, which is not imported this early
-#: What `mobilecal --help` prints where a line has `HELP_COLUMNS` or more; `make docs` writes it.
-HELP = Path(__file__).with_name("help.txt")
 HELP_COLUMNS = 80  # the command-line library fills no more
 #: Name of the program, by its file.
 _PROGRAMS = {"__main__.py": "python -m mobilecal_cli", "mobilecal": "mobilecal"}
@@ -22,6 +21,13 @@ _PROGRAMS = {"__main__.py": "python -m mobilecal_cli", "mobilecal": "mobilecal"}
 
 def main() -> None:
     """Run the command line; exit with 128 plus the number of the signal that ended it."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # until the next imports are done: no traceback
+    import errno
+    import warnings
+
+    from mobilecal_cli.files import interruption
+
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # small matrices: more threads only wait for each other
     warnings.simplefilter("ignore", RuntimeWarning)  # of numbers that overflow: what is not finite is refused
@@ -57,17 +63,28 @@ def main() -> None:
         sys.exit(_OUTPUT)
 
 
+def help_file() -> Path:
+    """What `mobilecal --help` prints where a line has `HELP_COLUMNS` or more; `make docs` writes it."""
+    from pathlib import Path
+
+    return Path(__file__).with_name("help.txt")
+
+
 def _text_without_commands() -> str | None:
     """The text of `--help` or `--version`, if it is known without the command-line library, which starts slowly."""
-    arguments, program = sys.argv[1:], _PROGRAMS.get(Path(sys.argv[0]).name)
+    import shutil
+
+    arguments, program = sys.argv[1:], _PROGRAMS.get(sys.argv[0].rpartition("/")[2])
     if arguments == ["--version"]:
         return f"mobilecal {__version__}"
     if arguments == ["--help"] and program and shutil.get_terminal_size().columns >= HELP_COLUMNS:
-        return HELP.read_text(encoding="utf-8").removesuffix("\n").replace("mobilecal", program, 1)
+        return help_file().read_text(encoding="utf-8").removesuffix("\n").replace("mobilecal", program, 1)
     return None
 
 
 def _complain(line: str) -> None:
+    from contextlib import suppress
+
     shown = "".join(c if c.isprintable() else "?" for c in line)  # a path must not control the terminal
     with suppress(OSError):
         print(shown, file=sys.stderr)

@@ -8,8 +8,9 @@ import pytest
 import yaml
 
 from mobilecal_cli import errors
-from mobilecal_cli.__main__ import HELP
+from mobilecal_cli.__main__ import help_file
 from mobilecal_cli.export.extraction import SCHEMA_VERSION
+from mobilecal_cli.export.params import SCHEMA_VERSIONS
 from mobilecal_cli.likelihood.nuisance import KINDS
 from tests.command import python
 from tests.conftest import REPOSITORY
@@ -48,7 +49,7 @@ def test_every_error_has_its_own_code_and_exit_code_and_says_what_to_do():
 
 
 def test_the_overview_of_the_commands_is_up_to_date():
-    assert HELP.read_text(encoding="utf-8") == generator_of("options").overview(), "run: make docs"
+    assert help_file().read_text(encoding="utf-8") == generator_of("options").overview(), "run: make docs"
 
 
 def test_the_tables_of_formats_and_robots_are_up_to_date():
@@ -62,6 +63,16 @@ def test_the_tables_of_formats_and_robots_are_up_to_date():
 def test_the_stated_schema_version_of_an_extraction_is_that_of_the_code():
     text = (DOCS / "reference" / "recordings.md").read_text(encoding="utf-8")
     assert int(re.search(r"its schema version\s\((\d+)\)", text).group(1)) == SCHEMA_VERSION
+
+
+def test_the_stated_schema_versions_of_params_yaml_are_those_of_the_code():
+    text = (DOCS / "reference" / "params-yaml.md").read_text(encoding="utf-8")
+    assert re.findall(r"(\d) for a file with `(\w+)`", text) == [
+        (str(number), section) for section, number in SCHEMA_VERSIONS.items()
+    ]
+    assert re.search(r"^schema_version: (\d) +# (\d):", text, re.MULTILINE).groups() == tuple(
+        map(str, SCHEMA_VERSIONS.values())
+    )
 
 
 def test_the_table_of_priors_is_that_of_the_code():

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from mobilecal_cli.__main__ import HELP, HELP_COLUMNS
+from mobilecal_cli.__main__ import HELP_COLUMNS, help_file
 from mobilecal_cli.commands import app
 from mobilecal_cli.export.formats import format_of
 from mobilecal_cli.targets import ROBOTS, Target
@@ -79,5 +79,5 @@ def with_tables(page: str) -> str:
 if __name__ == "__main__":
     TARGET.write_text(page(), encoding="utf-8")
     COMMANDS.write_text(with_tables(COMMANDS.read_text(encoding="utf-8")), encoding="utf-8")
-    HELP.write_text(overview(), encoding="utf-8")
+    help_file().write_text(overview(), encoding="utf-8")
     print(f"written: {TARGET.relative_to(TARGET.parents[2])}")

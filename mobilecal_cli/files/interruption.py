@@ -62,16 +62,39 @@ def _on_unraisable(error: sys.UnraisableHookArgs) -> None:
 
 @contextmanager
 def naming_interruptions() -> Iterator[None]:
-    """Raise `Interrupted` for an error that a signal has become on its way.
+    """Raise `Interrupted` for a signal that other code has swallowed, or turned into another error.
 
-    An extension module whose import is cut short, for example, raises ImportError in its place.
+    An import that a signal cuts short may do either, above all that of an extension module: the next import raises
+    it again, or else the end of the block.
     """
+    sys.meta_path.insert(0, _Swallowed)
     try:
         yield
     except Exception as error:
         if _State.received is None:
             raise
         raise Interrupted(128 + _State.received) from error
+    finally:
+        sys.meta_path.remove(_Swallowed)
+    _raise_swallowed()
+
+
+class _Swallowed:
+    """A finder of modules that finds none; importing goes on if no signal was swallowed."""
+
+    @staticmethod
+    def find_spec(*_: object) -> None:
+        """See `_raise_swallowed`."""
+        _raise_swallowed()
+
+
+def _raise_swallowed() -> None:
+    """Raise `Interrupted` if a signal has come that takes effect at once, and nothing unwinds."""
+    error = sys.exception()
+    while error is not None and not isinstance(error, Interrupted):
+        error = error.__context__
+    if _State.received is not None and error is None and not _State.deferring:
+        raise Interrupted(128 + _State.received)
 
 
 def note_placed(target: Path) -> None:

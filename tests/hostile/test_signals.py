@@ -302,8 +302,11 @@ def task():
         ("__main__.main()", "interrupted: nothing was written\n"),
     ],
 )
-def test_a_signal_that_an_import_turns_into_another_error(tmp_path, end, said):
-    """An extension module that is being initialized ends with ImportError."""
+@pytest.mark.parametrize(
+    "then", ["raise ImportError('initialization failed')", "import colorsys; os._exit(0)", "pass"]
+)
+def test_a_signal_that_an_import_swallows_or_turns_into_another_error(tmp_path, end, said, then):
+    """An extension module that is being initialized ends with ImportError, or goes on."""
     code = f"""
 import os, pickle, signal
 from pathlib import Path
@@ -315,8 +318,9 @@ from mobilecal_cli.files.interruption import unwind_on_signals
 def importing(*given, **named):
     try:
         os.kill(os.getpid(), signal.SIGTERM)
-    except SystemExit as error:
-        raise ImportError("initialization failed") from error
+    except SystemExit:
+        pass
+    {then}
 
 class Importing:
     def __reduce__(self):
@@ -332,6 +336,24 @@ job = batch.FleetJob("robot", (Path("log.mcap"),), None, Path("."))
     (tmp_path / "log.mcap").touch()
     result = python("-c", code, cwd=tmp_path)
     assert (result.returncode, result.stderr) == (128 + TERM, said)
+
+
+def test_ctrl_c_during_the_first_imports_prints_no_traceback():
+    code = """
+import os, signal, sys
+
+class Kill:
+    def find_spec(self, name, *_):
+        if name == "mobilecal_cli.files":
+            os.kill(os.getpid(), signal.SIGINT)
+
+sys.meta_path.insert(0, Kill())
+from mobilecal_cli.__main__ import main
+
+main()
+"""
+    result = python("-c", code)
+    assert (result.returncode, result.stderr) == (-INT, "")
 
 
 @pytest.mark.slow
