@@ -93,7 +93,7 @@ def calibrate(
                 method=method,
                 constraints=constraints,
                 gates=gate or [],
-                hold_out=hold_out or None,
+                hold_out=hold_out,
                 last=last,
                 force=force,
                 progress=progress,

@@ -20,13 +20,15 @@ OUTPUT_NAMES = frozenset({"params.yaml", "report.html", "report.json", "extracti
 
 
 def recognized_file(path: Path) -> tuple[str, ...]:
-    """(), if the path is a regular file.
+    """(), if the path is a regular file, and none of a calibration, which is replaced as a whole.
 
     Raises:
         OutputError: anything else.
     """
     if path.is_symlink() or not path.is_file():
         raise OutputError(f"{path}: exists and is not a regular file", _ANOTHER)
+    if _is_of_calibration(path):
+        raise OutputError(f"{path}: a file of a calibration, which is only replaced as a whole", _ANOTHER)
     return ()
 
 
@@ -36,15 +38,16 @@ def recognized_output(directory: Path) -> tuple[str, ...]:
     Raises:
         OutputError: anything else.
     """
+    return files_in(directory, "an output directory of mobilecal", _is_of_calibration)
 
-    def beside_params(path: Path) -> bool:
-        params = path.with_name("params.yaml")
-        if path.name not in OUTPUT_NAMES or not params.is_file():
-            return False
-        with params.open("rb") as stream:
-            return stream.read(len(FIRST_LINE)) == FIRST_LINE.encode()
 
-    return files_in(directory, "an output directory of mobilecal", beside_params)
+def _is_of_calibration(path: Path) -> bool:
+    """Whether a path is that of an output beside a params.yaml of mobilecal, or of this file itself."""
+    params = path.with_name("params.yaml")
+    if path.name not in OUTPUT_NAMES or not params.is_file():
+        return False
+    with params.open("rb") as stream:
+        return stream.read(len(FIRST_LINE)) == FIRST_LINE.encode()
 
 
 def files_in(directory: Path, what: str, is_its: Callable[[Path], bool]) -> tuple[str, ...]:

@@ -43,8 +43,8 @@ from mobilecal_cli.rig.config import Pose, Radius, Separation, WheelsNominal, ch
 
 #: The beginning of every params.yaml, by which --force recognizes an output directory.
 FIRST_LINE = "# Robot calibration by mobilecal."
-SCHEMA_VERSION = 3
-_OF_ODOMETRY = 4  # the version of files with the factors of odometry in place of wheels
+#: Section with the sizes of the base → version of a file with it.
+SCHEMA_VERSIONS = {"wheels": 3, "odometry": 4}
 _FACTOR_ORDER = (*NINE[:6], *FACTORS[:3])
 _OLDEST_READ = 1  # no constants; no verdict up to 2
 _SAME_ROTATION_DEG = 0.01
@@ -112,7 +112,7 @@ def params_yaml(solution: Solution, extraction: Extraction, provenance: Provenan
     return rendered(
         "params.yaml",
         first_line=FIRST_LINE,
-        schema_version=SCHEMA_VERSION if odometry is None else _OF_ODOMETRY,
+        schema_version=SCHEMA_VERSIONS["wheels" if odometry is None else "odometry"],
         camera=camera_words(cameras.reference),
         kind="rectified" if cameras.rectified else "raw",
         head_eye=_transform(chain.head_frame, frame, T_h_reference),
@@ -270,8 +270,9 @@ class _File(_Section):
     @field_validator("schema_version")
     @classmethod
     def _known(cls, value: int) -> int:
-        if not _OLDEST_READ <= value <= _OF_ODOMETRY:
-            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {_OF_ODOMETRY}")
+        newest = max(SCHEMA_VERSIONS.values())
+        if not _OLDEST_READ <= value <= newest:
+            raise ValueError(f"version {value} is not supported, only {_OLDEST_READ} to {newest}")
         return value
 
     @model_validator(mode="after")

@@ -7,7 +7,7 @@ import pytest
 
 from mobilecal_cli.errors import OutputError
 from mobilecal_cli.export import outputs
-from mobilecal_cli.export.outputs import check_file, check_output, write_file, write_outputs
+from mobilecal_cli.export.outputs import append_text, check_file, check_output, write_file, write_outputs
 from mobilecal_cli.export.params import FIRST_LINE
 from mobilecal_cli.files import placing
 from mobilecal_cli.files.scratch import temporary
@@ -75,6 +75,18 @@ def test_force_leaves_what_is_not_ours(tmp_path, foreign, function):
     with pytest.raises(OutputError, match="not an output directory of mobilecal"):
         function(out, force=True)
     assert tree(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_of_a_calibration_is_only_replaced_with_all_of_it(tmp_path, name):
+    write_outputs(tmp_path / "out", FILES, force=False)
+    for function in (write_file, lambda path, data, force: append_text(path, data.decode())):
+        with pytest.raises(OutputError, match="a file of a calibration"):
+            function(tmp_path / "out" / name, b"new", force=True)
+    write_file(tmp_path / "out/new.json", b"new", force=False)
+    write_file(tmp_path / name, b"", force=False)
+    write_file(tmp_path / name, b"beside no calibration", force=True)
+    assert tree(tmp_path / "out") == {**FILES, "new.json": b"new"}
 
 
 @pytest.mark.parametrize("name", ["extraction.npz", "params.yaml", "report.json"])
