@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.arguments import require
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.predict import AHEAD_M
 from mobilecal_cli.model import NINE, BoolArray, CalibratedRobot, FloatArray, Parameters, WheelGeometry
@@ -64,14 +65,10 @@ def difference(first: CalibratedRobot, second: CalibratedRobot) -> Difference:
     """Change from the first calibration to the second.
 
     Raises:
-        ConfigError: the frames differ.
-        TypeError: not calibrations.
+        ConfigError: the frames differ, or these are no calibrations.
     """
-    for robot in (first, second):
-        if not isinstance(robot, CalibratedRobot):
-            raise TypeError(
-                f"type {type(robot).__name__} is not a calibration: give load(path), or the robot of a report"
-            )
+    for name, robot in (("first", first), ("second", second)):
+        require(name, robot, CalibratedRobot, "load(path), or the robot of a report")
     for attribute, what in (("parent_frame", "head"), ("child_frame", "camera")):
         frame, other = getattr(first, attribute), getattr(second, attribute)
         if frame != other:

@@ -6,6 +6,7 @@ A measured pose stands where the corners of a board stand otherwise: any detecto
 from __future__ import annotations
 
 import math
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -13,9 +14,11 @@ from typing import Final
 import numpy as np
 
 from mobilecal_cli import se3
+from mobilecal_cli.arguments import all_of, by_name, require
 from mobilecal_cli.errors import ConfigError
 from mobilecal_cli.likelihood.dataset import NOT_MEASURED
 from mobilecal_cli.model import (
+    NINE,
     Board,
     Camera,
     CameraRig,
@@ -23,6 +26,7 @@ from mobilecal_cli.model import (
     Extraction,
     FloatArray,
     HeadChain,
+    Noise,
     Nominal,
     Observation,
     Rig,
@@ -32,10 +36,12 @@ from mobilecal_cli.model import (
     WheelSource,
     WheelTrack,
 )
+from mobilecal_cli.ranges import SIGMA, number_of, of_parameter
 
 _TARGET: Final = Board(4, 3, 0.1)  # points of the target, for errors in mm
 _NO_ROTATION = 1e-3  # R^T R of a rotation with four digits differs less from the identity
 _FARTHEST_M = 100.0  # of a target or a sensor
+_WHEELS = "the radius of the right and the left wheel, and their separation, m"
 _NO_CAMERA = Camera("sensor", 640, 480, np.diag([500.0, 500.0, 1.0]), np.zeros(0), "none")
 
 
@@ -95,28 +101,43 @@ def from_poses(
         noise: known noise levels: name → standard deviation, see `Noise`.
 
     Raises:
-        ConfigError: wheels that are not positive, times that do not increase or do not cover the poses, readings that
-            are not finite, a pose that is no rigid transform, a joint of the chain without a reading, or a covariance
-            that is not positive definite.
+        ConfigError: no poses, wheels that are not possible, times that do not increase or do not cover the poses,
+            readings that are not finite, a pose that is no rigid transform, a joint of the chain without a reading, a
+            covariance that is not positive definite, an unknown noise level, or an argument of another type.
     """
-    if not all(math.isfinite(value) and value > 0 for value in wheels_m):
-        raise ConfigError(f"wheels_m {wheels_m}: not positive", "give radii and separation in m")
+    wheels = WheelGeometry(
+        *(
+            of_parameter(name).check(f"wheels_m: {name}", value)
+            for name, value in zip(
+                NINE[6:], _array("wheels_m", wheels_m, _WHEELS, (3,)).tolist(), strict=True
+            )
+        )
+    )
     if T_h_c is not None:
         T_h_c = _rigid("T_h_c", T_h_c)
-    chain = chain or HeadChain("base", "base", ())
+    chain = HeadChain("base", "base", ()) if chain is None else chain
+    require("chain", chain, HeadChain, "a HeadChain, or None for a sensor that is fixed to the base")
+    levels = {
+        _level_name(name): SIGMA.check(f"noise: {name}", value)
+        for name, value in by_name("noise", noise).items()
+    }
     observations, tracks = [], []
-    for log, drive in enumerate(drives):
-        tracks.append(_wheels(f"drive {log + 1}", drive))
-        in_order = sorted(drive.poses, key=lambda pose: pose.time_s)
+    for log, drive in enumerate(all_of("drives", drives, Drive, "a list of mc.Drive")):
+        where = f"drive {log + 1}"
+        poses = all_of(f"{where}: poses", drive.poses, TargetPose, "a list of mc.TargetPose")
+        in_order = sorted(poses, key=lambda pose: number_of(f"{where}: time_s of a pose", pose.time_s))
+        tracks.append(_wheels(where, drive, [pose.time_s for pose in in_order]))
         observations += [_observed(log, k, pose, chain) for k, pose in enumerate(in_order)]
+    if not observations:
+        raise ConfigError("drives: no poses", "give drives with poses of a target")
     nowhere, wheel = {"camera": ""}, WheelSource("measured")
     rig = Rig(
         CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
         chain,
-        Nominal(T_h_c, WheelGeometry(*(float(value) for value in wheels_m))),
+        Nominal(T_h_c, wheels),
         Sources(nowhere, nowhere, (), {"right": wheel, "left": wheel}),
         {},
-        noise or {},
+        levels,
     )
     return Extraction(rig, _TARGET, tuple(observations), tuple(tracks), (), (), (), {})
 
@@ -138,16 +159,23 @@ def from_motions(
         noise: known noise levels: name → standard deviation, see `Noise`.
 
     Raises:
-        ConfigError: a covariance that is not positive definite.
+        ConfigError: no motions, a motion that is not finite, a covariance that is not positive definite, or as for
+            `from_poses`.
     """
+    if not (motions := all_of("motions", motions, SensorMotion, "a list of mc.SensorMotion")):
+        raise ConfigError("motions: none is given", "give a list of mc.SensorMotion")
+    T_v_c = _rigid("T_v_c", T_v_c)
     ahead = se3.transform(np.eye(3), np.array([0.0, 0.0, 1.0]))
     nothing = np.diag(np.full(6, math.inf))
     drives = []
     for number, leg in enumerate(motions, 1):
-        x, y, heading = leg.motion.tolist()
+        x, y, heading = _array(f"leg {number}: motion", leg.motion, "x, y and heading", (3,)).tolist()
         T = se3.transform(se3.rotation_z(np.array(heading)), np.array([x, y, 0.0]))
         poses = TargetPose(0.0, ahead, nothing), TargetPose(1.0, se3.inverse(T) @ ahead, nothing)
-        turned = np.array([0.0, leg.right_rad]), np.array([0.0, leg.left_rad])
+        turned = [
+            np.array([0.0, number_of(f"leg {number}: {name}", getattr(leg, name))])
+            for name in ("right_rad", "left_rad")
+        ]
         drives.append(Drive(poses, np.array([0.0, 1.0]), *turned))
         _require_positive(f"leg {number}", leg.covariance, 3, "give a covariance of x, y and heading")
     extraction = from_poses(drives, wheels_m, None, T_v_c, noise)
@@ -160,25 +188,47 @@ def from_motions(
         observations[end] = replace(
             observations[end], points_cov=_points_cov(observations[end].points_c, covariance)
         )
-    return replace(extraction, observations=tuple(observations), motions=tuple(motions))
+    return replace(extraction, observations=tuple(observations), motions=motions)
 
 
-def _wheels(where: str, drive: Drive) -> WheelTrack:
-    """The track of both wheels.
+def _array(
+    where: str, values: object, give: str = "numbers", shape: tuple[int, ...] | None = None
+) -> FloatArray:
+    """Numbers as an array, of this shape where one is given.
+
+    Raises:
+        ConfigError: something else, or another shape.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros(0)
+    if not array.size or (shape is not None and array.shape != shape):
+        of_shape = "" if shape is None else f" of shape {shape}"
+        raise ConfigError(f"{where}: {reprlib.repr(values)} is no array{of_shape}", f"give {give}")
+    return array
+
+
+def _level_name(name: str) -> str:
+    if name not in (known := Noise.limits("guess")):
+        raise ConfigError(f"noise: {name}: no such noise level", f"noise levels: {', '.join(known)}")
+    return name
+
+
+def _wheels(where: str, drive: Drive, times_s: Sequence[float]) -> WheelTrack:
+    """The track of both wheels, which covers these times of the poses.
 
     Raises:
         ConfigError: see `from_poses`.
     """
-    time_s, right, left = (
-        np.asarray(values, dtype=np.float64)
-        for values in (drive.wheel_time_s, drive.right_rad, drive.left_rad)
-    )
+    names = ("wheel_time_s", "right_rad", "left_rad")
+    time_s, right, left = (_array(f"{where}: {name}", getattr(drive, name)) for name in names)
     if time_s.ndim != 1 or not time_s.shape == right.shape == left.shape or len(time_s) < 2:
         raise ConfigError(
             f"{where}: {time_s.shape} wheel times, {right.shape} right and {left.shape} left readings",
             "give two or more of each, as many readings as times",
         )
-    for name, values in (("wheel_time_s", time_s), ("right_rad", right), ("left_rad", left)):
+    for name, values in zip(names, (time_s, right, left), strict=True):
         wrong = np.flatnonzero(~np.isfinite(values))
         if len(wrong):
             raise ConfigError(
@@ -191,10 +241,10 @@ def _wheels(where: str, drive: Drive) -> WheelTrack:
             f"{where}: wheel_time_s does not increase: [{k}] is {time_s[k]:g} s, and the next is {time_s[k + 1]:g} s",
             "give each reading its own time, in s, not rounded, and sort them by it",
         )
-    outside = [pose.time_s for pose in drive.poses if not time_s[0] <= pose.time_s <= time_s[-1]]
+    outside = [at for at in times_s if not time_s[0] <= at <= time_s[-1]]
     if outside:
         raise ConfigError(
-            f"{where}: no wheel readings at {len(outside)} of {len(drive.poses)} poses (the first at {outside[0]:g} s; "
+            f"{where}: no wheel readings at {len(outside)} of {len(times_s)} poses (the first at {outside[0]:g} s; "
             f"wheel readings from {time_s[0]:g} to {time_s[-1]:g} s)",
             "give the times of poses by the wheels' clock, in s",
         )
@@ -207,9 +257,8 @@ def _rigid(where: str, T: FloatArray) -> FloatArray:
     Raises:
         ConfigError: it is none.
     """
-    T = np.asarray(T, dtype=np.float64)
-    rigid = T.shape == (4, 4) and bool(np.isfinite(T).all())
-    if not rigid:
+    T = _array(where, T)
+    if T.shape != (4, 4) or not np.isfinite(T).all():
         raise ConfigError(f"{where}: not a finite 4 x 4 matrix", "leave out poses that were not measured")
     R = T[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
@@ -228,33 +277,38 @@ def _rigid(where: str, T: FloatArray) -> FloatArray:
     return se3.transform(U @ Vt, T[:3, 3])
 
 
-def _require_positive(where: str, covariance: FloatArray, size: int, hint: str) -> None:
-    square = covariance.shape == (size, size)
-    if not square or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > 0):
+def _require_positive(where: str, covariance: FloatArray | None, size: int, hint: str) -> None:
+    if (
+        covariance is None
+        or covariance.shape != (size, size)
+        or not np.isfinite(covariance).all()
+        or not np.all(np.linalg.eigvalsh((covariance + covariance.T) / 2) > 0)
+    ):
         raise ConfigError(f"{where}: the covariance is not positive definite, or not {size} x {size}", hint)
 
 
 def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Observation:
     where = f"drive {log + 1}, pose {station + 1}"
-    missing = [name for name in chain.joints if name not in pose.joints]
+    joints = by_name(f"{where}: joints", pose.joints)
+    missing = [name for name in chain.joints if name not in joints]
     if missing:
         raise ConfigError(f"{where}: no reading of {', '.join(missing)}", "give all joints of the chain")
     T_c_k = _rigid(where, pose.T_c_k)
-    unread = [name for name in chain.joints if not math.isfinite(pose.joints[name])]
+    readings = {name: number_of(f"{where}: {name}", joints[name]) for name in chain.joints}
+    unread = [name for name, reading in readings.items() if not math.isfinite(reading)]
     if unread:
         raise ConfigError(
             f"{where}: {', '.join(unread)} is not finite", "leave out poses without all readings"
         )
-    covariance = np.array(pose.covariance, dtype=np.float64)
+    covariance = _array(f"{where}: covariance", pose.covariance)
     wide = np.zeros(0, dtype=np.int64)
     if covariance.shape == (6, 6):
-        wide = np.flatnonzero(~(np.diag(covariance) < NOT_MEASURED**2))
+        wide = np.flatnonzero(np.diag(covariance) >= NOT_MEASURED**2)
         covariance[wide], covariance[:, wide] = 0.0, 0.0
         covariance[wide, wide] = NOT_MEASURED**2
     _require_positive(where, covariance, 6, "give what is not measured an infinite variance")
     assert _TARGET.square_m is not None
     points = _TARGET.grid() * _TARGET.square_m
-    joints = np.array([pose.joints[name] for name in chain.joints])
     nowhere = Corners(np.zeros((len(points), 2)), 1.0, 1, np.zeros(len(points), dtype=np.bool_))
     points_c = se3.act(T_c_k[None], points)[0]
     of_points = covariance.copy()  # what was not measured counts as exact
@@ -264,8 +318,8 @@ def _observed(log: int, station: int, pose: TargetPose, chain: HeadChain) -> Obs
         station=station,
         time_ns=round(pose.time_s * 1e9),
         at_rest=True,
-        joints=joints,
-        joints_std=np.zeros(len(joints)),
+        joints=np.array(list(readings.values())),
+        joints_std=np.zeros(len(readings)),
         views=(nowhere,),
         points_c=points_c,
         points_cov=_points_cov(points_c, of_points),

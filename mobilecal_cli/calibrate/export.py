@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter
 
-from mobilecal_cli.calibrate.arguments import AnyPath, by_name, path_of, paths_of, require
+from mobilecal_cli.arguments import AnyPath, by_name, path_of, paths_of, require
 from mobilecal_cli.calibrate.detect import first_images, plan_recording
 from mobilecal_cli.calibrate.load import differences, parameters_of, read_extraction, read_params
 from mobilecal_cli.calibrate.steps import Report

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from mobilecal_cli import se3
+from mobilecal_cli.arguments import AnyPath, path_of, require
 from mobilecal_cli.calibrate import Progress, silent
-from mobilecal_cli.calibrate.arguments import AnyPath, path_of
 from mobilecal_cli.calibrate.extract import extract, refuse_equal_files, refuse_equal_recordings
 from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_from_npz, snapshots_from_npz
@@ -38,6 +38,14 @@ class Data:
     extraction: Extraction
     snapshots: tuple[Snapshot, ...] = ()
     gates: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Check.
+
+        Raises:
+            ConfigError: no measurements.
+        """
+        require("extraction", self.extraction, Extraction, "what from_poses() returns, or use extract()")
 
     def __repr__(self) -> str:
         """One line."""
@@ -105,7 +113,6 @@ def read_params(params: AnyPath) -> CalibratedRobot:
 
     Raises:
         ConfigError: the file cannot be read, or is not a params.yaml.
-        TypeError: not a path.
     """
     path = path_of("params", params)
     hint = "give a params.yaml that mobilecal wrote; for evaluate it comes last, after the recordings"

@@ -14,8 +14,8 @@ from typing import Any, get_args
 import numpy as np
 
 from mobilecal_cli import __version__
+from mobilecal_cli.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.calibrate import Progress, silent, source_date
-from mobilecal_cli.calibrate.arguments import AnyPath, by_name, names_of, pair_of, path_of, paths_of, require
 from mobilecal_cli.calibrate.gaps import require_observable, require_stations
 from mobilecal_cli.calibrate.load import Data, differences, load, read_params
 from mobilecal_cli.errors import ConfigError, ObservationError, SolveError
@@ -121,7 +121,6 @@ def extract(
 
     Raises:
         MobilecalError: see `errors`.
-        TypeError: an argument of another type.
     """
     path = None if config is None else path_of("config", config)
     flags = by_name("settings", settings)
@@ -159,7 +158,6 @@ def solve(
 
     Raises:
         MobilecalError: see `errors`.
-        TypeError: an argument of another type.
     """
     require("data", data, (Data, Extraction), "what extract() returns")
     require("progress", progress, Callable, "a function of stage, done and total")  # type: ignore[arg-type]
@@ -261,8 +259,8 @@ class Report:
         values: content of report.json, also every figure that a gate can limit (`metrics`).
 
     Raises:
-        ConfigError: an unknown gate, a params.yaml that cannot be read, or a fit of other data.
-        TypeError: an argument of another type.
+        ConfigError: an unknown gate, a params.yaml that cannot be read, a fit of other data, or an argument of another
+            type.
     """
 
     def __init__(

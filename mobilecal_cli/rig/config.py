@@ -652,7 +652,7 @@ def _validated(
         return RigConfig.model_validate(data, context=folder)
     except ValidationError as error:
         items, cause = error.errors(), error
-    todo = sorted({".".join(map(str, item["loc"])) for item in items if item["input"] == TODO})
+    todo = sorted({".".join(map(str, item["loc"])) for item in items if repr(item["input"]) == repr(TODO)})
     if todo:
         raise ConfigError(
             f"{where}not filled in yet: {', '.join(todo)}",

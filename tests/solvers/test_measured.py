@@ -199,8 +199,8 @@ def test_measured_poses_and_motions_have_a_report():
 
 
 @pytest.mark.parametrize("wheels_m", [(0.0, 0.02, 0.09), (-0.02, 0.02, 0.09), (float("nan"), 0.02, 0.09)])
-def test_wheels_that_are_not_positive_are_refused(wheels_m):
-    with pytest.raises(ConfigError, match="not positive"):
+def test_wheels_that_are_not_possible_are_refused(wheels_m):
+    with pytest.raises(ConfigError, match=r"radius_right: .* is not possible"):
         from_motions(legs(8, 1), wheels_m, T_V_C)
 
 

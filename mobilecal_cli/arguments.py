@@ -14,20 +14,32 @@ AnyPath = str | os.PathLike[str]
 
 
 def require(name: str, value: object, kinds: type | tuple[type, ...], give: str) -> None:
-    """Check the type of an argument; the message says what to `give`.
+    """Check the type of an argument; the hint says what to `give`.
 
     Raises:
-        TypeError: it has another type.
+        ConfigError: it has another type.
     """
     if not isinstance(value, kinds):
-        raise TypeError(f"{name} is {reprlib.repr(value)}, of type {type(value).__name__}: give {give}")
+        raise ConfigError(f"{name} is {reprlib.repr(value)}, of type {type(value).__name__}", f"give {give}")
+
+
+def all_of(name: str, values: Iterable[Any], kinds: type | tuple[type, ...], give: str) -> tuple[Any, ...]:
+    """Values of one kind as a tuple.
+
+    Raises:
+        ConfigError: it is no list, or an item has another type.
+    """
+    require(name, values, Iterable, give)
+    for each in (values := tuple(values)):
+        require(f"an item of {name}", each, kinds, give)
+    return values
 
 
 def path_of(name: str, path: AnyPath) -> Path:
     """A path.
 
     Raises:
-        TypeError: it is neither a string nor a `pathlib.Path`.
+        ConfigError: it is neither a string nor a `pathlib.Path`.
     """
     require(name, path, (str, os.PathLike), "a path as a string or pathlib.Path")
     return Path(path)
@@ -37,33 +49,26 @@ def paths_of(name: str, paths: AnyPath | Iterable[AnyPath]) -> tuple[Path, ...]:
     """One or several paths as a tuple.
 
     Raises:
-        TypeError: something else than paths.
+        ConfigError: something else than paths.
     """
-    if isinstance(paths, str | os.PathLike):
-        return (Path(paths),)
-    require(name, paths, Iterable, "a path or a list of paths")
-    return tuple(path_of(name, path) for path in paths)
+    given = [paths] if isinstance(paths, str | os.PathLike) else paths
+    return tuple(map(Path, all_of(name, given, (str, os.PathLike), "a path or a list of paths")))
 
 
 def names_of(name: str, names: str | Iterable[str]) -> tuple[str, ...]:
     """One or several names as a tuple.
 
     Raises:
-        TypeError: something else than strings.
+        ConfigError: something else than strings.
     """
-    if isinstance(names, str):
-        return (names,)
-    require(name, names, Iterable, "a name or a list of names")
-    for each in (names := tuple(names)):
-        require(f"a name in {name}", each, str, "strings")
-    return names
+    return all_of(name, [names] if isinstance(names, str) else names, str, "a name or a list of names")
 
 
 def by_name(name: str, given: Mapping[Any, Any] | None) -> Mapping[str, Any]:
     """A mapping whose keys are strings; None stands for an empty one.
 
     Raises:
-        TypeError: something else.
+        ConfigError: something else.
     """
     if given is None:
         return {}
