@@ -8,7 +8,7 @@ from pathlib import Path
 
 from mobilecal_cli.calibrate import Progress, silent
 from mobilecal_cli.calibrate.gaps import require_stations
-from mobilecal_cli.calibrate.load import load, parameters_of, read_params
+from mobilecal_cli.calibrate.load import OTHER_ROBOT, load, parameters_of, read_params
 from mobilecal_cli.errors import ConfigError, MobilecalError, ObservationError, SolveError
 from mobilecal_cli.model import CalibratedRobot, Extraction, Nominal, Solution
 from mobilecal_cli.model.text import listed
@@ -100,7 +100,7 @@ def _for_recording(robot: CalibratedRobot, extraction: Extraction, params: Path)
         has, lacks = ("wheels", "odometry alone") if robot.odometry is None else ("odometry alone", "wheels")
         raise ConfigError(
             f"{params} is a calibration of {has}, and the recording is read as {lacks}",
-            "give a recording with the same topics; with nominal.wheels in rig.yaml odometry is read as wheels",
+            f"{OTHER_ROBOT} its topics in rig.yaml; with nominal.wheels odometry is read as wheels",
         )
     return robot if assumed is None else robot.with_assumed(assumed)
 

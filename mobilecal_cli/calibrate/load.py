@@ -22,6 +22,8 @@ from mobilecal_cli.readers import looks_recorded
 from mobilecal_cli.rig.config import RigConfig, checked_settings
 from mobilecal_cli.rig.settings import refuse_others, settings_of, with_settings
 
+#: The hint for a calibration and measurements that do not belong together; what to set follows.
+OTHER_ROBOT = "give the calibration of this robot; if this is it, set"
 _ARCHIVE = b"PK\x03\x04"  # the first bytes of a zip file
 
 
@@ -152,10 +154,15 @@ def parameters_of(robot: CalibratedRobot, extraction: Extraction, path: Path) ->
     cameras = extraction.rig.cameras
     here = (extraction.rig.chain.head_frame, cameras.of_reference.frame_id)
     if (robot.parent_frame, robot.child_frame) != here:
+        keys = [f"head.head_frame to {robot.parent_frame}"] if robot.parent_frame != here[0] else []
+        if robot.child_frame != here[1]:
+            named = {camera.frame_id: name for name, camera in zip(cameras.names, cameras.each, strict=True)}
+            name = named.get(robot.child_frame)
+            keys.append("the cameras of the calibration" if name is None else f"cameras.reference to {name}")
         raise ConfigError(
             f"{path} gives the pose of {robot.child_frame!r} on {robot.parent_frame!r}; in the recording the camera "
             f"frame is {here[1]!r} and the head frame is {here[0]!r}",
-            "set head.head_frame and cameras.reference as for the calibration",
+            f"{OTHER_ROBOT} {' and '.join(keys)} in rig.yaml",
         )
     rows = table(cameras, extraction.rig.chain)
     estimated = camera_change(cameras, rows, robot.constants or {}).apply(cameras)

@@ -119,7 +119,16 @@ def test_evaluate_another_robot(result, tmp_path):
     params.write_text(text.replace("head_link", "neck_link"), encoding="utf-8")
     found = run("evaluate", result / "extraction.npz", params)
     assert found.code == 2
-    assert "neck_link" in found.err
+    assert (
+        "give the calibration of this robot; if this is it, set head.head_frame to neck_link in rig"
+        in found.err
+    )
+    for frame, cure in (
+        ("stereo_right_optical", "cameras.reference to right"),
+        ("lens", "the cameras of the"),
+    ):
+        params.write_text(text.replace("stereo_left_optical", frame), encoding="utf-8")
+        assert f"if this is it, set {cure}" in run("evaluate", result / "extraction.npz", params).err
     missing = run("evaluate", result / "extraction.npz", tmp_path / "none.yaml")
     assert missing.code == 2
     assert "none.yaml: cannot be read" in missing.err
