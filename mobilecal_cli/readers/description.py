@@ -152,12 +152,8 @@ def _infos(
                 infos[topic] = camera_info(messages[topic], topic)
             except RecordingError as error:
                 unusable[topic] = error
-        elif count := recording.topic(topic).count:
-            reason = next((note for note in recording.damage if topic in note), "log times are invalid")
-            unusable[topic] = RecordingError(
-                f"{topic}: none of its {count} messages can be read ({reason})",
-                "copy the recording again, or record a new one",
-            )
+        elif recording.topic(topic).count:
+            unusable[topic] = recording.nothing_read(topic)
     return infos, unusable
 
 

@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from mcap.writer import CompressionType
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.readers import open_recording
+from mobilecal_cli.readers import open_recording, read_description
 from mobilecal_cli.readers.messages import ZSTD_MAGIC
 
 from . import recordings as r
@@ -65,7 +66,7 @@ def test_truncated_database_gives_rows_until_the_damage(originals, tmp_path):
         times, counts = recording.log_times(), {info.name: info.count for info in recording.topics}
         span = recording.start_ns, recording.end_ns
     assert 0 < count < len(ITEMS)
-    assert f"damaged; {count} messages could be read" in note
+    assert f"damaged: {count} messages are left" in note
     assert sum(counts.values()) == count
     assert {name: len(known) for name, known in times.items()} == {n: k for n, k in counts.items() if k}
     assert span == (min(map(np.min, times.values())), max(map(np.max, times.values())))
@@ -213,6 +214,26 @@ def test_a_chunk_that_states_times_beyond_64_bits_is_read(originals, tmp_path):
     with open_recording([written(tmp_path, data)]) as recording:
         assert len(r.every(recording)) == len(ITEMS)
         assert recording.end_ns == ITEMS[-1].log_ns
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("mcap-none", "wrong checksum"), ("mcap-none", "2116"), ("rosbag2-sqlite3-file", "2116")],
+)
+def test_what_is_lost_of_all_messages_is_said_of_a_camera_info(tmp_path, name, why):
+    late = [replace(item, log_ns=item.log_ns + 2**62) for item in ITEMS]
+    path = r.CONTAINERS[name](tmp_path / "log", late if why == "2116" else ITEMS)
+    if why != "2116":
+        with open_recording([path]) as recording:
+            places = [block.offset + block.size // 2 for block in recording.parts[0].blocks]
+        data = bytearray(path.read_bytes())
+        for place in places:
+            data[place] ^= 1
+        path.write_bytes(data)
+    with open_recording([path]) as recording:
+        error = read_description(recording).unusable["/left/camera_info"]
+    assert error.message.startswith("/left/camera_info: none of its 1 messages can be read (")
+    assert why in error.message
 
 
 def test_log_time_beyond_64_bits_is_left_out_and_counted(originals, tmp_path):

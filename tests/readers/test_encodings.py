@@ -139,7 +139,7 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
     assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])
-    assert any("missing in 1 messages" in note for note in signals.notes)
+    assert any("1 of 6 messages have no value; ignored" in note for note in signals.notes)
     assert signals.wheels["right"].value[-1] == pytest.approx(2 * np.pi)
 
 

@@ -105,7 +105,13 @@ def test_zero_stamps_fall_back_to_log_time_and_another_clock_is_noted(tmp_path):
     assert "/j: all 5 header stamps are zero; the log time is used" in signals.notes
     rows = [(0.1 * k, at(0.1 * k) - 100 * S, NAMES, [k, k, k]) for k in range(5)]
     signals = joints_read(tmp_path, rows)
-    assert any(note.startswith("clocks differ: the stamps of /j are 100.000 s") for note in signals.notes)
+    differ = (
+        "clocks differ: the stamps of /j are 100.000 s before the log time, those of /l 0.000 s before it"
+    )
+    assert differ in signals.notes
+    rows = [(0.1 * k, at(0.1 * k) + 5 * S, NAMES, [k, k, k]) for k in range(5)]
+    differ = "clocks differ: the stamps of /l are 0.000 s before the log time, those of /j 5.000 s after it"
+    assert differ in joints_read(tmp_path, rows).notes
 
 
 def test_clock_that_steps_back_is_reported_with_numbers(tmp_path):
@@ -203,17 +209,30 @@ def test_gap_in_which_wheels_turned_is_reported(tmp_path):
 
 def test_nan_readings_are_dropped_and_counted(tmp_path):
     rows = steady()
-    rows[3] = (*rows[3][:3], [np.nan, np.inf, 9.0])
+    rows[3] = (*rows[3][:3], [np.nan, 2e9, 9.0])
     signals = joints_read(tmp_path, rows)
     assert len(signals.joints["pan"].value) == len(signals.wheels["left"].value) == 9
     assert len(signals.wheels["right"].value) == 10
-    assert "joint pan on /j: 1 of 10 readings are NaN or infinite; dropped" in signals.notes
+    possible = "(range -1e+09 to 1e+09); dropped"
+    assert f"joint pan on /j: 1 of 10 readings are not possible, such as nan {possible}" in signals.notes
+    assert f"joint wl on /j: 1 of 10 readings are not possible, such as 2e+09 {possible}" in signals.notes
+
+
+def test_joint_states_with_fewer_positions_than_names_are_noted(tmp_path):
+    rows = steady()
+    rows[3:5] = [(*row[:3], row[3][:1]) for row in rows[3:5]]
+    signals = joints_read(tmp_path, rows)
+    assert len(signals.wheels["left"].value) == 8
+    missing = {note for note in signals.notes if "no value" in note}
+    assert missing == {f"joint {name} on /j: 2 of 10 messages have no value; ignored" for name in NAMES[1:]}
 
 
 @pytest.mark.parametrize("bad", [0, 1])
 def test_only_nan_is_refused(tmp_path, bad):
     rows = [(*row[:3], [np.nan if k == bad else x for k, x in enumerate(row[3])]) for row in steady()]
-    with pytest.raises(RecordingError, match=f"joint {NAMES[bad]} on /j: all 10 readings are NaN"):
+    with pytest.raises(
+        RecordingError, match=f"joint {NAMES[bad]} on /j: all 10 readings are not possible, such as nan"
+    ):
         joints_read(tmp_path, rows)
 
 
@@ -441,8 +460,9 @@ def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
     sources = with_left(joint="wl", others=(WheelSource("/j", joint="rear"),))
     signals = joints_read(tmp_path, rows, sources)
     np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(30))
-    assert "joint rear on /j: all readings are NaN or infinite; left out" in signals.notes
-    with pytest.raises(RecordingError, match="joint rear on /j: all 30 readings are NaN or infinite"):
+    said = "joint rear on /j: all 30 readings are not possible, such as nan"
+    assert f"{said} (range -1e+09 to 1e+09); left out" in signals.notes
+    with pytest.raises(RecordingError, match=said):
         joints_read(tmp_path, rows, with_left(joint="rear"))
 
 

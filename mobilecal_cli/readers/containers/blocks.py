@@ -20,6 +20,7 @@ from mobilecal_cli.readers.containers.storage import (
     EVERYTHING,
     LATEST_NS,
     LEAST_STEP_NS,
+    WITHOUT_TIME,
     Extent,
     Message,
     Storage,
@@ -174,7 +175,11 @@ class BlockStorage(Storage):
             following_ns = blocks[place].start_ns if place < len(blocks) else LATEST_NS
             for number, time_ns, payload in self._messages_of(block, self.note):
                 channel = self.channels.get(number)
-                if channel is not None and channel.topic in topics and time_ns < LATEST_NS:
+                if channel is None or channel.topic not in topics:
+                    continue
+                if time_ns >= LATEST_NS:
+                    self.note(WITHOUT_TIME)
+                else:
                     read[number] += 1
                     heapq.heappush(waiting, (time_ns, next(order), Message(channel, time_ns, payload)))
             while waiting and waiting[0][0] < following_ns:

@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli.errors import MobilecalError, RecordingError
 from mobilecal_cli.model import IntArray, TopicInfo, listed
-from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
+from mobilecal_cli.readers.containers.storage import COUNTED, EVERYTHING, Extent, Message, Storage
 
 
 @contextmanager
@@ -108,6 +108,19 @@ class Recording(ExitStack):
             f"{self.name}: no topic {name}; topics present: {present}", "set one of them in rig.yaml"
         )
 
+    def nothing_read(self, topic: str) -> RecordingError:
+        """The error for a topic without any message that can be read: what is damaged, if messages were recorded."""
+        count, causes = self.topic(topic).count, [note for note in self.damage if not note.endswith(COUNTED)]
+        if not count or not causes:
+            return RecordingError(
+                f"{self.name}: {topic}: no messages", "record the topic, or set another one in rig.yaml"
+            )
+        why = min(causes, key=lambda note: topic not in note)
+        return RecordingError(
+            f"{topic}: none of its {count} messages can be read ({why})",
+            "copy the recording again, or record a new one",
+        )
+
     @property
     def containers(self) -> tuple[str, ...]:
         """Container formats of the files."""
@@ -185,7 +198,7 @@ class Recording(ExitStack):
         for topic in sorted(topics & self.stated.keys()) if extent is EVERYTHING else ():
             if read[topic] < self.stated[topic]:
                 self.note(
-                    f"{topic}: metadata.yaml states {self.stated[topic]} messages, {read[topic]} could be read"
+                    f"{topic}: metadata.yaml states {self.stated[topic]} messages, {read[topic]} {COUNTED}"
                 )
 
     def _part(self, part: Storage, topics: frozenset[str], extent: Extent) -> Iterator[Message]:

@@ -19,7 +19,14 @@ from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.sqlite_pages import LeafPages
-from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent, Message, Storage
+from mobilecal_cli.readers.containers.storage import (
+    EVERYTHING,
+    LATEST_NS,
+    WITHOUT_TIME,
+    Extent,
+    Message,
+    Storage,
+)
 from mobilecal_cli.readers.messages import SIZE_LIMIT, Channel, ros2_spelling
 from mobilecal_cli.readers.messages.types import LANGUAGES
 
@@ -47,7 +54,7 @@ def _listed(rows: Iterable[tuple[Any, ...]]) -> tuple[_Log, Counter[int]]:
         if not isinstance(topic, int):  # SQLite stores values of any type
             continue
         counts[topic] += 1
-        if isinstance(time_ns, int):
+        if isinstance(time_ns, int) and time_ns < LATEST_NS:
             log.extend(value or 0 for value in row)
     return _Log(*np.array(log, dtype=np.int64).reshape(-1, 4).T.copy()), counts
 
@@ -146,7 +153,9 @@ class SqliteStorage(Storage):
             self._pages = self._leaf_pages()
             self._log = _Log(*self._pages.rows[:, :4].T.copy())
             self.counts = Counter(self._log.channel.tolist())
-            self.note(f"the message table is damaged; {self.counts.total()} messages could be read")
+            self.note(f"the message table is damaged: {self.counts.total()} messages are left")
+        if len(self._log.row) < self.counts.total():
+            self.note(WITHOUT_TIME)
         self._log.log_ns[:] += self.shifts_of(self._log.channel, self._log.log_ns)
         self.delay(0)
 
@@ -169,9 +178,7 @@ class SqliteStorage(Storage):
             read[channel_id] += 1
             yield Message(self.channels[channel_id], time_ns, data)
         if damaged:
-            self.note(
-                f"the message table is damaged; {read.total()} messages of the topics in use could be read"
-            )
+            self.note(f"the message table is damaged: {read.total()} messages of the topics in use are left")
         if extent.at_ns is None:
             self.compare_counts(topics, read)
 

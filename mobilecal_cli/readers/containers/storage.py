@@ -48,6 +48,9 @@ class Message(NamedTuple):
 
 #: Log times after the year 2116 are damage; these and their differences fit into 64 signed bits.
 LATEST_NS = 2**62
+WITHOUT_TIME = "messages without a log time before the year 2116 are skipped"
+#: End of a note on the number of messages.
+COUNTED = "could be read"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,7 +159,7 @@ class Storage(ABC):
         for number in sorted(self.channels_of(topics)):
             if read[number] < self.counts[number]:
                 topic = self.channels[number].topic
-                self.note(f"{topic}: {read[number]} of {self.counts[number]} messages could be read")
+                self.note(f"{topic}: {read[number]} of {self.counts[number]} messages {COUNTED}")
 
 
 def decompress(data: bytes, method: str, size: int, *, truncated: bool = False) -> bytes:

@@ -42,7 +42,7 @@ def read_signals(
     """Read everything except image contents, in one pass.
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
-    of order the longest run in order is kept (`series.in_order`). Readings that are not finite and undecodable messages
+    of order the longest run in order is kept (`series.in_order`). Impossible readings and undecodable messages
     are dropped, and so are images recorded while a camera info differs from most of its topic. Notes give the counts.
 
     Wheels from joint states keep the driver's zero; counters and integrated velocities start at zero.
@@ -57,7 +57,7 @@ def read_signals(
 
     Raises:
         RecordingError: a topic, joint or field is missing (the message lists what is present), a topic has the wrong
-            type, a camera has no images, or a joint or wheel has no finite reading.
+            type, a camera has no images, or a joint or wheel has no possible reading.
     """
     read = Subscriptions(recording)
     images = {name: read.add(Images(topic)) for name, topic in sources.image.items()}
@@ -86,9 +86,9 @@ def read_signals(
         read.checked(camera, notes)
     for side, each in turning.items():
         turning[side] = used = [read.checked(wheel, notes) for wheel in each]
-        silent = [wheel for wheel in used if wheel.not_finite and not len(wheel)]
+        silent = [wheel for wheel in used if wheel.impossible and not len(wheel)]
         if 0 < len(silent) < len(used):
-            notes += (f"{wheel.label}: all readings are NaN or infinite; left out" for wheel in silent)
+            notes += (f"{wheel.label}: {wheel.impossible_words}; left out" for wheel in silent)
             turning[side] = [wheel for wheel in used if wheel not in silent]
     moving: dict[str, Source] = {}
     for name in joints:
@@ -113,7 +113,7 @@ def read_signals(
         tracks = {name: track_of(joint) for name, joint in moving.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
         for name, joint in moving.items():
-            if len(joint) == 1 and not joint.not_finite:
+            if len(joint) == 1 and not joint.impossible:
                 own_notes.append(f"{joint.label}: one reading only; the joint counts as standing still")
                 still = np.repeat(tracks[name].value, 2)
                 tracks[name] = Track(np.array([times_ns.min(), times_ns.max()]), still)

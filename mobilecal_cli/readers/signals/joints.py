@@ -52,8 +52,12 @@ class StatedJoint(Source):
             if self._place is not None:
                 self.present[self.name] = None
         values = getattr(message, self._field, ())
-        if self._place is not None and self._place < len(values):
+        if self._place is None:
+            return
+        if self._place < len(values):
             self.add(time_ns, log_ns, float(values[self._place]))
+        else:
+            self.missing += 1
 
 
 #: Bytes of a recording that are read to compare topics, or for its transforms.
@@ -117,8 +121,8 @@ def choose_topics(
             continue
         chosen[name] = best.topic
         for joint in (joint for joint in moving if joint is not best):
-            if joint.not_finite and not len(joint):
-                why = f"all {joint.not_finite} readings are NaN or infinite"
+            if joint.impossible and not len(joint):
+                why = joint.impossible_words
             elif joint.range <= _STILL_SHARE * best.range and (best.range or joint.says[1] < best.says[1]):
                 why = "they stand still"
             else:
@@ -141,7 +145,7 @@ def head_joint(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoin
         RecordingError: no topic has its position, or two differ.
     """
     best = most_stated(name, topics) if topics else None
-    if best is None or not (len(best) or best.not_finite):
+    if best is None or not (len(best) or best.impossible):
         where = ", ".join(joint.topic for joint in topics) or "any topic"
         present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
         raise RecordingError(
@@ -186,7 +190,7 @@ class TransformJoint(Source):
             RecordingError: the transform is missing, or does not move as the URDF states.
         """
         source = self._source
-        if not len(self) and not self.not_finite:
+        if not len(self) and not self.impossible:
             raise RecordingError(
                 f"{self.topic}: no transform from {source.parent} to {source.child}, needed for joint {self._name}; "
                 f"present: {listed(self._present)}",

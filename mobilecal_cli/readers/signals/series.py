@@ -282,9 +282,12 @@ def clock_notes(clocks: Collection[Clock]) -> list[str]:
     if len(lags) > 1:
         low, high = min(lags, key=lags.__getitem__), max(lags, key=lags.__getitem__)
         if lags[high] - lags[low] > LEAST_STEP_NS / _NS:
+            first, other = (
+                f"{abs(lags[topic]):.3f} s {'before' if lags[topic] >= 0 else 'after'}"
+                for topic in (high, low)
+            )
             notes.append(
-                f"clocks differ: the stamps of {high} are {lags[high]:.3f} s before the log time, those of "
-                f"{low} {lags[low]:.3f} s"
+                f"clocks differ: the stamps of {high} are {first} the log time, those of {low} {other} it"
             )
     notes += (
         f"{clock.topic}: {clock.broken} of {clock.broken + clock.messages} messages do not match their type; ignored"

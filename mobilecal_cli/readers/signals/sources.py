@@ -34,7 +34,8 @@ class Source:
 
     Attributes:
         types: types that the topic may have; () for any.
-        not_finite: number of readings that are dropped.
+        impossible: number of readings that are dropped: NaN, infinite or too large.
+        missing: number of messages that name the joint or wheel, and have no value of it.
     """
 
     types: Sequence[str] = ()
@@ -43,7 +44,8 @@ class Source:
         self.topic, self.label = topic, label
         self._width, self._positions = width, positions
         self._stamp_ns, self._log_ns, self._value = array("q"), array("q"), array("d")
-        self.not_finite = 0
+        self.impossible = self.missing = 0
+        self._example = 0.0
 
     def take(self, message: Decoded, time_ns: int, log_ns: int) -> None:
         """Read one message; its time is the stamp, or the log time without one."""
@@ -73,7 +75,7 @@ class Source:
     @property
     def says(self) -> tuple[bool, bool, int]:
         """How much the readings say: whether any is finite, whether any of these is not zero, and their number."""
-        return len(self) > 0, any(self._value), len(self) or self.not_finite
+        return len(self) > 0, any(self._value), len(self) or self.impossible
 
     def differs(self, other: Source, from_any_zero: bool = False) -> bool:
         """Whether the readings of the same joint, rad or m, differ in the mean while both were recorded.
@@ -94,29 +96,41 @@ class Source:
         return bool(apart.mean() > limit)
 
     def add(self, stamp_ns: int, log_ns: int, *value: float) -> None:
-        """Append a reading; one that is not finite or impossibly large is counted and dropped."""
+        """Append a reading; one that is not finite or too large is counted and dropped."""
         for number in value:
             if number not in READING:
-                self.not_finite += 1
+                self._example = self._example if self.impossible else number
+                self.impossible += 1
                 return
         self._stamp_ns.append(stamp_ns)
         self._log_ns.append(log_ns)
         self._value.extend(value)
 
+    @property
+    def impossible_words(self) -> str:
+        """Which readings are dropped, with the first of them, "" for none."""
+        if not self.impossible:
+            return ""
+        many = (
+            f"{self.impossible} of {self.impossible + len(self)}" if len(self) else f"all {self.impossible}"
+        )
+        return f"{many} readings are not possible, such as {self._example:.6g} (range {READING})"
+
     def samples(self, notes: list[str]) -> Samples:
-        """All finite readings; notes how many are not.
+        """All readings that are possible; notes how many are not, and how many are missing.
 
         Raises:
-            RecordingError: there are readings, but none is finite.
+            RecordingError: there are readings, but none is possible.
         """
-        if self.not_finite:
-            total = self.not_finite + len(self)
+        if self.impossible:
             if not len(self):
                 raise RecordingError(
-                    f"{self.label}: all {total} readings are NaN or infinite",
-                    "check the driver that publishes them",
+                    f"{self.label}: {self.impossible_words}", "check the driver that publishes them"
                 )
-            notes.append(f"{self.label}: {self.not_finite} of {total} readings are NaN or infinite; dropped")
+            notes.append(f"{self.label}: {self.impossible_words}; dropped")
+        if self.missing:
+            total = self.missing + self.impossible + len(self)
+            notes.append(f"{self.label}: {self.missing} of {total} messages have no value; ignored")
         stamp_ns, log_ns = (np.array(times, dtype=np.int64) for times in (self._stamp_ns, self._log_ns))
         value = np.array(self._value, dtype=np.float64).reshape(len(stamp_ns), self._width)
         return Samples(self.topic, self.label, stamp_ns, log_ns, value, positions=self._positions)
@@ -141,7 +155,6 @@ class FieldSource(Source):
     def __init__(self, topic: str, path: str, of: str, setting: str, scale: float = 1.0) -> None:
         super().__init__(topic, f"{of} ({topic} {path})")
         self._path, self._setting, self._scale = FieldPath.parse(path), setting, scale
-        self._missing = 0
         self._error: RecordingError | None = None
 
     def reading(self, value: float) -> float:
@@ -152,17 +165,15 @@ class FieldSource(Source):
         try:
             value = self._path.number(message, self.topic, self._setting)
         except RecordingError as error:  # a list may be empty in one message, but not in all
-            self._missing += 1
+            self.missing += 1
             self._error = self._error or error
             return
         self.add(time_ns, log_ns, self.reading(value))
 
     def checked(self, notes: list[str]) -> Source:
-        """Note missing readings; raise the first error if nothing was read."""
-        if self._error is not None:
-            if not len(self):
-                raise self._error
-            notes.append(f"{self.label}: the field is missing in {self._missing} messages; ignored")
+        """Raise the first error if nothing was read."""
+        if self._error is not None and not len(self):
+            raise self._error
         return self
 
 
@@ -257,9 +268,10 @@ class Subscriptions:
         """
         clock = self.clocks[source.topic]
         if not clock.messages:
-            fact = f"none of its {clock.broken} messages can be decoded" if clock.broken else "no messages"
+            if not clock.broken:
+                raise self.recording.nothing_read(clock.topic)
             raise RecordingError(
-                f"{self.recording.name}: {clock.topic}: {fact}",
+                f"{self.recording.name}: {clock.topic}: none of its {clock.broken} messages can be decoded",
                 "record the topic, or set another one in rig.yaml",
             )
         return source.checked(notes)

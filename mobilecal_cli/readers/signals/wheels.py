@@ -93,15 +93,15 @@ class JointWheel(StatedJoint):
                 f"{self._log}: no joint {self.name} on {self.topic}; joints present: {listed(self.present)}",
                 f"correct wheels.{self._side}.joint in rig.yaml",
             )
-        if not (len(self) or self.not_finite or len(velocity)):
+        if not (len(self) or self.impossible or len(velocity)):
             raise RecordingError(
                 f"{self.label}: neither positions nor velocities in its messages",
                 "set another source for the wheel in rig.yaml",
             )
         if self.range or not len(velocity) or (len(self) and not velocity.range):
             return self
-        if self.not_finite and not len(self):
-            notes.append(f"{self.label}: all {self.not_finite} positions are NaN or infinite")
+        if self.impossible and not len(self):
+            notes.append(f"{self.label}: {self.impossible_words}")
         instead = "positions that never change" if len(self) else "no positions"
         notes.append(f"{self.label}: {instead}; velocities are integrated")
         return velocity
