@@ -26,6 +26,7 @@ from mobilecal_cli.model import (
     Track,
     WheelTrack,
     camera_words,
+    listed,
     shots_words,
 )
 from mobilecal_cli.model.text import capitalized
@@ -45,6 +46,7 @@ MOST_IN_MOTION = 2000  # of a recording: the estimate takes 1.5 MB of memory eac
 # One camera records nothing for so long, while the other has so many images; or all cameras for so many times the
 # longest other break between images, while the robot moves.
 _SILENT_S, _MISSED_IMAGES, _OTHER_BREAKS = 3.0, 5, 2
+_NEARLY_ALL = 0.9  # of a topic's images
 _ALONE_S = 1.0  # an image of one camera this near to a group of images is not used
 _MISSED_PAIRS = 2  # without readings around them; one happens at the ends of a recording
 _FROZEN_S = 1.0  # a driver that repeats images shows new ones earlier
@@ -149,8 +151,21 @@ def _nearest(one_ns: IntArray, other_ns: IntArray, tolerance_s: float) -> dict[i
     return {i: j for j, i in best.items()}
 
 
-def _silences(recorded_ns: Mapping[str, IntArray]) -> Iterator[str]:
+def _elsewhere(signals: Signals, since_ns: int, until_ns: int) -> str:
+    """Which topics of no camera have nearly all of their images in a stretch of time without others, "" for none."""
+    shares = {
+        topic: np.mean((times_ns >= since_ns) & (times_ns <= until_ns))
+        for topic, times_ns in signals.other_images.items()
+    }
+    topics = [topic for topic, share in shares.items() if share > _NEARLY_ALL]
+    return (
+        f"The images of this time are on {listed(topics)}. Record each camera on one topic." if topics else ""
+    )
+
+
+def _silences(signals: Signals) -> Iterator[str]:
     """A note where one camera recorded nothing for a while and another did: a cable, or a full disk."""
+    recorded_ns = signals.recorded_ns
     for name, own in recorded_ns.items() if len(recorded_ns) > 1 else ():
         other = max((k for k in recorded_ns if k != name), key=lambda k: len(recorded_ns[k]))
         others = recorded_ns[other]
@@ -163,9 +178,10 @@ def _silences(recorded_ns: Mapping[str, IntArray]) -> Iterator[str]:
         missed = int(np.sum(~paired.any(axis=1)))
         if end - begin > _SILENT_S * _NS and missed >= _MISSED_IMAGES:
             since = (begin - min(own[0], others[0])) / _NS
+            check = f"Check the cable and the driver of the {camera_words(name)}."
             yield (
                 f"No {name} images for {(end - begin) / _NS:.0f} s, from {since:.0f} s after the first image on, "
-                f"while there are {missed} {other} images. Check the cable and the driver of the {camera_words(name)}."
+                f"while there are {missed} {other} images. {_elsewhere(signals, begin, end) or check}"
             )
 
 
@@ -285,8 +301,9 @@ def _station(index: int, pairs: list[Shot], at_rest: bool, tracks: Sequence[Trac
     return Station(index, at_rest, tuple(pairs), time_ns, np.array(mean), np.array(scatter))
 
 
-def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) -> Iterator[str]:
+def _blind(signals: Signals, channels: Sequence[_Channel]) -> Iterator[str]:
     """A note where no camera records anything for a while, and the robot moves: a cable, a driver, or a full disk."""
+    recorded_ns = signals.recorded_ns
     taken = np.unique(np.concatenate([*recorded_ns.values()]))
     begin_ns = max(int(c.track.time_ns[0]) for c in channels)
     end_ns = min(int(c.track.time_ns[-1]) for c in channels)
@@ -300,9 +317,10 @@ def _blind(recorded_ns: Mapping[str, IntArray], channels: Sequence[_Channel]) ->
     long_ns = max(_SILENT_S * _NS, _OTHER_BREAKS * usual_ns)
     if until - since > long_ns and not _still(channels, since, until):
         which = camera_words(*recorded_ns) if len(recorded_ns) == 1 else "cameras"
+        check = f"Check the {which}, cables and drivers, and the recorder."
         yield (
             f"{NO_IMAGES} {(until - since) / _NS:.0f} s, from {(since - begin_ns) / _NS:.0f} s after the first "
-            f"reading on, while the robot moves. Check the {which}, cables and drivers, and the recorder."
+            f"reading on, while the robot moves. {_elsewhere(signals, since, until) or check}"
         )
 
 
@@ -489,8 +507,8 @@ def plan_stations(
     notes = [
         f"a piece of the recording between clock steps is not used: {e.message}" for e in problems.values()
     ]
-    notes += (note for log in paired for note in _silences(log.signals.recorded_ns))
-    notes += (note for log in paired for note in _blind(log.signals.recorded_ns, log.channels))
+    notes += (note for log in paired for note in _silences(log.signals))
+    notes += (note for log in paired for note in _blind(log.signals, log.channels))
     notes += (note for log in paired for note in _not_used(log))
     notes += dict.fromkeys(note for log in paired for note in _slow_wheels(log.channels[len(chain.joints) :]))
     if everything or rests < RESTS_ENOUGH:

@@ -261,6 +261,8 @@ DURING_RESTS = np.concatenate([np.arange(3 * k + 0.5, 3 * k + 1.8, 0.2) for k in
 @pytest.mark.parametrize(("changes", "words"), [
     ({"images": BOTH}, "No images for 10 s, from 14 s after the first reading on, while the robot moves."),
     ({"images": lost_after(24.0, begin=9.0)}, "No images for 9 s, from 0 s after the first reading on"),
+    ({"images": BOTH, "other_images": {"/raw": ns([13.9, 15, 23.9])}}, "moves. The images of this time are on /raw. Record"),
+    ({"images": BOTH, "other_images": {"/depth": ns(PICTURES)}}, "the robot moves. Check the cameras"),
     ({"images": lost_after(23.0)}, None),
     ({"images": {"left": indexed(ns(DURING_RESTS))}}, None),
     ({"images": lost_after(26.0), "duration_s": 60.0}, None),  # it waits at the end

@@ -233,7 +233,9 @@ def detect_segment(
     detections = [
         StationDetections(
             station,
-            Rejection("readers", "images cannot be decoded", absent, station.time_ns, station.index),
+            Rejection(
+                "readers", "without images that can be decoded", absent, station.time_ns, station.index
+            ),
             dict.fromkeys(names, b""),
         )
         for station in segment.stations

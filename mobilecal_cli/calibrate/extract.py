@@ -175,6 +175,9 @@ def _extracted(
         lost = [r for station in stations for r in station.rejections if r.detail.startswith(f"{topic}: ")]
         if lost and not any(camera == name_of_camera for station in stations for camera, _ in station.found):
             raise undecodable(lost)
+        if lost:
+            count = len({rejection.time_ns for rejection in lost})
+            recording.note(f"{count} images cannot be decoded, such as one on {lost[0].detail}")
     any_board = any(isinstance(d, Detection) for station in stations for d in station.found.values())
     if not any_board and config.board.columns is not None and board.markers is None:
         size = board_size(recording, rig, plans)

@@ -119,6 +119,7 @@ class Signals:
         infos: camera-info topic → calibration in most of its messages, where its first message states another.
         recorded_ns: name of each camera → times of all its images, also of those that are not in `images` because
             another calibration applied, sorted.
+        other_images: image topic of no camera → (n,) times of its images.
     """
 
     joints: Mapping[str, Track]
@@ -127,6 +128,7 @@ class Signals:
     notes: tuple[str, ...]
     recorded_ns: Mapping[str, IntArray]
     infos: Mapping[str, CameraInfo] = field(default_factory=dict)
+    other_images: Mapping[str, IntArray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.model import GrayImage, listed
+from mobilecal_cli.model import GrayImage
 from mobilecal_cli.readers.messages.types import Decoded
 
 #: Maximum number of pixels of an image, three times those of a large stereo camera.
@@ -155,9 +155,7 @@ def _raw(message: Decoded) -> tuple[Pixels, int | None]:
     """View of an image's pixels that respects step and byte order, and their conversion to gray."""
     encoding = _ENCODINGS.get(str(message.encoding).strip().lower())
     if encoding is None:
-        raise RecordingError(
-            f"unknown image encoding {message.encoding!r}; known: {listed(sorted(_ENCODINGS))}"
-        )
+        raise RecordingError(f"unknown image encoding {message.encoding!r}")
     height, width = int(message.height), int(message.width)
     data = np.frombuffer(message.data, dtype=np.uint8)
     row = width * encoding.channels * encoding.depth

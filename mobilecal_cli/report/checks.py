@@ -134,10 +134,14 @@ def stations(case: Case, metric: Metric) -> Iterator[Check]:
     notes = case.extraction.notes
     causes = [visible(note) for note in notes if NO_IMAGES in note]
     causes += [visible(f"{note}.") for note in notes if CAMERA_INFO_CHANGES in note]
-    for (_, reason), count in rejection_counts(case.extraction).items():
-        details = {item.detail for item in case.extraction.rejections if item.reason == reason}
+    for (stage, reason), count in rejection_counts(case.extraction).items():
+        items = [item for item in case.extraction.rejections if item.reason == reason]
+        what = "time" if items[0].station < 0 else "station"
+        if what == "time" and stage == "readers":
+            continue  # one image of several: a station without any is an item of its own
+        details = {item.detail for item in items}
         of = f" ({details.pop()})" if len(details) == 1 else ""
-        causes.append(visible(f"Not used, {count} time{'s' * (count != 1)}: {reason}{of}."))
+        causes.append(visible(f"Not used, {count} {what}{'s' * (count != 1)}: {reason}{of}."))
     lost = f" {causes[0]}" if causes else ""
     again = "Remove this cause, and record again" if causes else "Record again"
     yield metric.check(

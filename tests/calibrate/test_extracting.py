@@ -136,7 +136,11 @@ def beside(source, target, topic, factor, wheels_rad=0.0):
     ("topic", "factor", "why"),
     [
         ("/base/joint_states", 0.0, "they stand still"),
-        ("/zz/joint_states", np.nan, "all 2142 readings are not possible, such as nan"),
+        (
+            "/zz/joint_states",
+            np.nan,
+            "all 2142 readings are not possible, such as nan (range -1e+09 to 1e+09)",
+        ),
     ],
 )
 def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, topic, factor, why, few):

@@ -155,7 +155,7 @@ def test_compressed(extension, pixels):
         ({"step": 10}, "10 bytes per row"),
         ({"width": 0}, "invalid image size"),
         ({"width": 2**32 - 1, "height": 2**32 - 1}, "invalid image size"),
-        ({"encoding": "yuv999"}, "unknown image encoding 'yuv999'; known: 16uc1"),
+        ({"encoding": "yuv999"}, "unknown image encoding 'yuv999'"),
         ({"encoding": "nv12"}, "size 64x48 nv12 with 64 bytes per row does not match its 3072 bytes"),
         ({"encoding": "rgb8"}, "does not match"),
     ],

@@ -207,6 +207,15 @@ def test_gap_in_which_wheels_turned_is_reported(tmp_path):
     assert not any(note.startswith("right wheel") for note in signals.notes)
 
 
+def test_images_of_no_camera_are_listed_by_the_clock_of_the_others(tmp_path):
+    other = [r.Item("/raw", at(k), r.image(r.picture(0), "mono8", at(k))) for k in (0.5, 1.5)]
+    shown = images(stamp=lambda time_s: at(time_s) - 2 * S)
+    signals = signals_of(tmp_path, sorted([*shown, *joints(steady()), *other], key=lambda item: item.log_ns))
+    assert {topic: times.tolist() for topic, times in signals.other_images.items()} == {
+        "/raw": [at(-1.5), at(-0.5)]
+    }
+
+
 def test_nan_readings_are_dropped_and_counted(tmp_path):
     rows = steady()
     rows[3] = (*rows[3][:3], [np.nan, 2e9, 9.0])

@@ -70,10 +70,15 @@ def test_too_few_stations_come_before_any_failure():
     verdict = judge(with_legs(solution, [0.5] * 6), extraction)
     assert verdict.level == "NOT ENOUGH"
     few = "The board is in both images at 7 stations only (limit 8, recommended 12)."
-    assert verdict.reason == f"{few} Not used, 2 times: board partly hidden."
+    assert verdict.reason == f"{few} Not used, 2 stations: board partly hidden."
     verdict = judge(solution, replace(extraction, rejections=()))
     assert verdict.reason == few
     assert verdict.next_step == "Record again with more stops where both cameras see the whole board."
+    why = "/left: unknown image encoding '32FC1'"
+    images = [Rejection("readers", "image cannot be decoded", why, k) for k in range(9)]
+    dark = [Rejection("readers", "without images that can be decoded", why, k, k) for k in range(3)]
+    verdict = judge(solution, replace(extraction, rejections=(*images, *extraction.rejections, *dark)))
+    assert verdict.reason.endswith(f"Not used, 3 stations: without images that can be decoded ({why}).")
     lost = [Rejection("stations", "no readings around the image", "left wheel", k, -1, 0) for k in range(3)]
     verdict = judge(solution, replace(extraction, rejections=(*lost, *extraction.rejections)))
     assert verdict.reason.endswith("Not used, 3 times: no readings around the image (left wheel).")

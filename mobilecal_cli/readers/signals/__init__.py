@@ -11,6 +11,7 @@ import numpy as np
 from mobilecal_cli.errors import RecordingError, usable
 from mobilecal_cli.model import (
     CAMERA_INFO,
+    IMAGES,
     SIDES,
     IntArray,
     JointField,
@@ -101,6 +102,8 @@ def read_signals(
     pieces, steps = cut(samples)
     changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
     notes = [*clock_notes(read.clocks.values()), *steps, *pause_notes(samples), *changes, *notes]
+    of_none = {info.name for info in recording.topics if info.type in IMAGES} - {*sources.image.values()}
+    logged = recording.log_times() if images and of_none else {}
     corrected = {name: topic.infos[topic.usual] for name, topic in infos.items() if topic.usual}
 
     def signals_of(recorded: Mapping[Source, Samples]) -> Signals:
@@ -132,7 +135,10 @@ def read_signals(
                 raise RecordingError(f"{camera.topic}: no usable images", "record all cameras the whole time")
         for side, track in wheels.items():
             own_notes += gap_notes(f"{side} wheel", track)
-        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected)
+        lags_ns = [index.log_ns - index.time_ns for index in indices.values()]
+        lag_ns = int(np.median(np.concatenate(lags_ns))) if lags_ns else 0
+        unused = {topic: logged[topic] - lag_ns for topic in sorted(of_none & logged.keys())}
+        return Signals(tracks, wheels, indices, tuple(own_notes), recorded_ns, corrected, unused)
 
     logs, problems = usable([dict(zip(sources_used, piece, strict=True)) for piece in pieces], signals_of)
     notes += (
