@@ -135,7 +135,7 @@ def from_poses(
         CameraRig(("camera",), (_NO_CAMERA,), np.eye(4)[None], False, np.eye(3)[None], "camera"),
         chain,
         Nominal(T_h_c, wheels),
-        Sources(nowhere, nowhere, (), {"right": wheel, "left": wheel}),
+        Sources(nowhere, nowhere, {}, {"right": wheel, "left": wheel}),
         {},
         levels,
     )

@@ -63,7 +63,7 @@ def sources_of(robot: SimulatedRobot, compressed: bool = False) -> Sources:
     return Sources(
         image={name: f"{space}/image_raw{suffix}" for name, space in spaces.items()},
         info={name: f"{space}/camera_info" for name, space in spaces.items()},
-        joints=("/joint_states",),
+        joints=dict.fromkeys(chain_of(robot).joints, "/joint_states"),
         wheels={side: _wheel_source(robot, side) for side in SIDES},
     )
 

@@ -118,7 +118,7 @@ def plan_recording(
     Raises:
         RecordingError: see `read_signals` and `plan_stations`.
     """
-    logs = read_signals(recording, rig.sources, rig.chain.joints)
+    logs = read_signals(recording, rig.sources)
     plans, notes = plan_stations(logs, rig.chain, everything)
     every_note = itertools.chain(*(signals.notes for signals in logs), notes)
     return plans, logs[0].infos, tuple(dict.fromkeys(every_note))

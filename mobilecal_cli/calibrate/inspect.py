@@ -246,7 +246,7 @@ def _motion(
     """Motion of the robot; adds what is unobservable from it, and notes."""
     extent = Extent(MOTION_BYTES)
     try:
-        logs = read_signals(recording, replace(rig.sources, image={}), rig.chain.joints, extent)
+        logs = read_signals(recording, replace(rig.sources, image={}), extent)
         wheels = [wheel_track(signals.wheels) for signals in logs]
     except RecordingError as error:
         findings.append(Finding.of("motion", error))

@@ -47,7 +47,7 @@ def sample_board(recording: Recording, survey: Survey) -> tuple[BoardView | None
     if start is None or end is None:
         return None, []
     moments = np.linspace(start, end, PICTURE_MOMENTS + 2)[1:-1].astype(np.int64).tolist()
-    sources = Sources(images, {}, (), {}, layout=config.cameras.layout)
+    sources = Sources(images, {}, {}, {}, layout=config.cameras.layout)
     samples: dict[str, list[GrayImage | Rejection]] = {name: [] for name in images}
     for name, picture in pictures_near(recording, sources, moments):
         samples[name].append(picture)

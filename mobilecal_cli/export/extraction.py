@@ -33,7 +33,7 @@ from mobilecal_cli.model import (
     dtypes,
 )
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 #: Most stations with a small image.
 THUMBNAILS = 60
 _LARGEST_THUMBNAIL = 10_000  # bytes

@@ -380,24 +380,31 @@ class Sources:
     Attributes:
         image: image topic of each camera.
         info: camera-info topic of each camera, "" if the camera calibration is not from the recording.
-        joints: joint-state topics for the head's joints.
+        joints: head joint → joint-state topic.
         wheels: source of each wheel.
-        elsewhere: sources of head joints that are not in joint states.
+        elsewhere: head joint → its source, if it is not in joint states.
         layout: the images of the cameras in separate messages, or both of a pair in one image of one topic.
     """
 
     image: Mapping[str, str]
     info: Mapping[str, str]
-    joints: tuple[str, ...]
+    joints: Mapping[str, str]
     wheels: Mapping[Side, WheelSource]
     elsewhere: Mapping[str, JointField | JointTransform] = field(default_factory=dict)
     layout: StereoLayout = "separate"
 
     @property
+    def joint_topics(self) -> list[str]:
+        """The joint-state topics with the head's joints, each once."""
+        return sorted({*self.joints.values()})
+
+    @property
     def motion(self) -> frozenset[str]:
         """The topics with the motion of base and head."""
         wheels = (wheel for source in self.wheels.values() for wheel in source.every)
-        return frozenset({*self.joints, *(source.topic for source in (*wheels, *self.elsewhere.values()))})
+        return frozenset(
+            {*self.joint_topics, *(source.topic for source in (*wheels, *self.elsewhere.values()))}
+        )
 
     @property
     def assumed_wheels(self) -> WheelGeometry | None:

@@ -299,7 +299,7 @@ def _known(survey: Survey | None) -> dict[str, str]:
         if not chain.joints:
             said["joints"] = f"camera fixed to {chain.base_frame}"
         else:
-            topics = [*sources.joints, *(source.topic for source in sources.elsewhere.values())]
+            topics = [*sources.joint_topics, *(source.topic for source in sources.elsewhere.values())]
             said["joints"] = f"{listed(chain.joints)} on {listed(dict.fromkeys(topics))}"
     return said
 

@@ -229,7 +229,7 @@ def inputs(case: Case) -> Iterator[Table]:
     rows = [
         ("images", ", ".join(sources.image.values())),
         ("camera calibration", ", ".join(info or "not from the recording" for info in sources.info.values())),
-        ("head joints", ", ".join((*sources.joints, *elsewhere))),
+        ("head joints", ", ".join((*sources.joint_topics, *elsewhere))),
     ]
     for side in SIDES:
         wheel = sources.wheels[side]

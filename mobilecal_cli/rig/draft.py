@@ -342,8 +342,8 @@ def _joints(draft: Draft) -> None:
     survey, names = draft.survey, joint_state_names(draft.survey.description)
     draft.lines.append(_listing("joints in the recording's joint states", names))
     chain = None if survey.head is None else survey.head.chain
-    if len(survey.sources.joints) == 1 and not survey.sources.elsewhere:
-        draft.fill("joints.topic", survey.sources.joints[0], "recording: the only one with the head's joints")
+    if len(topics := survey.sources.joint_topics) == 1 and not survey.sources.elsewhere:
+        draft.fill("joints.topic", topics[0], "recording: the only one with the head's joints")
     found = _tried(lambda: pan_and_tilt(survey.config, names)) or ("", "")
     for role, name in zip(("pan", "tilt"), (chain.pan, chain.tilt) if chain else found, strict=True):
         if name:

@@ -340,8 +340,8 @@ def outside_chain(chain: HeadChain, description: RobotDescription) -> list[str]:
 
 def joint_sources(
     config: RigConfig, description: RobotDescription, head: Head
-) -> tuple[tuple[str, ...], dict[str, JointField | JointTransform]]:
-    """JointState topics with the chain's joints, and the sources of those that are read elsewhere.
+) -> tuple[dict[str, str], dict[str, JointField | JointTransform]]:
+    """The chain's joints → their joint-state topics, and the sources of those that are read elsewhere.
 
     These are the fields of other messages that the configuration names, then the transforms on /tf, by the URDF's links
     and axes, of joints without joint states.
@@ -374,10 +374,13 @@ def joint_sources(
     if topic is not None:
         require_topic("joints.topic", topic, stated, "joint states")
         stated = {topic: stated[topic]}
+    topics: dict[str, str] = {}
     for name in (name for name in chain.joints if name not in elsewhere):
-        if not any(name in present for present in stated.values()):
+        topic = next((on for on, present in stated.items() if name in present), None)
+        if topic is None:
             raise RecordingError(
                 f"no joint state for {name!r}, a joint between {chain.base_frame} and {chain.head_frame}",
                 f"joints present: {listed(sorted({n for present in stated.values() for n in present}))}",
             )
-    return tuple(t for t, present in stated.items() if set(chain.joints) & set(present)), elsewhere
+        topics[name] = topic
+    return topics, elsewhere

@@ -99,7 +99,7 @@ def complete_rig(survey: Survey) -> Rig:
         rows.append((f"reference camera {cameras.reference}", "cameras.reference", "default"))
     if chain.joints:
         rows += [
-            (f"joint states {', '.join(sources.joints)}", "joints.topic", "log"),
+            (f"joint states {', '.join(sources.joint_topics)}", "joints.topic", "log"),
             (f"pan joint {chain.pan or 'none'}", "joints.pan", "joint name"),
             (f"tilt joint {chain.tilt or 'none'}", "joints.tilt", "joint name"),
             (f"head chain {chain.base_frame} to {chain.head_frame}", "", head.origin),
@@ -189,11 +189,11 @@ def survey_rig(config: RigConfig, description: RobotDescription) -> Survey:
     if images and len(infos) == len(images):
         drawn = partial(fixed_pose, None if head is None else head.urdf)
         cameras = tried("camera infos", lambda: camera_rig(infos, rectified, config, drawn))
-    joints: tuple[str, ...] = ()
+    joints: Mapping[str, str] = {}
     elsewhere: Mapping[str, JointField | JointTransform] = {}
     if head is not None:
         wheels, notes = head.wheels, notes + head.notes
-        joints, elsewhere = tried("joints", lambda: joint_sources(config, of_robot, head)) or ((), {})
+        joints, elsewhere = tried("joints", lambda: joint_sources(config, of_robot, head)) or ({}, {})
         if cameras is not None:
             tried("priors", lambda: prior_sigmas(config.priors, cameras, head.chain))
     sources = Sources(images, topics, joints, wheels, elsewhere, config.cameras.layout)

@@ -99,7 +99,7 @@ def settings_of(extraction: Extraction) -> dict[str, Any]:
             "rectified": rig.cameras.rectified,
         },
         "joints": {
-            "topics": list(rig.sources.joints),
+            "topics": rig.sources.joint_topics,
             "pan": rig.chain.pan,
             "tilt": rig.chain.tilt,
             **({"elsewhere": elsewhere} if elsewhere else {}),

@@ -152,7 +152,7 @@ def test_a_second_topic_that_says_nothing_is_not_read(sample_logs, tmp_path, top
     assert "Joints head_pan_joint, head_tilt_joint" in note
     assert f"wheel_right_joint: read on /joint_states, not on {topic}, where {why}." in note
     assert survey.lacks == []
-    assert survey.sources.joints == ("/joint_states",)
+    assert survey.sources.joint_topics == ["/joint_states"]
     assert {wheel.topic for wheel in survey.sources.wheels.values()} == {"/joint_states"}
     found = inspect([log])
     assert found.missing == found.weak == ()

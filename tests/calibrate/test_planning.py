@@ -18,7 +18,7 @@ IMAGES = {"left": "/l", "right": "/r"}
 SOURCES = Sources(
     image=IMAGES,
     info={},
-    joints=("/j",),
+    joints={"pan": "/j"},
     wheels={side: WheelSource("/j", joint=f"wheel_{side}") for side in ("left", "right")},
 )
 RIG = SimpleNamespace(sources=SOURCES, chain=SimpleNamespace(joints=("pan",), prismatic=frozenset()))

@@ -79,10 +79,10 @@ def _read(path: Path) -> None:
         recording.log_times()
         description = read_description(recording)
         survey_rig(load_rig(None, {}), description)
-        for signals in read_signals(recording, r.SOURCES, r.JOINTS):
+        for signals in read_signals(recording, r.SOURCES):
             for _ in read_images(recording, r.SOURCES, signals.images):
                 pass
-        sources = Sources(image=r.SOURCES.image, info={}, joints=(), wheels={})
+        sources = Sources(image=r.SOURCES.image, info={}, joints={}, wheels={})
         for _ in pictures_near(recording, sources, [recording.start_ns or 0]):
             pass
 
@@ -225,7 +225,7 @@ def _in_protobuf(path: Path) -> None:
 _ELSEWHERE = Sources(
     image={"left": "/left/image_raw", "right": "/right/image/compressed"},
     info={},
-    joints=("/joint_states",),
+    joints={"pan": "/joint_states", "tilt": "/joint_states"},
     wheels={
         "left": WheelSource("/ticks", field="counts[0]", ticks_per_revolution=100, bits=16),
         "right": WheelSource("/ticks", field="counts[1]", ticks_per_revolution=100, bits=16),
@@ -240,7 +240,7 @@ def _foreign(path: Path) -> None:
         read_description(recording)
         for _, picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
             assert picture is not None
-        read_signals(recording, _ELSEWHERE, r.JOINTS)
+        read_signals(recording, _ELSEWHERE)
 
 
 def _pictures_only(path: Path) -> None:
@@ -249,7 +249,7 @@ def _pictures_only(path: Path) -> None:
         recording.log_times()
         read_description(recording)
         images = dict.fromkeys(("left", "right"), "/left/image_raw")
-        sources = Sources(image=images, info={}, joints=(), wheels={})
+        sources = Sources(image=images, info={}, joints={}, wheels={})
         for _, picture in pictures_near(recording, sources, [recording.start_ns or 0]):
             assert picture is not None
         for message in recording.messages([info.name for info in recording.topics]):

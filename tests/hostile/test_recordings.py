@@ -341,7 +341,7 @@ def test_names_that_are_numbers_out_of_range(tmp_path, sound):
     time = struct.pack("<Q", r.START_NS)
     path.write_bytes(sound.replace(time, b"\xff" * 8))
     with bounded(), open_recording([path]) as recording:
-        r.one_log(recording, r.SOURCES, r.JOINTS)
+        r.one_log(recording, r.SOURCES)
         recording.log_times()
 
 

@@ -37,13 +37,12 @@ ROS2 = get_typestore(Stores.ROS2_JAZZY)
 SOURCES = Sources(
     image={"left": "/left/image_raw", "right": "/right/image/compressed"},
     info={"left": "/left/camera_info", "right": "/right/camera_info"},
-    joints=("/joint_states",),
+    joints={"pan": "/joint_states", "tilt": "/joint_states"},
     wheels={
         "left": WheelSource("/joint_states", joint="wheel_left"),
         "right": WheelSource("/ticks", field="data", ticks_per_revolution=1000, bits=16),
     },
 )
-JOINTS = ("pan", "tilt")
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,9 @@ def every(recording):
     return list(recording.messages({info.name for info in recording.topics}))
 
 
-def one_log(recording, sources, joints, *options, **more):
+def one_log(recording, sources, *options, **more):
     """Signals of a recording without clock steps."""
-    (signals,) = read_signals(recording, sources, joints, *options, **more)
+    (signals,) = read_signals(recording, sources, *options, **more)
     return signals
 
 
@@ -85,7 +84,7 @@ def read_images(recording, image_topics, stamps, layout="separate"):
         stamp_ns = np.array(sorted(stamp for stamp in some if stamp in places), dtype=np.int64)
         log_ns = np.array([places[stamp][0] for stamp in stamp_ns.tolist()], dtype=np.int64)
         wanted[side] = PictureIndex(stamp_ns, stamp_ns, log_ns, any(video for _, video in places.values()))
-    return readers.read_images(recording, Sources(image_topics, {}, (), {}, layout=layout), wanted)
+    return readers.read_images(recording, Sources(image_topics, {}, {}, {}, layout=layout), wanted)
 
 
 def header(store: Typestore, stamp_ns: int, frame: str = "") -> Any:

@@ -29,7 +29,7 @@ def path(request, in_container) -> Path:
 
 
 def check_contents(recording) -> None:
-    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES)
     k = np.arange(60)
     for name, slope in (("pan", 0.01), ("tilt", -0.02)):
         np.testing.assert_array_equal(signals.joints[name].time_ns, r.START_NS + k * r.STEP_NS)

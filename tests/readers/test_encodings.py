@@ -100,7 +100,7 @@ def test_it_says_the_same_as_the_ros_recording(original, other):
     assert rigs[0].sources == rigs[1].sources
 
     joints = rigs[0].chain.joints
-    signals = [r.one_log(recording, rigs[0].sources, joints) for recording in (original, other)]
+    signals = [r.one_log(recording, rigs[0].sources) for recording in (original, other)]
     for name in joints:
         assert np.array_equal(signals[0].joints[name].value, signals[1].joints[name].value)
         assert np.array_equal(signals[0].joints[name].time_ns, signals[1].joints[name].time_ns)
@@ -131,11 +131,11 @@ def test_joints_and_wheels_in_messages_of_any_kind(tmp_path):
     pan = JointField("/head", "pan.angle", np.radians(1))
     joints = {"pan": pan, "tilt": JointField("/head", "tilts[0]")}
     with open_recording([path]) as recording:
-        signals = r.one_log(recording, Sources({}, {}, (), wheels, joints), ("pan", "tilt"))
+        signals = r.one_log(recording, Sources({}, {}, {}, wheels, joints))
         wrong = {"pan": JointField("/head", "pan.angel")}
         said = r"/head: no field pan\.angel .*fields present: .*pan\.angle"
         with pytest.raises(RecordingError, match=said):
-            r.one_log(recording, Sources({}, {}, (), wheels, wrong), ("pan",))
+            r.one_log(recording, Sources({}, {}, {}, wheels, wrong))
     assert signals.joints["pan"].value == pytest.approx(np.radians(90 + np.arange(6)))
     assert signals.joints["pan"].time_ns.tolist() == [7_000_000_000 + i for i in range(6)]
     assert signals.joints["tilt"].value == pytest.approx([0, 0.1, 0.2, 0.4, 0.5])
@@ -159,8 +159,8 @@ def test_dynamic_joint_states(tmp_path):
     wheel = WheelSource(topic, joint="wheel")
     with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
         assert read_description(recording).joint_names == {topic: ("wheel", "pan")}
-        sources = Sources({}, {}, (topic,), {"left": wheel, "right": wheel})
-        signals = r.one_log(recording, sources, ("pan",))
+        sources = Sources({}, {}, {"pan": topic}, {"left": wheel, "right": wheel})
+        signals = r.one_log(recording, sources)
     assert signals.joints["pan"].value == pytest.approx([0, 0.1, 0.2, 0.3])
     assert signals.wheels["left"].value[-1] == pytest.approx(2.0 * 3e-9)
 
@@ -217,7 +217,7 @@ def test_an_image_in_json_whose_stamp_is_no_number_is_left_out(tmp_path):
     index = PictureIndex(*np.array([[7 * 10**9], [7 * 10**9], [2]]), sequential=True)
     with open_recording([r.write_json(tmp_path / "log.mcap", messages)]) as recording:
         ((_, time_ns, picture),) = read_images(
-            recording, Sources({"left": "/eye"}, {}, (), {}), {"left": index}
+            recording, Sources({"left": "/eye"}, {}, {}, {}), {"left": index}
         )
     assert time_ns == 7 * 10**9
     assert np.array_equal(picture, r.picture(0))

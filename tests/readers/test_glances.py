@@ -64,8 +64,8 @@ def test_a_part_is_read_where_blocks_are_large(recording):
     blocks = blocks_of(recording)
     if blocks and not all(block.is_chunk for block in blocks):
         pytest.skip("one stretch outside chunks holds all of this small file's messages of a topic")
-    whole = r.one_log(recording, replace(r.SOURCES, image={}), r.JOINTS)
-    part = r.one_log(recording, replace(r.SOURCES, image={}), r.JOINTS, Extent(20_000))
+    whole = r.one_log(recording, replace(r.SOURCES, image={}))
+    part = r.one_log(recording, replace(r.SOURCES, image={}), Extent(20_000))
     assert part.images == {}
     known = dict(zip(whole.joints["pan"].time_ns.tolist(), whole.joints["pan"].value.tolist(), strict=True))
     got = dict(zip(part.joints["pan"].time_ns.tolist(), part.joints["pan"].value.tolist(), strict=True))
@@ -80,7 +80,7 @@ def test_a_part_is_read_where_blocks_are_large(recording):
 
 def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatch):
     """Once the stamps are known, pictures are found where they were logged."""
-    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES)
     loaded = []
     for part in recording.parts:
         if isinstance(part, BlockStorage):
@@ -100,7 +100,7 @@ def test_only_the_blocks_of_wanted_pictures_are_read_again(recording, monkeypatc
 
 
 def test_pictures_are_found_although_the_index_lies_of_their_blocks(recording):
-    signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+    signals = r.one_log(recording, r.SOURCES)
     for part in recording.parts:
         if isinstance(part, BlockStorage):
             part.blocks = [replace(block, end_ns=block.start_ns) for block in part.blocks]

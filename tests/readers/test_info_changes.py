@@ -31,7 +31,7 @@ def world(after=None, count=10, at=6, **before):
 def notes_of(tmp_path, items, container="mcap-zstd", extent=EVERYTHING):
     path = r.CONTAINERS[container](tmp_path / "log", items)
     with open_recording([path]) as recording:
-        notes = r.one_log(recording, r.SOURCES, r.JOINTS, extent).notes
+        notes = r.one_log(recording, r.SOURCES, extent).notes
     return [note for note in notes if CAMERA_INFO_CHANGES in note]
 
 
@@ -82,7 +82,7 @@ def test_what_most_messages_say_is_used_and_other_images_are_left_out(tmp_path):
     """The first four camera infos state other focal lengths, and two of the six left images are recorded then."""
     path = r.write_mcap(tmp_path / "log", world({"K": r.K_LEFT}, K=1.1 * r.K_LEFT, at=4))
     with open_recording([path]) as recording:
-        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+        signals = r.one_log(recording, r.SOURCES)
     (topic,) = signals.infos
     assert topic == "/left/camera_info"
     np.testing.assert_allclose(signals.infos[topic].K, r.K_LEFT)
@@ -99,7 +99,7 @@ def test_images_are_left_out_while_the_stated_calibration_is_that_of_no_camera(t
     """It was passed over: the images were taken for those of the calibration before."""
     path = r.write_mcap(tmp_path / "log", world({"size": (320, 240)}, at=4))
     with open_recording([path]) as recording:
-        signals = r.one_log(recording, r.SOURCES, r.JOINTS)
+        signals = r.one_log(recording, r.SOURCES)
     assert len(signals.images["left"].time_ns) == 2
     assert len(signals.images["right"].time_ns) == 6
     (note,) = [note for note in signals.notes if CAMERA_INFO_CHANGES in note]

@@ -24,7 +24,7 @@ NAMES = ["pan", "wheel_left", "x", "wheel_right"]
 SOURCES = Sources(
     image={},
     info={},
-    joints=("/joint_states",),
+    joints={"pan": "/joint_states"},
     wheels={side: WheelSource("/joint_states", joint=f"wheel_{side}") for side in ("left", "right")},
 )
 
@@ -67,7 +67,7 @@ def test_names_may_change_from_message_to_message(tmp_path, ros1):
     )
     data = [kinds[k % len(kinds)](k, r.START_NS + k * 3_000_000) for k in range(90)]
     with open_recording([write(tmp_path / "log.mcap", ros1, data)]) as recording:
-        (signals,) = read_signals(recording, SOURCES, ("pan",))
+        (signals,) = read_signals(recording, SOURCES)
     for track, factor, last in ((signals.joints["pan"], 1, 5), (signals.wheels["right"], 3, 3)):
         expected = np.array([k for k in range(90) if k % len(kinds) < last])
         np.testing.assert_array_equal(track.value, factor * expected)
@@ -148,7 +148,7 @@ def control_log(folder, store, name, make):
 def check_control(path):
     with open_recording([path]) as recording:
         assert recording.topic("/joint_states").type == JOINT_STATE
-        (signals,) = read_signals(recording, SOURCES, ("pan",))
+        (signals,) = read_signals(recording, SOURCES)
     np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(5))
     np.testing.assert_array_equal(signals.wheels["left"].value, 2.0 * np.arange(5))
     np.testing.assert_array_equal(signals.wheels["right"].value, 3.0 * np.arange(5))
@@ -180,6 +180,6 @@ def test_a_joint_state_that_no_robot_has_is_dropped(tmp_path, ros1):
     long = payload(ros1, [*NAMES, "x" * LARGEST_JOINT_STATE], [0, 0, 0, 0, 0], stamp_ns=r.START_NS)
     with open_recording([write(tmp_path / "log.mcap", ros1, [long, *usual])]) as recording:
         assert read_description(recording).joint_names == {"/joint_states": tuple(NAMES)}
-        (signals,) = read_signals(recording, SOURCES, ("pan",))
+        (signals,) = read_signals(recording, SOURCES)
     assert len(signals.joints["pan"].value) == len(usual)
     assert any("1 of 9 messages do not match their type" in note for note in signals.notes)

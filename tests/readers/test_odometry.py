@@ -48,8 +48,8 @@ def test_a_reset_of_the_driver_is_no_motion(tmp_path):
     source = WheelSource("/odom", baked_in=WHEELS)
     with open_recording([path]) as recording:
         assert recording.topic("/odom").type == "nav_msgs/msg/Odometry"
-        sources = Sources({}, {}, (), {"left": source, "right": source})
-        signals = r.one_log(recording, sources, ())
+        sources = Sources({}, {}, {}, {"left": source, "right": source})
+        signals = r.one_log(recording, sources)
     assert signals.wheels["right"].value == pytest.approx([0, 1, 2, 0, 1, 1, 2])
     assert signals.wheels["left"].time_ns.tolist() == [9_000_000_000 + i * 1000 for i in range(7)]
     sizes = "wheel radii of 200 mm (left) and 100 mm (right) and a separation of 500 mm"

@@ -51,7 +51,7 @@ def test_joint_states_of_real_robots_serve_as_joints_and_wheels(shared_data, nam
     with open_recording([shared_data / "bags" / name]) as recording:
         (topic,) = read_description(recording).joint_names
         wheels = {"left": WheelSource(topic, joint=left), "right": WheelSource(topic, joint=right)}
-        signals = r.one_log(recording, Sources({}, {}, (topic,), wheels), head)
+        signals = r.one_log(recording, Sources({}, {}, dict.fromkeys(head, topic), wheels))
         raw = [m.decode() for m in recording.messages([topic])]
         log = [m.log_time_ns for m in recording.messages([topic])]
     stamped = any(m.header.stamp.sec for m in raw)

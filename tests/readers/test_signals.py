@@ -42,7 +42,7 @@ def joints(samples, topic="/j") -> list[r.Item]:
 SOURCES = Sources(
     image={"left": "/l", "right": "/r"},
     info={"left": "", "right": ""},
-    joints=("/j",),
+    joints={"pan": "/j"},
     wheels={"left": WheelSource("/j", joint="wl"), "right": WheelSource("/j", joint="wr")},
 )
 NAMES = ["pan", "wl", "wr"]
@@ -53,15 +53,15 @@ def with_left(topic="/j", **of_wheel):
     return replace(SOURCES, wheels={**SOURCES.wheels, "left": WheelSource(topic, **of_wheel)})
 
 
-def signals_of(tmp_path, items, sources=SOURCES, names=("pan",)):
+def signals_of(tmp_path, items, sources=SOURCES):
     path = r.write_mcap(tmp_path / "log.mcap", items)
     with open_recording([path]) as recording:
-        return r.one_log(recording, sources, names)
+        return r.one_log(recording, sources)
 
 
-def joints_read(tmp_path, rows, sources=SOURCES, names=("pan",)):
+def joints_read(tmp_path, rows, sources=SOURCES):
     """Signals of joint states beside a few images."""
-    return signals_of(tmp_path, [*images(), *joints(rows)], sources, names)
+    return signals_of(tmp_path, [*images(), *joints(rows)], sources)
 
 
 def wheel_at(times_s, angles):
@@ -80,8 +80,8 @@ def test_names_spread_over_topics(tmp_path):
         *joints([(0.1 * k, at(0.1 * k), ["pan"], [k]) for k in range(7)], "/head"),
         *joints([(0.1 * k, at(0.1 * k), ["tilt", "pan"], [k, -1]) for k in range(3)], "/other"),
     ]
-    sources = replace(SOURCES, joints=("/other", "/head"))
-    signals = signals_of(tmp_path, items, sources, ("pan", "tilt"))
+    sources = replace(SOURCES, joints={"pan": "/head", "tilt": "/other"})
+    signals = signals_of(tmp_path, items, sources)
     np.testing.assert_array_equal(signals.joints["pan"].value, np.arange(7))
     np.testing.assert_array_equal(signals.joints["tilt"].value, np.arange(3))
 
@@ -156,7 +156,9 @@ def test_few_messages_of_a_second_publisher_are_dropped(tmp_path, share):
     rows = [(s, at(s), names, list(value)) for s, value in zip(t, right, strict=True)]
     sent = 2 + np.flatnonzero(rng.random(1900) < share)
     wrong = [(0.02 * k + 0.005, at(0.02 * k + 0.005), names, [0.0] * 4) for k in sent]
-    signals = joints_read(tmp_path, sorted(rows + wrong), names=("pan", "tilt"))
+    signals = joints_read(
+        tmp_path, sorted(rows + wrong), replace(SOURCES, joints={"pan": "/j", "tilt": "/j"})
+    )
     for track, expected in zip((*signals.joints.values(), *signals.wheels.values()), right.T, strict=True):
         assert len(track.value) > 0.99 * len(expected)  # right ones between two wrong ones are dropped, too
         np.testing.assert_allclose(np.interp(track.time_ns, [at(s) for s in t], expected), track.value)
@@ -343,11 +345,11 @@ def test_sparse_positions_are_left_alone(tmp_path):
     ("sources", "message"),
     [
         (
-            replace(SOURCES, joints=("/nope",)),
+            replace(SOURCES, joints={"pan": "/nope"}),
             r"no topic /nope; topics present: /j \(sensor_msgs/msg/JointState\), /l",
         ),
         (
-            replace(SOURCES, joints=("/l",)),
+            replace(SOURCES, joints={"pan": "/l"}),
             "/l has the type sensor_msgs/msg/Image, expected sensor_msgs/msg/JointState",
         ),
         (
@@ -366,7 +368,7 @@ def test_wrong_sources_are_refused(tmp_path, sources, message):
         signals_of(tmp_path, items, sources)
     assert caught.value.hint
     with pytest.raises(RecordingError, match="no position of joint tilt on /j; joints present: pan, wl, wr"):
-        signals_of(tmp_path, items, names=("tilt",))
+        signals_of(tmp_path, items, replace(SOURCES, joints={"tilt": "/j"}))
 
 
 def test_side_without_images_is_refused(tmp_path):
@@ -378,7 +380,7 @@ def test_side_without_images_is_refused(tmp_path):
         messages = part.messages
         part.messages = lambda *how: (m for m in messages(*how) if m.topic != "/r")
         with pytest.raises(RecordingError, match="/r: no messages"):
-            r.one_log(recording, SOURCES, ("pan",))
+            r.one_log(recording, SOURCES)
 
 
 def turned(readings, source):
@@ -454,7 +456,7 @@ def test_a_joint_that_is_published_once_stands_still(tmp_path, topic):
     """A latched message, sent long before the recording."""
     rows = [(*row[:2], NAMES[1:], row[3][1:]) for row in steady()]
     items = [*images(), *joints([(0, at(-60), NAMES[:1], [0.3])], topic), *joints(rows)]
-    signals = signals_of(tmp_path, items, replace(SOURCES, joints=(topic,)))
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints={"pan": topic}))
     pan = signals.joints["pan"]
     np.testing.assert_array_equal(pan.value, [0.3, 0.3])
     assert pan.time_ns[0] <= min(index.time_ns[0] for index in signals.images.values())
@@ -485,7 +487,7 @@ def test_a_wheel_without_any_reading_is_left_out_of_its_side(tmp_path):
 def test_a_joint_with_one_good_reading_of_several_does_not_count_as_still(tmp_path, bad):
     """All stamps are the same, or the others are not finite."""
     items = [*images(), *joints(bad, "/head"), *joints(steady())]
-    signals = signals_of(tmp_path, items, replace(SOURCES, joints=("/head",)))
+    signals = signals_of(tmp_path, items, replace(SOURCES, joints={"pan": "/head"}))
     assert len(signals.joints["pan"].value) == 1
     assert not any("standing still" in note for note in signals.notes)
 
@@ -499,6 +501,6 @@ def test_a_clock_that_steps_early_is_not_another_clock(tmp_path):
     late = [(0.02 * k, stamp(0.02 * k), NAMES, [k, k, k]) for k in range(400)]
     items = sorted([*images(40, 0.2, stamp), *joints(late)], key=lambda item: item.log_ns)
     with open_recording([r.write_mcap(tmp_path / "log.mcap", items)]) as recording:
-        first, *_ = read_signals(recording, SOURCES, ("pan",))
+        first, *_ = read_signals(recording, SOURCES)
     assert any("steps forward by 5.000 s" in note for note in first.notes)
     assert not any("clocks differ" in note for note in first.notes)

@@ -90,7 +90,7 @@ def test_frames_without_their_key_frame_and_damaged_ones_are_rejections(pictures
 def test_a_glance_sees_key_frames(pictures, tmp_path):
     first, second = encoded(pictures[:4], "h264"), encoded(pictures[4:], "h264")
     path = written(tmp_path / "log.mcap", [*first, *second], "h264")
-    sources = Sources({"left": "/left/video"}, {}, (), {})
+    sources = Sources({"left": "/left/video"}, {}, {}, {})
     with open_recording([path]) as recording:
         seen = [
             picture

@@ -171,7 +171,7 @@ def make_hostile(extraction: Extraction) -> Extraction:
             rig.sources,
             image={"left": HOSTILE, "right": HOSTILE},
             info={"left": HOSTILE, "right": ""},
-            joints=(HOSTILE,),
+            joints={HOSTILE: HOSTILE},
         ),
         setting_sources={HOSTILE: HOSTILE},
     )

@@ -181,13 +181,13 @@ def two_robots():
 def test_joints_and_urdf_are_those_of_the_robot_with_the_cameras(robot, radius_m):
     cameras = {side: {"image": f"{robot}/stereo/{side}/image_raw"} for side in ("left", "right")}
     rig, notes = resolve_rig(config(cameras=cameras), two_robots())
-    assert rig.sources.joints == (f"{robot}/joint_states",)
+    assert rig.sources.joint_topics == [f"{robot}/joint_states"]
     assert {wheel.topic for wheel in rig.sources.wheels.values()} == {f"{robot}/joint_states"}
     assert rig.nominal.wheels is not None
     assert rig.nominal.wheels.radius_left_m == radius_m
     assert not any("URDF" in note for note in notes)
     chosen = config(cameras=cameras, joints={"topic": "/robot1/joint_states"})
-    assert resolve_rig(chosen, two_robots())[0].sources.joints == ("/robot1/joint_states",)
+    assert resolve_rig(chosen, two_robots())[0].sources.joint_topics == ["/robot1/joint_states"]
 
 
 def test_commands_are_no_readings():
@@ -195,10 +195,10 @@ def test_commands_are_no_readings():
     joint_names = {"/joint_commands": JOINTS, "/joint_states": JOINTS}
     log = description(extra=[commands], joint_names=joint_names)
     rig, _ = resolve_rig(RigConfig(), log)
-    assert rig.sources.joints == ("/joint_states",)
+    assert rig.sources.joint_topics == ["/joint_states"]
     assert rig.sources.wheels["left"].topic == "/joint_states"
     named = resolve_rig(config(joints={"topic": "/joint_commands"}), log)[0]
-    assert named.sources.joints == ("/joint_commands",)
+    assert named.sources.joint_topics == ["/joint_commands"]
 
 
 def test_base_link_off_the_axle_is_taken_out():
@@ -524,7 +524,7 @@ def test_joints_in_other_messages_than_joint_states():
     fields = {"head_tilt_joint": {"topic": "/servo", "field": "data", "unit": "deg"}}
     rig = resolve_rig(config(joints={"fields": fields}), description(extra=[topic], joint_names=names))[0]
     assert rig.sources.elsewhere == {"head_tilt_joint": JointField("/servo", "data", np.radians(1))}
-    assert rig.sources.joints == ("/joint_states",)
+    assert rig.sources.joint_topics == ["/joint_states"]
     with pytest.raises(RecordingError, match=r"joints\.fields: the topic /servo contains no messages"):
         resolve_rig(config(joints={"fields": fields}), description(joint_names=names))
     with pytest.raises(ConfigError, match="'arm' is not a joint between base_link and tilt"):
@@ -708,7 +708,7 @@ def test_both_cameras_in_one_topic():
 def test_joints_that_only_tf_tells():
     states = {"/joint_states": ("wheel_left_joint", "wheel_right_joint")}
     rig = resolve_rig(RigConfig(), description(extra=[TF], joint_names=states))[0]
-    assert (rig.sources.joints, set(rig.sources.elsewhere)) == ((), set(rig.chain.joints))
+    assert (rig.sources.joints, set(rig.sources.elsewhere)) == ({}, set(rig.chain.joints))
     tilt = rig.sources.elsewhere["head_tilt_joint"]
     assert (tilt.topic, tilt.child, tilt.kind) == ("/tf", "tilt", "revolute")
     # Joint states come first, where there are any.

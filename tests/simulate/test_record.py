@@ -42,7 +42,7 @@ def contents(path: Path, scenario: Scenario):
     sources = sources_of(robot, compressed=scenario.pictures != "mono8")
     with open_recording([path]) as recording:
         description = read_description(recording)
-        (signals,) = read_signals(recording, sources, robot.joint_names)
+        (signals,) = read_signals(recording, sources)
         found = read_images(recording, sources, signals.images)
         pictures = {f"{side} {stamp}": image for side, stamp, image in found}
     return description, signals, pictures

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from mobilecal_cli.model import (
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import EVERYTHING, Extent
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
-from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint, head_joint
+from mobilecal_cli.readers.signals.joints import StatedJoint, TransformJoint
 from mobilecal_cli.readers.signals.series import (
     Samples,
     clock_notes,
@@ -37,9 +37,7 @@ from mobilecal_cli.readers.signals.sources import FieldSource, Images, Source, S
 from mobilecal_cli.readers.signals.wheels import add_wheel, gap_notes
 
 
-def read_signals(
-    recording: Recording, sources: Sources, joints: Sequence[str], extent: Extent = EVERYTHING
-) -> tuple[Signals, ...]:
+def read_signals(recording: Recording, sources: Sources, extent: Extent = EVERYTHING) -> tuple[Signals, ...]:
     """Read everything except image contents, in one pass.
 
     Time is the header stamp if it is not zero, otherwise the log time. Of equal stamps the first is kept; of stamps out
@@ -62,18 +60,15 @@ def read_signals(
     """
     read = Subscriptions(recording)
     images = {name: read.add(Images(topic)) for name, topic in sources.image.items()}
-    stated: dict[str, list[StatedJoint]] = {name: [] for name in joints if name not in sources.elsewhere}
-    for topic in sources.joints:
-        for name, on_topics in stated.items():
-            on_topics.append(read.add(StatedJoint(topic, name)))
-    elsewhere = {
-        name: read.add(
+    joints: dict[str, Source] = {
+        name: read.add(StatedJoint(topic, name)) for name, topic in sources.joints.items()
+    }
+    for name, where in sources.elsewhere.items():
+        joints[name] = read.add(
             FieldSource(where.topic, where.field, f"joint {name}", "joints.fields", where.scale)
             if isinstance(where, JointField)
             else TransformJoint(name, where)
         )
-        for name, where in sources.elsewhere.items()
-    }
     turning = {side: [add_wheel(read, side, wheel) for wheel in sources.wheels[side].every] for side in SIDES}
     infos = {
         info.name: InfoChanges(info.name)
@@ -91,13 +86,9 @@ def read_signals(
         if 0 < len(silent) < len(used):
             notes += (f"{wheel.label}: {wheel.impossible_words}; left out" for wheel in silent)
             turning[side] = [wheel for wheel in used if wheel not in silent]
-    moving: dict[str, Source] = {}
-    for name in joints:
-        if name in elsewhere:
-            moving[name] = read.checked(elsewhere[name], notes)
-        else:
-            moving[name] = head_joint(recording.name, name, stated[name])
-    sources_used: list[Source] = [*images.values(), *moving.values(), *itertools.chain(*turning.values())]
+    for joint in joints.values():
+        read.checked(joint, notes)
+    sources_used: list[Source] = [*images.values(), *joints.values(), *itertools.chain(*turning.values())]
     samples = without_strays([source.samples(notes) for source in sources_used], notes)
     pieces, steps = cut(samples)
     changes = [note for topic in infos.values() for note in topic.notes(recording.start_ns)]
@@ -113,9 +104,9 @@ def read_signals(
         def track_of(source: Source) -> Track:
             return without_stale(source.label, source.track(samples[source], own_notes), own_notes)
 
-        tracks = {name: track_of(joint) for name, joint in moving.items()}
+        tracks = {name: track_of(joint) for name, joint in joints.items()}
         times_ns = np.concatenate([each.time_ns for each in samples.values()])
-        for name, joint in moving.items():
+        for name, joint in joints.items():
             if len(joint) == 1 and not joint.impossible:
                 own_notes.append(f"{joint.label}: one reading only; the joint counts as standing still")
                 still = np.repeat(tracks[name].value, 2)

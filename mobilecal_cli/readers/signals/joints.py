@@ -59,6 +59,14 @@ class StatedJoint(Source):
         else:
             self.missing += 1
 
+    def checked(self, notes: list[str]) -> Source:
+        if not (len(self) or self.impossible):
+            raise RecordingError(
+                f"no position of joint {self.name} on {self.topic}; joints present: {listed(self.present)}",
+                "correct joints in rig.yaml, or the URDF's joint names",
+            )
+        return self
+
 
 #: Bytes of a recording that are read to compare topics, or for its transforms.
 _SAMPLED_BYTES = 2**28
@@ -131,28 +139,6 @@ def choose_topics(
     for (topic, other, why), names in silent.items():
         recording.note(f"Joints {listed(names)}: read on {topic}, not on {other}, where {why}.")
     return chosen, problems
-
-
-def head_joint(log: str, name: str, topics: Sequence[StatedJoint]) -> StatedJoint:
-    """A head joint on the topic that says most of it, see `most_stated`.
-
-    Args:
-        log: name of the recording, for messages.
-        name: of the joint.
-        topics: the joint on each topic.
-
-    Raises:
-        RecordingError: no topic has its position, or two differ.
-    """
-    best = most_stated(name, topics) if topics else None
-    if best is None or not (len(best) or best.impossible):
-        where = ", ".join(joint.topic for joint in topics) or "any topic"
-        present = listed(dict.fromkeys(other for joint in topics for other in joint.present))
-        raise RecordingError(
-            f"{log}: no position of joint {name} on {where}; joints present: {present}",
-            "correct joints in rig.yaml, or the URDF's joint names",
-        )
-    return best
 
 
 #: A transform that deviates by more from the motion of its joint belongs to another robot or URDF.

@@ -73,13 +73,12 @@ class JointWheel(StatedJoint):
     """The positions of a wheel in the joint states of one topic.
 
     Args:
-        log: name of the recording, for messages.
         velocity: of the same joint, used if there are no positions.
     """
 
-    def __init__(self, log: str, side: Side, source: WheelSource, velocity: JointWheelVelocity) -> None:
+    def __init__(self, side: Side, source: WheelSource, velocity: JointWheelVelocity) -> None:
         super().__init__(source.topic, velocity.name)
-        self._log, self._side, self._source, self._velocity = log, side, source, velocity
+        self._side, self._source, self._velocity = side, source, velocity
 
     def checked(self, notes: list[str]) -> Source:
         """Use the velocities if there are no positions, or if these never change while the velocities do.
@@ -90,7 +89,7 @@ class JointWheel(StatedJoint):
         velocity = self._velocity
         if self.name not in self.present:
             raise RecordingError(
-                f"{self._log}: no joint {self.name} on {self.topic}; joints present: {listed(self.present)}",
+                f"no joint {self.name} on {self.topic}; joints present: {listed(self.present)}",
                 f"correct wheels.{self._side}.joint in rig.yaml",
             )
         if not (len(self) or self.impossible or len(velocity)):
@@ -499,7 +498,7 @@ def add_wheel(read: Subscriptions, side: Side, source: WheelSource) -> Source:
     """
     if source.joint is not None:
         velocity = read.add(JointWheelVelocity(source, source.joint))
-        return read.add(JointWheel(read.recording.name, side, source, velocity))
+        return read.add(JointWheel(side, source, velocity))
     if source.baked_in is not None:
         return read.add(OdometryWheel(side, source, source.baked_in))
     assert source.field is not None  # a source has one of the three
