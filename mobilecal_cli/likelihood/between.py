@@ -95,16 +95,15 @@ def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
         Each recording by itself and the spread between them; (P,) step from the optimum of all measurements to the
         estimate that allows for the spread; and (P, P) covariance of that estimate.
     """
-    size, scales, basis = lin.data.layout.size, lin.priors.scales, lin.priors.scaled_basis
-    parts = []
-    for log in np.unique(lin.data.log).tolist():
-        normal = lin.of_log(log).normal
-        parts.append((basis.T @ (normal.S * np.outer(scales, scales)) @ basis, basis.T @ (normal.s * scales)))
-    nine, own_basis = slice(len(NINE)), lin.priors.nine_basis
+    priors, size = lin.priors, lin.data.layout.size
+    normals = [lin.of_log(log).normal for log in np.unique(lin.data.log).tolist()]
+    parts = [(priors.reduced(normal.S), priors.onto_free(normal.s)) for normal in normals]
+    nine, own_basis = slice(len(NINE)), priors.nine_basis
+    scales = priors.scales[nine]
     own = slice(own_basis.shape[1])
     each = (_own(A[own, own], a[own], own_basis) for A, a in parts)
     step, std, shown, distances, ranks = (np.array(part) for part in zip(*each, strict=True))
-    variance, factor = np.zeros(size), np.ones(size)
+    variance, factor = np.zeros(len(NINE)), np.ones(len(NINE))
     for of, distance, rank in zip(_CHANGE_TOGETHER, distances.T, ranks.T, strict=True):
         spare = int(rank.sum()) - int(np.linalg.matrix_rank(own_basis[of]))
         chance = float(chdtrc(spare, distance.sum())) if spare > 0 else 1.0
@@ -112,24 +111,21 @@ def weigh_logs(lin: Posterior) -> tuple[BetweenLogs, FloatArray, FloatArray]:
             of_shown = step[shown[:, k], k], std[shown[:, k], k]
             variance[k] = (1 - chance / _CHANCE) * between_variance(*of_shown)
             factor[k] = few_logs_factor(*of_shown, variance[k])
-    own_prior = basis.T @ ((lin.priors.weight * scales**2)[:, None] * basis)
 
     def pooled_with(spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Information of all recordings and priors, and its gradient, with (P,) variances between recordings."""
-        T = basis.T @ (spread[:, None] * basis)
-        total, right = own_prior.copy(), basis.T @ (lin.priors.gradient(lin.state) * scales)
+        """Information of all recordings and priors, and its gradient, with (9,) variances between recordings."""
+        T = priors.reduced(np.diag(np.pad(spread / scales**2, (0, size - len(NINE)))))
+        total, right = priors.reduced(np.diag(priors.weight)), priors.onto_free(priors.gradient(lin.state))
         for A, a in parts:
             shrink = np.linalg.inv(np.eye(len(a)) + A @ T)
             total += shrink @ A
             right += shrink @ a
         return (total + total.T) / 2, right
 
-    pooled = -basis @ np.linalg.solve(*pooled_with(variance)) if variance.any() else np.zeros(size)
-    inverse = np.linalg.inv(pooled_with(factor**2 * variance)[0])
+    pooled = np.zeros(size)
+    if variance.any():
+        pooled -= priors.from_free(np.asarray(np.linalg.solve(*pooled_with(variance))))
     between = BetweenLogs(
-        np.where(shown, step - pooled[nine], 0.0) * scales[nine],
-        std * scales[nine],
-        shown,
-        np.sqrt(variance[nine]) * scales[nine],
+        np.where(shown, step * scales - pooled[nine], 0.0), std * scales, shown, np.sqrt(variance) * scales
     )
-    return between, pooled * scales, (basis @ inverse @ basis.T) * np.outer(scales, scales)
+    return between, pooled, priors.spread(np.asarray(np.linalg.inv(pooled_with(factor**2 * variance)[0])))

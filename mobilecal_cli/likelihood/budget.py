@@ -6,17 +6,15 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import chain
 
 import numpy as np
 
 from mobilecal_cli.likelihood.corners import blocks_of
 from mobilecal_cli.likelihood.legs import SUPPOSED
 from mobilecal_cli.likelihood.measurements import ERRORS, JOINTS, SWAY
-from mobilecal_cli.likelihood.normal import roots
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
 from mobilecal_cli.likelihood.processes import LENGTHS
-from mobilecal_cli.likelihood.views import images_of, summed
+from mobilecal_cli.likelihood.views import of_each_image, roots, summed, whitened_rows
 from mobilecal_cli.model import NINE, FloatArray, IntArray
 
 _NO_REDUNDANCY = 1e-6
@@ -34,7 +32,7 @@ class Influence:
         residual: (n, m) whitened residuals of each unit.
         leverage: (n, m, m) each unit's block of the hat matrix.
         parts: noise level (see `Noise`) → (n or 1, m, m) its share of the residuals' covariance, the identity.
-        gradients: gives (n, P, m) gradients of the shared parameters by each unit's residuals, all else eliminated.
+        derivatives: gives (n, m, P) derivatives of the residuals by the shared parameters, see `Following`.
         share: (n, m) of the noise level in the variance of each residual, 0 of outliers; the rest is of readings that
             are interpolated.
     """
@@ -43,13 +41,13 @@ class Influence:
     residual: FloatArray
     leverage: FloatArray
     parts: Mapping[str, FloatArray]
-    gradients: Callable[[], FloatArray]
+    derivatives: Callable[[], FloatArray]
     share: FloatArray | float = 1.0
 
     @cached_property
-    def onto_shared(self) -> FloatArray:
-        """(n, P, m) see `gradients`."""
-        return self.gradients()
+    def by_shared(self) -> FloatArray:
+        """(n, m, P) see `derivatives`."""
+        return self.derivatives()
 
     def shown(self, level: str) -> tuple[FloatArray, FloatArray]:
         """(m,) sums of squares of the residuals of a noise level, and (m,) how many of them are redundant."""
@@ -61,16 +59,21 @@ class Influence:
     @property
     def covariances(self) -> Mapping[str, FloatArray]:
         """Noise level → (P, P) covariance of the shared parameters due to it, if it is correct."""
-        C, onto = self.lin.conditional_covariance, self.onto_shared
-        return {level: C @ summed((onto @ part).mT, onto.mT) @ C for level, part in self.parts.items()}
+        C, K = self.lin.conditional_covariance, self.by_shared
+        return {level: C @ summed(part @ K, K) @ C for level, part in self.parts.items()}
 
     @property
     def spread(self) -> FloatArray:
         """(P, P) the same from the residuals' scatter: sum over units of (K (I - h)^-1/2 r)(...)^T, K derivatives."""
         left = np.eye(self.residual.shape[1]) - self.leverage
-        pull = (self.onto_shared @ over_redundancy(self.residual, left, _NO_REDUNDANCY)[..., None])[..., 0]
-        C = self.lin.conditional_covariance
-        return np.asarray(C @ (pull.T @ pull) @ C)
+        return _scatter(self.lin, self.residual, left, self.by_shared)
+
+
+def _scatter(lin: Posterior, residual: FloatArray, left: FloatArray, by_shared: FloatArray) -> FloatArray:
+    """`Influence.spread` of units with residuals (n, m), redundancies (n, m, m) and derivatives (n, m, P)."""
+    pull = (over_redundancy(residual, left, _NO_REDUNDANCY)[:, None] @ by_shared)[:, 0]
+    C = lin.conditional_covariance
+    return np.asarray(C @ (pull.T @ pull) @ C)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,10 +91,10 @@ class Moved:
 
 def moved(lin: Posterior) -> Moved:
     """Sums over images, errors of the stations, see `of_errors`, and wheels, at an optimum."""
-    spread = np.zeros_like(lin.covariance)
+    spread = _spread_by_images(lin)
     covariances = defaultdict[str, FloatArray](lambda: np.zeros_like(spread))
     covariances.update(_by_images(lin))
-    for influence in chain(_of_images(lin), of_errors(lin, lin.state.base[:, ERRORS]), [of_legs(lin)]):
+    for influence in (*of_errors(lin, lin.state.base[:, ERRORS]), of_legs(lin)):
         for level, covariance in influence.covariances.items():
             covariances[level] += covariance
         spread += influence.spread
@@ -101,7 +104,6 @@ def moved(lin: Posterior) -> Moved:
 def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     """Of joint readings and sway, and of the base blocks' errors (N, K): encoders, floor, wheel scales, stamps."""
     data, sigma, marginal, processes = lin.data, lin.own_sigmas, lin.marginals, lin.processes
-    stations = np.arange(data.stations)
     used = np.broadcast_to(lin.inliers.views[:, None], sigma.shape).copy()
     used[:, JOINTS] &= lin.inliers.readings
     used[:, SWAY] &= data.drives[:, None]
@@ -112,16 +114,15 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
     for columns, parts in ((JOINTS, of_joints), (SWAY, _by_level(["sway_rad", "sway_rad", "sway_m"]))):
         at = _diagonal(root)[:, :, columns]
         leverage = at.mT @ marginal.own @ at
-        onto = partial(lin.normal.onto_shared, stations, own=at)
         residual = (lin.state.own * root)[:, columns]
-        yield Influence(lin, residual, leverage, parts, onto, share[:, columns])
+        yield Influence(
+            lin, residual, leverage, parts, partial(_of_own, lin, root, columns), share[:, columns]
+        )
     root = 1 / np.sqrt(processes.variance)
     leverage = _diagonal(root) @ marginal.innovations(processes.rho) @ _diagonal(root)
     leverage[:, 0, 1] = leverage[:, 1, 0] = (
         0.0  # each of a station's two encoder readings is a unit by itself
     )
-    here, before = np.zeros((2, data.stations, data.base_width, root.shape[1]))
-    here[:, ERRORS], before[:, ERRORS] = _diagonal(root), -_diagonal(processes.rho * root)
     residual = processes.innovations(errors) * root
     for group in ({"encoder_rad"}, {*LENGTHS}, {"stamp_s"}):
         mine = [k for k, level in enumerate(processes.levels) if level in group]
@@ -130,15 +131,20 @@ def of_errors(lin: Posterior, errors: FloatArray) -> Iterator[Influence]:
             residual[:, mine],
             leverage[:, mine][:, :, mine],
             _by_level([processes.levels[k] for k in mine]),
-            partial(_of_innovations, lin, here[:, :, mine], before[:, :, mine]),
+            partial(_of_innovations, lin, root, mine),
             processes.share[:, mine],
         )
 
 
-def _of_innovations(lin: Posterior, here: FloatArray, before: FloatArray) -> FloatArray:
-    """`Influence.gradients` by a station's base block and by that of the one before, (N, B, m) each."""
-    stations, onto = np.arange(lin.data.stations), lin.normal.onto_shared
-    return onto(stations, here) + onto(np.roll(stations, 1), before)
+def _of_own(lin: Posterior, root: FloatArray, columns: slice) -> FloatArray:
+    """`Influence.derivatives` of own errors, with roots (N, J + 3) of their weights."""
+    return np.asarray((root[:, :, None] * lin.following.own)[:, columns])
+
+
+def _of_innovations(lin: Posterior, root: FloatArray, mine: list[int]) -> FloatArray:
+    """`Influence.derivatives` of some innovations, with roots (N, K) of their weights."""
+    errors, rho = lin.normal.base_by_shared[:, ERRORS][:, mine], lin.processes.rho[:, mine, None]
+    return np.asarray(root[:, mine, None] * (errors - rho * np.roll(errors, 1, axis=0)))
 
 
 def _diagonal(values: FloatArray) -> FloatArray:
@@ -155,11 +161,7 @@ def _by_level(levels: Sequence[str]) -> dict[str, FloatArray]:
 
 def _by_images(lin: Posterior) -> dict[str, FloatArray]:
     """Noise level → (P, P) covariance of the shared parameters due to the images' noise, if it is correct."""
-    C, views = lin.conditional_covariance, lin.views
-    every, (_, _, Q) = np.arange(lin.data.stations), views.rows.shape
-    T = _of_views(
-        lin, every, np.broadcast_to(np.eye(Q)[:, :6], (len(every), Q, 6))
-    ).mT  # delta by the shared ones
+    C, views, T = lin.conditional_covariance, lin.views, lin.following.delta
     G = views.rows[:, :6, :6] @ T
     G[:, :, views.columns] += views.rows[:, :6, 6:]
     total = summed(T, G)
@@ -174,30 +176,41 @@ def _by_images(lin: Posterior) -> dict[str, FloatArray]:
     return {level: C @ information @ C for level, information in of_level.items()}
 
 
-def _of_images(lin: Posterior) -> Iterator[Influence]:
-    """Of corners, or of measured poses, without their parts, see `_by_images`; some stations at once."""
-    every = np.arange(lin.data.stations)
+def _spread_by_images(lin: Posterior) -> FloatArray:
+    """(P, P) `Influence.spread` of the images, or of measured poses: each station's are a unit.
+
+    Of sharp corners, the pose and the constants are known far better together than one by one: only products of roots
+    keep the digits that are left.
+    """
+    every, total = np.arange(lin.data.stations), np.zeros_like(lin.covariance)
+    priors, columns = lin.priors, lin.views.columns
+    C_root = priors.from_free(np.linalg.inv(np.linalg.cholesky(priors.reduced(lin.information))).T)
     for block in blocks_of(len(every)):
-        stations = every[block]
-        images = images_of(lin.state, lin.inliers, lin.noise, lin.rates, stations)
-        gradient = np.concatenate([images.pull[:, :6], images.gradient], axis=1)
-        root, inverse = roots(images.information)
-        yield Influence(
-            lin,
-            (inverse @ gradient[..., None])[..., 0],
-            root.mT @ lin.marginals.images(stations) @ root,
-            {},
-            partial(_of_views, lin, stations, root),
-        )
+        parts = []
+        for of, A, r in whitened_rows(lin.state, lin.inliers, lin.noise, lin.rates, every[block]):
+            A, r = _with_own(lin, of, A, r)
+            K = A[:, :, :6] @ lin.following.delta[block]
+            K[:, :, columns[of[6:] - 6]] += A[:, :, 6:]
+            parts.append((A[:, :, :6], r[..., 0], K))
+        by_delta, residual, K = (np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+        root = K @ C_root
+        taken = by_delta @ lin.marginals.known[block] @ by_delta.mT + root @ root.mT
+        total += _scatter(lin, residual, np.eye(residual.shape[1]) - taken, K)
+    return total
 
 
-def _of_views(lin: Posterior, stations: IntArray, root: FloatArray) -> FloatArray:
-    """`Influence.gradients` of some stations' images with roots (n, Q, Q) of their information."""
-    views = lin.views
-    base, own, board = (
-        part[stations].mT @ root[:, :6] for part in (views.by_base, views.by_own, views.by_board)
-    )
-    return lin.normal.onto_shared(stations, base, own, board, views.onto_shared(root.mT, stations).mT)
+def _with_own(
+    lin: Posterior, columns: IntArray, A: FloatArray, r: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Rows and residuals, see `whitened_rows`, whitened also of what each image has of its own."""
+    own = of_each_image(lin.data)
+    mine = [k for k, column in enumerate(columns.tolist()) if column in own]
+    if not mine:
+        return A, r
+    sigmas = [getattr(lin.noise, level) * unit for level, unit in (own[int(columns[k])] for k in mine)]
+    along, size, _ = np.linalg.svd(A[:, :, mine] * sigmas, full_matrices=False)
+    less = 1 - 1 / np.sqrt(1 + size**2)
+    return tuple(part - along @ (less[:, :, None] * (along.mT @ part)) for part in (A, r))
 
 
 def of_legs(lin: Posterior) -> Influence:
@@ -208,15 +221,8 @@ def of_legs(lin: Posterior) -> Influence:
         (root.mT @ lin.legs.residual[..., None])[..., 0],
         root.mT @ lin.marginals.legs @ root,
         {level: root.mT @ share @ root for level, share in lin.leg_covariances.items()},
-        partial(_of_ends, lin, root),
+        lambda: root.mT @ lin.following.legs,
     )
-
-
-def _of_ends(lin: Posterior, root: FloatArray) -> FloatArray:
-    """`Influence.gradients` of legs with roots (L, K, K) of their weight."""
-    legs, (i, j) = lin.legs, lin.data.legs.T
-    start, end, shared = (by.mT @ root for by in (legs.by_start, legs.by_end, legs.by_shared))
-    return lin.normal.onto_shared(i, start, shared=shared) + lin.normal.onto_shared(j, end)
 
 
 def shares(lin: Posterior, by: Moved) -> Mapping[str, FloatArray]:

@@ -98,14 +98,17 @@ def of_camera(
         "delay_s": lambda: by_exposed @ velocity[..., None],
         "readout_s": lambda: by_exposed @ (rows * velocity)[..., None],
     }
-    for of, by in by_change.items():
-        of_this = {c: e for c, e in enumerate(effects, 6) if isinstance(e, CameraEffect) and e.of == of}
-        if of_this:
-            along = np.zeros((getattr(change, of).shape[1], len(of_this)))
-            for column, effect in enumerate(of_this.values()):
-                along[: len(effect.along), column] = effect.along
-            J[..., [*of_this]] = np.tensordot(by(), along, 1)
-    of_board = {c: e for c, e in enumerate(effects, 6) if isinstance(e, BoardEffect)}
+    of_board, of_cameras = dict[int, BoardEffect](), dict[str, dict[int, tuple[float, ...]]]()
+    for column, effect in enumerate(effects, 6):
+        if isinstance(effect, CameraEffect):
+            of_cameras.setdefault(effect.of, {})[column] = effect.along
+        elif isinstance(effect, BoardEffect):
+            of_board[column] = effect
+    for of, mine in of_cameras.items():
+        values, along = by_change[of](), np.zeros((getattr(change, of).shape[1], len(mine)))
+        for at, vector in enumerate(mine.values()):
+            along[: len(vector), at] = vector
+        J[..., [*mine]] = values if np.array_equal(along, np.eye(len(along))) else values @ along
     if of_board:
         moved = np.stack([e.displacement(data.points_k) for e in of_board.values()], axis=-1)
         J[..., [*of_board]] = by_point @ T_c_k[:, None, :3, :3] @ moved

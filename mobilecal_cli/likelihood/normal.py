@@ -16,7 +16,7 @@ from mobilecal_cli.likelihood.dataset import Dataset
 from mobilecal_cli.likelihood.linearization import Linearization, solvable
 from mobilecal_cli.likelihood.measurements import BASE, ERRORS
 from mobilecal_cli.likelihood.state import Step
-from mobilecal_cli.likelihood.views import Images, summed
+from mobilecal_cli.likelihood.views import Images, roots, summed
 from mobilecal_cli.model import EXACT, FloatArray, IntArray
 
 _FREE_BASE = 1e2  # m, rad: sigma of a base pose that no measurement may hold
@@ -134,35 +134,6 @@ class NormalEquations:
         still = {name: np.zeros_like(getattr(self, name)) for name in ("_base", "_board", "_e")}
         return replace(self, s=self.s + self.S @ shared, gain=0.0, **still)
 
-    def onto_shared(
-        self,
-        station: IntArray,
-        base: FloatArray | None = None,
-        own: FloatArray | None = None,
-        board: FloatArray | None = None,
-        shared: FloatArray | None = None,
-    ) -> FloatArray:
-        """Gradients at single stations as gradients of the shared parameters, all else eliminated.
-
-        Args:
-            station: (n,) where each gradient acts.
-            base: (n, B, m) by the station's base block.
-            own: (n, J + 3, m) by its joint errors and its sway.
-            board: (n, 6, m) by the board of its recording.
-            shared: (n, P, m) by the shared parameters.
-
-        Returns:
-            (n, P, m).
-        """
-        out, left = (np.zeros(()) if part is None else part for part in (shared, base))
-        if own is not None:
-            solved = self.E_inverse[station] @ own
-            left = left - self.E_base[station].mT @ solved
-            out = out - self.E_shared[station].mT @ solved
-        if board is not None:
-            out = out + self.board_by_shared[self.log[station]].mT @ board
-        return out + self.base_by_shared[station].mT @ left if left.ndim else out
-
 
 @solvable()
 def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
@@ -187,37 +158,39 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
 
     both, A, of_direct = _without_own(lin, views, damping)
     G, gradient = both[:, :, :-1], both[:, :, -1]
-    taken = summed(A @ views.rows[:, :6, 6:], both[:, :, 6:])
     GS, GK = views.onto_shared(G), G[:, :, :6] @ views.by_board
+    # By the shared parameters, delta where own errors follow; its rows of the direct constants lack ``direct``.
+    delta = views.by_shared.copy()
+    delta[:, :, views.columns] = -A @ views.rows[:, :6, 6:]
+    direct, h = views.direct.sum(axis=0), summed(delta, gradient[:, :, None])[:, 0]
+    h[views.columns] += of_direct
+    diagonal = np.einsum("nqp,nqp->p", delta, GS)
+    diagonal[views.columns] += np.diag(direct)
     Bt, Kt = views.by_base.mT, views.by_board.mT
     D, C, CK = Bt @ (G[:, :, :6] @ views.by_base), Bt @ GS, Bt @ GK
     b = np.einsum("nqb,nq->nb", views.by_base, gradient)
-    H, h, moving = np.zeros((P, P)), np.zeros(P), views.moving
-    of_moving = summed(views.by_shared[:, :, moving], np.concatenate([GS, gradient[:, :, None]], axis=2))
-    H[moving], h[moving] = of_moving[:, :-1], of_moving[:, -1]
-    H[views.columns] = H[:, views.columns].T
-    H[np.ix_(views.columns, views.columns)] = views.direct.sum(axis=0) - taken[:, :-1]
-    h[views.columns] = of_direct - taken[:, -1]
-    HK, HKS = _by_log(data, Kt @ GK), _by_log(data, Kt @ GS)
-    hK = _by_log(data, Kt @ gradient[..., None])
+    HK, hK = _by_log(data, Kt @ GK), _by_log(data, Kt @ gradient[..., None])
     HK += np.eye(6) / _FREE_BOARD**2  # a board that no used image shows stays where it is
 
-    # Legs.
+    # Legs, which show few of the shared parameters.
     off = np.zeros((count, B, B))
-    shared, We = legs.by_shared, weight @ legs.residual[..., None]
-    Ws = weight @ shared
+    driven = np.flatnonzero(legs.by_shared.any(axis=(0, 1)))
+    shared, We = legs.by_shared[:, :, driven], weight @ legs.residual[..., None]
+    Ws, by_driven = weight @ shared, np.zeros((count, B, len(driven)))
     for ends, by in zip(data.legs.T, (legs.by_start, legs.by_end), strict=True):
         D[ends] += by.mT @ (weight @ by)  # a station starts one leg and ends one at most
-        C[ends] += by.mT @ Ws
+        by_driven[ends] += by.mT @ Ws
         b[ends] += (by.mT @ We)[..., 0]
     off[data.legs[:, 0]] += legs.by_start.mT @ (weight @ legs.by_end)
-    H += summed(shared, Ws)
-    h += summed(shared, We)[:, 0]
+    C[:, :, driven] += by_driven
+    own = summed(shared, Ws)
+    h[driven] += summed(shared, We)[:, 0]
+    diagonal[driven] += np.diag(own)
     _prior_terms(lin, D, off, b)
 
-    for matrix in (D, HK, H):
-        diagonal = np.arange(matrix.shape[-1])
-        matrix[..., diagonal, diagonal] *= 1 + damping
+    for matrix in (D, HK):
+        of = np.arange(matrix.shape[-1])
+        matrix[..., of, of] *= 1 + damping
 
     # The stations, then the boards.
     stations = BlockTridiagonal.of(D, off)
@@ -225,11 +198,17 @@ def eliminated(lin: Linearization, damping: float = 0.0) -> NormalEquations:
     Y, YK, y = solved[:, :, :P], solved[:, :, P:-1], solved[:, :, -1:]
     CKt = CK.mT
     V = np.asarray(np.linalg.inv(HK - _by_log(data, CKt @ YK)), dtype=np.float64)
-    SKS, sK = HKS - _by_log(data, CKt @ Y), hK - _by_log(data, CKt @ y)
+    SKS, sK = _by_log(data, Kt @ GS - CKt @ Y), hK - _by_log(data, CKt @ y)
     Z, z = V @ SKS, V @ sK
+    S = summed(delta - views.by_base @ Y, GS)
+    S[:, driven] -= summed(Y, by_driven)
+    S[np.ix_(driven, driven)] += own
+    S[np.ix_(views.columns, views.columns)] += direct
+    S[np.ix_(views.columns, views.moving)] = S[np.ix_(views.moving, views.columns)].T
+    S[np.diag_indices(P)] += damping * diagonal
     gain = float(np.einsum("nj,njk,nk->", e, E_inverse, e)) + float(np.sum(b * y[..., 0]))
     return NormalEquations(
-        S=_none_negative(H - summed(C, Y) - summed(SKS, Z), np.diag(H)),
+        S=_none_negative(S - summed(SKS, Z), (1 + damping) * diagonal),
         s=h - summed(C, y)[:, 0] - summed(SKS, z)[:, 0],
         gain=gain + float(np.sum(sK * z)),
         log=data.log,
@@ -324,15 +303,6 @@ def station_rows(lin: Linearization, images: Images, beside: FloatArray | float 
     further = further - further[:, :, :6] @ (A @ both)
     further[:, :, :6] = both[:, :, images.traced[6:]].mT
     return np.concatenate([both, further], axis=1)
-
-
-def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
-    values, vectors = np.linalg.eigh(information)
-    size = np.sqrt(np.maximum(values, 0.0))
-    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
-    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
-    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
 def _prior_terms(lin: Linearization, D: FloatArray, off: FloatArray, b: FloatArray) -> None:

@@ -18,7 +18,7 @@ from mobilecal_cli.likelihood.normal import NormalEquations, eliminated, station
 from mobilecal_cli.likelihood.nuisance import WHEEL_SIGMA
 from mobilecal_cli.likelihood.state import Step
 from mobilecal_cli.likelihood.views import Images
-from mobilecal_cli.model import NINE, FloatArray, IntArray
+from mobilecal_cli.model import NINE, FloatArray
 
 _SCATTERS = 5.0  # of what noise alone would show, in its standard deviations
 
@@ -47,14 +47,13 @@ class Posterior(Linearization):
     @cached_property
     def conditional_covariance(self) -> FloatArray:
         """(P, P) covariance of the shared parameters for correct values along all directions that keep their mean."""
-        basis = self.priors.basis
-        reduced = basis.T @ self.information @ basis
+        reduced = self.priors.reduced(self.information)
         with solvable():
             if not np.all(np.diag(reduced) > 0):
                 raise np.linalg.LinAlgError("not positive definite")
             scale = 1 / np.sqrt(np.diag(reduced))
             inverse = np.linalg.inv(reduced * np.outer(scale, scale)) * np.outer(scale, scale)
-        return basis @ inverse @ basis.T
+        return self.priors.spread(inverse)
 
     @cached_property
     def considered(self) -> FloatArray:
@@ -65,6 +64,11 @@ class Posterior(Linearization):
     def covariance(self) -> FloatArray:
         """(P, P) of the shared parameters. Unobservable directions keep their prior variance."""
         return self.conditional_covariance + self.considered @ self.considered.T
+
+    @cached_property
+    def following(self) -> Following:
+        """Derivatives by the shared parameters."""
+        return following(self)
 
     @cached_property
     def marginals(self) -> Marginals:
@@ -83,11 +87,39 @@ class Posterior(Linearization):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Following:
+    """Derivatives by the shared parameters where all other unknowns follow as the measurements make them.
+
+    They are also how the residuals pull at the shared parameters, all else eliminated.
+
+    Attributes:
+        delta: (N, 6, P) of each station's board pose in the camera.
+        own: (N, J + 3, P) of the joint errors and of the sway.
+        legs: (L, K, P) of the legs' residuals.
+    """
+
+    delta: FloatArray
+    own: FloatArray
+    legs: FloatArray
+
+
+def following(lin: Posterior) -> Following:
+    """The derivatives at a point; those of base blocks and boards are in its normal equations."""
+    normal, views, legs, (i, j) = lin.normal, lin.views, lin.legs, lin.data.legs.T
+    base = normal.base_by_shared
+    own = -normal.E_inverse @ (normal.E_base @ base + normal.E_shared)
+    delta = views.by_base @ base + views.by_own @ own + views.by_shared
+    delta += views.by_board @ normal.board_by_shared[lin.data.log]
+    return Following(delta, own, legs.by_start @ base[i] + legs.by_end @ base[j] + legs.by_shared)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Marginals:
     """Posterior covariances at an optimum.
 
     Attributes:
-        views: (N, 6, 6) of each station's board pose in the camera (delta).
+        known: (N, 6, 6) of each station's board pose in the camera (delta), for known shared parameters.
+        views: (N, 6, 6) of delta.
         mixed: (N, 6, D) of these with the direct constants.
         direct: (D, D) of the direct constants.
         own: (N, J + 3, J + 3) of the joint errors and of the sway.
@@ -96,6 +128,7 @@ class Marginals:
         before: (N, K, K) of these at the station before (rows) with those here; 0 for a first station.
     """
 
+    known: FloatArray
     views: FloatArray
     mixed: FloatArray
     direct: FloatArray
@@ -129,12 +162,6 @@ class Marginals:
         out: FloatArray = _sandwich(G, self.views) + mixed + mixed.mT
         return out + _sandwich(across, self.direct)
 
-    def images(self, stations: IntArray) -> FloatArray:
-        """(n, Q, Q) of (delta, direct constants) of some stations."""
-        mixed = self.mixed[stations]
-        direct = np.broadcast_to(self.direct, (len(stations), *self.direct.shape))
-        return np.block([[self.views[stations], mixed], [mixed.mT, direct]])
-
 
 def over_redundancy(residual: FloatArray, left: FloatArray, least: float) -> FloatArray:
     """(n, m) residuals times the inverse roots of their redundancies (n, m, m), 0 along what is not above `least`."""
@@ -157,13 +184,10 @@ def marginals(lin: Posterior) -> Marginals:
     Raises:
         SolveError: a singular matrix.
     """
-    normal, C = lin.normal, lin.conditional_covariance
-    follow, with_board = normal.base_by_shared, normal.base_by_board
-    # A station's own errors for a known rest, by base, board, and shared parameters, where the board follows.
-    E_inverse = normal.E_inverse
-    by_base, by_board, by_shared = (
-        -E_inverse @ part for part in (normal.E_base, normal.E_board, normal.E_shared)
-    )
+    normal, C, derivatives = lin.normal, lin.conditional_covariance, lin.following
+    with_board = normal.base_by_board
+    # A station's own errors for a known rest, by base and board.
+    by_base, by_board = -normal.E_inverse @ normal.E_base, -normal.E_inverse @ normal.E_board
     views, legs, log = lin.views, lin.legs, lin.data.log
     # The board of a recording is one unknown of all its stations: their covariance for a known board comes first.
     V = normal.board_covariance[log]
@@ -171,28 +195,26 @@ def marginals(lin: Posterior) -> Marginals:
     own = known + _sandwich(with_board, V)
     cross[:-1] += with_board[:-1] @ V[:-1] @ with_board[1:].mT
 
-    A = views.by_base + views.by_own @ by_base
-    F = A @ follow + views.by_board @ normal.board_by_shared[log] + views.by_shared + views.by_own @ by_shared
-    K = A @ with_board + views.by_board + views.by_own @ by_board
-    FC = np.tensordot(F, C, 1)
-    of_views = _sandwich(A, known) + _sandwich(K, V) + FC @ F.mT
-    of_views += _sandwich(views.by_own, E_inverse)
-    F_own, K_own = by_base @ follow + by_shared, by_base @ with_board + by_board
-    errors = E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V) + _sandwich(F_own, C)
+    K_own = by_base @ with_board + by_board
+    K = views.by_base @ with_board + views.by_own @ K_own + views.by_board
+    of_views = _sandwich(views.by_base + views.by_own @ by_base, known) + _sandwich(K, V)
+    of_views += _sandwich(views.by_own, normal.E_inverse)
+    FC = np.tensordot(derivatives.delta, C, 1)
+    errors = normal.E_inverse + _sandwich(by_base, known) + _sandwich(K_own, V)
     i, j = lin.data.legs.T
-    following = follow[:, ERRORS]
-    along, transposed = np.tensordot(following, C, 1), following.mT
+    of_base = normal.base_by_shared[:, ERRORS]
+    along, transposed = np.tensordot(of_base, C, 1), of_base.mT
     of_errors, before = own[:, ERRORS, ERRORS] + along @ transposed, np.zeros_like(along @ transposed)
     before[j] = cross[i, ERRORS, ERRORS] + along[i] @ transposed[j]
-    F_legs = legs.by_start @ follow[i] + legs.by_end @ follow[j] + legs.by_shared
     mixed = legs.by_start @ cross[i] @ legs.by_end.mT
     both = _sandwich(legs.by_start, own[i]) + _sandwich(legs.by_end, own[j])
     return Marginals(
-        views=of_views,
+        known=of_views,
+        views=of_views + FC @ derivatives.delta.mT,
         mixed=FC[:, :, views.columns],
         direct=C[np.ix_(views.columns, views.columns)],
-        own=errors,
-        legs=both + mixed + mixed.mT + _sandwich(F_legs, C),
+        own=errors + _sandwich(derivatives.own, C),
+        legs=both + mixed + mixed.mT + _sandwich(derivatives.legs, C),
         errors=of_errors,
         before=before,
     )

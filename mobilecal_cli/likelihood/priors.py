@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from mobilecal_cli.likelihood.nuisance import Layout, family
 from mobilecal_cli.likelihood.state import State
@@ -71,12 +70,6 @@ class Priors:
         return np.concatenate([state.parameters.minus(self.anchor), constants])
 
     @cached_property
-    def scaled_basis(self) -> FloatArray:
-        """(P, F) free directions of the parameters, orthonormal in units of `scales`."""
-        free = ~self.fixed[len(NINE) :]
-        return np.asarray(block_diag(self.nine_basis, np.eye(len(free))[:, free]), dtype=np.float64)
-
-    @cached_property
     def nine_basis(self) -> FloatArray:
         """(9, F) free directions of the nine, orthonormal in units of `scales`."""
         kept = np.concatenate([np.eye(len(NINE))[self.fixed[: len(NINE)]], self.unobservable])
@@ -85,10 +78,26 @@ class Priors:
         _, _, Vt = np.linalg.svd(kept, full_matrices=True)
         return np.asarray(Vt[len(kept) :].T)
 
-    @property
-    def basis(self) -> FloatArray:
-        """(P, F) the same in the parameters' units."""
-        return self.scales[:, None] * self.scaled_basis
+    def onto_free(self, gradient: FloatArray) -> FloatArray:
+        """(P, ...) by the parameters → (F, ...) by the free directions: those of the nine, then free constants."""
+        nine = len(NINE)
+        scaled = (gradient.T * self.scales).T
+        return np.concatenate([self.nine_basis.T @ scaled[:nine], scaled[nine:][~self.fixed[nine:]]])
+
+    def from_free(self, along: FloatArray) -> FloatArray:
+        """(F, ...) step along the free directions → (P, ...) step of the parameters: the transpose of `onto_free`."""
+        own, step = self.nine_basis.shape[1], np.zeros((self.layout.size, *along.shape[1:]))
+        step[: len(NINE)] = self.nine_basis @ along[:own]
+        step[len(NINE) :][~self.fixed[len(NINE) :]] = along[own:]
+        return np.asarray((step.T * self.scales).T)
+
+    def reduced(self, information: FloatArray) -> FloatArray:
+        """(P, P) → (F, F) of the free directions."""
+        return self.onto_free(self.onto_free(information).T)
+
+    def spread(self, covariance: FloatArray) -> FloatArray:
+        """(F, F) of the free directions → (P, P)."""
+        return self.from_free(self.from_free(covariance).T)
 
     def step_to_mean(self, state: State) -> FloatArray:
         """(P,) shortest step after which the state has its mean along all directions that keep it."""

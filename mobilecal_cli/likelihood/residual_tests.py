@@ -11,9 +11,8 @@ from scipy.special import fdtri
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.linearization import FREE_JOINT
 from mobilecal_cli.likelihood.measurements import JOINTS
-from mobilecal_cli.likelihood.normal import roots
 from mobilecal_cli.likelihood.posterior import Posterior, over_redundancy
-from mobilecal_cli.likelihood.views import Views
+from mobilecal_cli.likelihood.views import Views, roots
 from mobilecal_cli.model import BoolArray, FloatArray
 
 #: Smaller discrepancies never make an outlier, however small the noise is: they do not matter at work.

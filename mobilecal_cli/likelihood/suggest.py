@@ -177,10 +177,10 @@ def _evenly(ways: FloatArray) -> FloatArray:
 
 
 def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
-    """What the stops' images show: (C, Q, P + 6 + B) rows, and the information (C, Q, Q) about them.
+    """What the stops' images show: (C, 6, P + 6 + B) rows, and the information (C, Q, Q) about (delta, constants).
 
-    The rows are derivatives of (delta, direct constants) by the shared parameters, the board and the last base. A
-    stop's own base is what follows from these along the leg, with the noise of the leg. See `_with_stops`.
+    The rows are derivatives of delta by the shared parameters, the board and the last base. A stop's own base is what
+    follows from these along the leg, with the noise of the leg. See `_with_stops`.
     """
     views, legs, count, P, B = lin.views, lin.legs, len(lin.data.legs), lin.data.layout.size, STAMP
     errors = np.arange(B)[ERRORS]
@@ -193,18 +193,12 @@ def _shown(lin: Posterior) -> tuple[FloatArray, FloatArray]:
     noise[:, errors, errors] = lin.processes.variance[1:]
     J = views.by_base[1:] @ np.linalg.inv(left)
     beside = np.concatenate([np.zeros((1, 6, 6)), J @ noise @ J.mT])
-    stops = np.arange(lin.data.stations)
-    images = images_of(
-        lin.state, lin.inliers, lin.noise, lin.rates, stops, traced=range(6, 6 + len(views.columns))
-    )
-    order = np.argsort(images.traced)
-    G = station_rows(lin, images, beside)[2:, order]
-    A = np.zeros((*G.shape[:2], P + 6 + B))
-    A[:, :6] = J[1:] @ right[1:]
-    A[:, :6, :P] += views.by_shared[2:]
-    A[:, :6, P : P + 6] += views.by_board[2:]
-    A[:, np.arange(6, G.shape[1]), views.columns] = 1.0
-    return A, G
+    stops, direct = np.arange(lin.data.stations), range(6, 6 + len(views.columns))
+    images = images_of(lin.state, lin.inliers, lin.noise, lin.rates, stops, traced=direct)
+    rows = J[1:] @ right[1:]
+    rows[:, :, :P] += views.by_shared[2:]
+    rows[:, :, P : P + 6] += views.by_board[2:]
+    return rows, station_rows(lin, images, beside)[2:, np.argsort(images.traced)]
 
 
 def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...]:
@@ -231,9 +225,13 @@ def suggestions(lin: Posterior, covariance: FloatArray) -> tuple[Suggestion, ...
     if not now[worst] > 0:
         return ()  # all nine are fixed
     ways, joints = _reachable(lin.state)
-    A, G = _shown(_with_stops(lin, ways, joints))
-    across = A @ joint
-    nine, spread = across[:, :, :9], across @ A.mT
+    rows, G = _shown(_with_stops(lin, ways, joints))
+    direct, by_delta = joint[lin.views.columns], rows @ joint
+    across = np.concatenate([by_delta, np.broadcast_to(direct, (len(rows), *direct.shape))], axis=1)
+    nine, spread = (
+        across[:, :, :9],
+        np.concatenate([across @ rows.mT, across[:, :, lin.views.columns]], axis=2),
+    )
     shrunk = G @ np.linalg.solve(np.eye(G.shape[1]) + spread @ G, nine)
     then = np.sqrt(np.maximum(np.diag(joint)[:9] - np.sum(nine * shrunk, axis=1), 0.0))  # rounding
     gain = 1 - np.max(then / needed, axis=1) / np.max(now / needed)

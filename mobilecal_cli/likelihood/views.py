@@ -6,7 +6,7 @@ station stand between the pixels and all poses.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from mobilecal_cli import se3
 from mobilecal_cli.likelihood.corners import blocks_of, columns_of, of_camera, whitened
-from mobilecal_cli.likelihood.dataset import Inliers
+from mobilecal_cli.likelihood.dataset import Dataset, Inliers
 from mobilecal_cli.likelihood.effects import CameraEffect, ChainEffect, Clock, FloorEffect, JointReading
 from mobilecal_cli.likelihood.measurements import BASE, FLOOR, STAMP
 from mobilecal_cli.likelihood.state import State, Step, standing
@@ -57,12 +57,6 @@ class Images:
         """Traced unknown of which each image has its own → its noise level, and the variance beside the mean."""
         variances = ((level, (getattr(noise, level) * unit) ** 2) for level, unit in self.own)
         return dict(enumerate(variances, 6))
-
-    @property
-    def information(self) -> FloatArray:
-        """(N, Q, Q) of images whose groups are single stations."""
-        rows = self.rows[:, :6]
-        return np.concatenate([rows, np.concatenate([rows[:, :, 6:].mT, self.direct], axis=2)], axis=1)
 
     def shifted(self, traced: FloatArray, direct: FloatArray | float = 0.0) -> Self:
         """The same after a step of the unknowns, to first order.
@@ -114,31 +108,33 @@ class Images:
     def with_own(self, noise: Noise, before: Noise | None = None, factor: float = 1.0) -> Self:
         """The same if constants vary from image to image as another noise says.
 
-        Each image's own value is one more unknown, which is eliminated: with u the row of the information at the
-        constant d, and v the further variance, ``u u^T v / (1 + v u_d)`` is taken from the information.
+        Each image's own values are further unknowns, which are eliminated: with the rows u of the information at
+        their constants o, and the further variances v, ``u^T (1 + v u_o)^-1 v u`` is taken from the information.
 
         Args:
             noise: how they vary.
             before: how they do here; not at all if None.
             factor: times, since the images were `scaled` by it.
         """
-        images, here = self, {} if before is None else self.own_variances(before)
-        for k, (_, after) in self.own_variances(noise).items():
-            variance = after - here[k][1] * factor**2 if here else after
-            if not variance:
-                continue
-            u, pull = images.rows[:, k], images.pull[:, k]
-            weight = variance / (1 + variance * u[:, self.traced[k]])
-            weighted = (weight[:, None] * u)[:, None]
-            images = replace(
-                images,
-                rows=images.rows - u[:, self.traced, None] * weighted,
-                pull=images.pull - pull[:, None] * weighted[:, 0, self.traced],
-                cost=images.cost - weight * pull**2,
-                direct=images.direct - self._summed(weighted[..., 6:], u[:, None, 6:]),
-                gradient=images.gradient - self._summed(weighted[..., 6:], pull[:, None, None])[..., 0],
-            )
-        return images
+        change = np.array([variance for _, variance in self.own_variances(noise).values()])
+        if before is not None:
+            here = self.own_variances(before).values()
+            change = change - factor**2 * np.array([variance for _, variance in here])
+        if not change.any():
+            return self
+        own, change = slice(6, 6 + len(change)), change[:, None]
+        u, pull = self.rows[:, own], self.pull[:, own, None]
+        free = np.eye(len(change)) + change * u[:, :, self.traced[own]]
+        taken = np.linalg.solve(free, change * np.concatenate([u, pull], axis=2))
+        of_traced, of_direct = u[:, :, self.traced].mT @ taken, self._summed(u[:, :, 6:], taken[:, :, 6:])
+        return replace(
+            self,
+            rows=self.rows - of_traced[:, :, :-1],
+            pull=self.pull - of_traced[:, :, -1],
+            cost=self.cost - np.sum(pull * taken[:, :, -1:], axis=(1, 2)),
+            direct=self.direct - of_direct[:, :, :-1],
+            gradient=self.gradient - of_direct[:, :, -1],
+        )
 
     def own_values(self, noise: Noise) -> dict[int, FloatArray]:
         """Traced unknown → (N,) likeliest value of each image beside the constant, under the noise here."""
@@ -167,11 +163,11 @@ class Views(Images):
     columns: IntArray
     moving: IntArray
 
-    def onto_shared(self, A: FloatArray, stations: IntArray | slice = slice(None)) -> FloatArray:
-        """(n, k, Q) derivatives by (delta, direct constants) of some stations → (n, k, P) by the shared parameters."""
-        by_moving = self.by_shared[:, :, self.moving][stations]
+    def onto_shared(self, A: FloatArray) -> FloatArray:
+        """(N, k, Q) derivatives by (delta, direct constants) → (N, k, P) by the shared parameters."""
         out = np.empty((*A.shape[:2], self.by_shared.shape[2]))
-        out[:, :, self.moving], out[:, :, self.columns] = A[:, :, :6] @ by_moving, A[:, :, 6:]
+        out[:, :, self.moving] = A[:, :, :6] @ self.by_shared[:, :, self.moving]
+        out[:, :, self.columns] = A[:, :, 6:]
         return out
 
     def moved(self, step: Step) -> Views:
@@ -271,32 +267,15 @@ def images_of(
         group: (n,) see `Images`; each station by itself if None.
         traced: further ones of (delta, direct constants) that are kept station by station.
     """
-    data, direct = state.data, state.data.layout.direct
+    data = state.data
     group = np.arange(len(stations)) if group is None else group
-    if data.posed:
-        return _measured_poses(state, inliers, noise, stations, group)
-    several = len(data.cameras.each) > 1
-    own = {
-        column: (
-            _OWN[effect.of],
-            1 / data.cameras.each[effect.camera].width if effect.of == "principal" else 1.0,
-        )
-        for column, (_, _, effect) in enumerate(direct, 6)
-        if several and isinstance(effect, CameraEffect) and effect.camera is not None and effect.of in _OWN
-    }
+    own = of_each_image(data)
     kept = np.array([*range(6), *own, *(column for column in traced if column not in own)])
-    Q, count = 6 + len(direct), int(group.max(initial=-1)) + 1
+    Q, count = 6 + len(data.layout.direct), int(group.max(initial=-1)) + 1
     rows, pull, cost = (np.zeros((len(stations), *shape)) for shape in ((len(kept), Q), (len(kept),), ()))
     information, gradient = np.zeros((count, Q, Q)), np.zeros((count, Q))
     for block in blocks_of(len(stations)):
-        mine = stations[block]
-        weight = np.where(inliers.used_corners[mine], 1 / noise.pixel_px, 0.0)
-        W = data.whitening[mine] * weight[..., None, None]
-        for k in range(len(data.cameras.each)):
-            columns, effects = columns_of(direct, k)
-            residual, J = of_camera(state, k, state.T_c_k[mine], mine, rates[:, mine], effects)
-            A = whitened(W[:, k], J).reshape(len(mine), -1, len(columns))
-            r = whitened(W[:, k], residual).reshape(len(mine), -1, 1)
+        for columns, A, r in whitened_rows(state, inliers, noise, rates, stations[block]):
             mine_of, at = (found[:, None] for found in np.nonzero(columns[:, None] == kept))
             of_kept = A[:, :, mine_of[:, 0]].mT
             rows[block, at, columns] += of_kept @ A
@@ -311,20 +290,49 @@ def images_of(
     return replace(images, cost=np.maximum(images.cost, _ROUNDING * cost))
 
 
-def _measured_poses(
-    state: State, inliers: Inliers, noise: Noise, stations: IntArray, group: IntArray
-) -> Images:
-    """The same of measured poses: their residual is the left twist from the measured to the predicted pose."""
-    off = se3.log(state.T_c_k[stations] @ se3.inverse(state.data.T_c_k[stations]))
-    by_delta = _by_left_twist(off)
-    used = inliers.views[stations] / noise.pose_scale**2
-    weight = state.data.pose_weight[stations] * used[:, None, None]
-    pull = (weight @ off[..., None])[..., 0]
-    information = by_delta.mT @ weight @ by_delta
-    gradient = np.einsum("nab,na->nb", by_delta, pull)
-    groups = int(group.max(initial=-1)) + 1
-    no_constants = np.zeros((groups, 0, 0)), np.zeros((groups, 0))
-    return Images(np.arange(6), (), information, gradient, np.sum(off * pull, axis=1), group, *no_constants)
+def of_each_image(data: Dataset) -> dict[int, tuple[str, float]]:
+    """Which of (delta, direct constants) each image has of its own → noise level and its unit in the constant's."""
+    if len(data.cameras.each) < 2:
+        return {}
+    cameras = (
+        (column, effect.of, data.cameras.each[effect.camera].width)
+        for column, (_, _, effect) in enumerate(data.layout.direct, 6)
+        if isinstance(effect, CameraEffect) and effect.camera is not None and effect.of in _OWN
+    )
+    return {column: (_OWN[of], 1 / width if of == "principal" else 1.0) for column, of, width in cameras}
+
+
+def whitened_rows(
+    state: State, inliers: Inliers, noise: Noise, rates: FloatArray, stations: IntArray
+) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+    """Whitened residuals of each camera at some stations, or of measured poses, 0 of what is not used.
+
+    Yields:
+        (K,) on which of (delta, direct constants) they depend, (n, m, K) derivatives by these, and (n, m, 1) residuals.
+    """
+    data = state.data
+    if data.posed:  # left twist from the measured to the predicted pose
+        off = se3.log(state.T_c_k[stations] @ se3.inverse(data.T_c_k[stations]))
+        root = roots(data.pose_weight[stations])[0].mT / noise.pose_scale
+        root *= inliers.views[stations, None, None]
+        yield np.arange(6), root @ _by_left_twist(off), root @ off[..., None]
+        return
+    weight = np.where(inliers.used_corners[stations], 1 / noise.pixel_px, 0.0)
+    W = data.whitening[stations] * weight[..., None, None]
+    for k in range(len(data.cameras.each)):
+        columns, effects = columns_of(data.layout.direct, k)
+        residual, J = of_camera(state, k, state.T_c_k[stations], stations, rates[:, stations], effects)
+        A = whitened(W[:, k], J).reshape(len(stations), -1, len(columns))
+        yield columns, A, whitened(W[:, k], residual).reshape(len(stations), -1, 1)
+
+
+def roots(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R with R R^T = information, and its pseudo-inverse, (n, Q, Q) each."""
+    values, vectors = np.linalg.eigh(information)
+    size = np.sqrt(np.maximum(values, 0.0))
+    positive = size > 1e-9 * size.max(axis=1, initial=1e-300, keepdims=True)
+    inverse = np.where(positive, 1 / np.where(positive, size, 1.0), 0.0)
+    return vectors * size[:, None, :], (vectors * inverse[:, None, :]).mT
 
 
 def _by_left_twist(twist: FloatArray) -> FloatArray:

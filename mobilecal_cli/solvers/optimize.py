@@ -45,13 +45,13 @@ def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
     """
     priors = lin.priors
     normal = eliminated(lin, damping) if damping else lin.normal
-    S = priors.basis.T @ (normal.S + np.diag(priors.weight)) @ priors.basis
-    s = priors.basis.T @ (normal.s + priors.gradient(lin.state))
+    S = priors.reduced(normal.S + np.diag(priors.weight))
+    s = priors.onto_free(normal.s + priors.gradient(lin.state))
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = 1 / np.sqrt(np.diag(S))
     with solvable():
         along = -unit * np.asarray(cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s))
-    return normal.step(priors.basis @ along), normal.gain - float(s @ along)
+    return normal.step(priors.from_free(along)), normal.gain - float(s @ along)
 
 
 def to_first_order(lin: Posterior) -> Posterior:

@@ -108,11 +108,12 @@ def _as_modeled(state: State, patterns: bool) -> FloatArray:
     undone = [row for row in (*of_lenses * patterns, *of_times) if state.value(row.name)]
     if not undone:
         return data.pixels
-    as_shown = [row for row in rows if row not in of_lenses or row in undone]
-    as_modeled = [row for row in rows if row not in of_lenses and row not in of_times]
+    lenses, kept, times = ({row.name for row in some} for some in (of_lenses, undone, of_times))
+    as_shown = [row for row in rows if row.name not in lenses - kept]
+    as_modeled = [row for row in rows if row.name not in lenses | times]
     shown, modeled = (
         corner_residuals(each, data.T_c_k, rates=state.view_rates, by_constants=False)[0]
-        for each in (replace(state, data=data.with_constants(kept)) for kept in (as_shown, as_modeled))
+        for each in (replace(state, data=data.with_constants(some)) for some in (as_shown, as_modeled))
     )
     return np.asarray(data.pixels - np.where(data.seen[..., None], shown - modeled, 0.0))
 
