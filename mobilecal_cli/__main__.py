@@ -45,8 +45,8 @@ def main() -> None:
             print(text)
         sys.stdout.flush()
     except interruption.Interrupted:
-        placed = ", ".join(interruption.placed())
-        _complain(f"interrupted: {f'written: {placed}' if placed else 'nothing was written'}")
+        written = ", ".join(map(str, interruption.placed))
+        _complain(f"interrupted: {f'written: {written}' if written else 'nothing was written'}")
         raise
     except SystemExit as leaving:
         if isinstance(leaving.__context__, BrokenPipeError):  # the command-line library exits with 1

@@ -25,7 +25,7 @@ from mobilecal_cli.calibrate.steps import Report, calibrate
 from mobilecal_cli.calibrate.workers import answer, processes
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, QualityError, RecordingError
 from mobilecal_cli.export.outputs import OUTPUT_NAMES, check_output, write_file, write_files
-from mobilecal_cli.files.interruption import naming_interruptions, note_placed
+from mobilecal_cli.files.interruption import naming_interruptions, placed
 from mobilecal_cli.files.placing import already_exists
 from mobilecal_cli.files.reading import LARGEST_BYTES, mapping_of, problems_of, read_text
 from mobilecal_cli.readers import looks_recorded, sha256_of
@@ -386,7 +386,7 @@ def batch(
         for row in run(jobs):
             rows[row.name] = row
             if not row.skipped and row.exit_code in (0, QualityError.exit_code):
-                note_placed(output / row.name)
+                placed.append(output / row.name)
             progress("robots", len(rows), len(jobs))
     except BaseException:
         for path in new:

@@ -21,7 +21,7 @@ from typing import Any
 
 from mobilecal_cli.errors import ResourceError
 from mobilecal_cli.files.interruption import Interrupted, naming_interruptions, unwind_on_signals
-from mobilecal_cli.files.scratch import enter_scratch, remove_all
+from mobilecal_cli.files.scratch import remove_all, scratch_directory
 
 #: Errors when processes cannot be started or one died; the caller then does the work itself.
 FAILED = (BrokenProcessPool, OSError)
@@ -127,7 +127,7 @@ def processes(count: int) -> Iterator[Submit | None]:
     with ExitStack() as stack:
         pool, numbers = None, itertools.count()
         with suppress(*FAILED, NotImplementedError, ResourceError), _one_thread_each():
-            files = enter_scratch(stack)
+            files = stack.enter_context(scratch_directory())
             pool = stack.enter_context(_pool(count, files))
 
         def submit(task: Callable[..., Any], *given: Any) -> Future[Path]:  # noqa: ANN401

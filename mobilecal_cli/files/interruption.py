@@ -11,7 +11,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from threading import Timer
 from types import FrameType
-from typing import ClassVar
 
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 #: A terminal that closes sends several signals at once; they must not cut the clean-up short.
@@ -23,14 +22,17 @@ class Interrupted(SystemExit):
     """A signal ended the command; the exit code is 128 plus its number."""
 
 
+#: Outputs of this process that are complete and in place.
+placed: list[Path] = []
+
+
 class _State:
-    """Signals and outputs of this process; a process has one handler."""
+    """Signals of this process, which has one handler."""
 
     received: int | None = None
     at_s = 0.0
     deferring = 0
     pending = False
-    placed: ClassVar[list[str]] = []
 
 
 def unwind_on_signals() -> None:
@@ -95,16 +97,6 @@ def _raise_swallowed() -> None:
         error = error.__context__
     if _State.received is not None and error is None and not _State.deferring:
         raise Interrupted(128 + _State.received)
-
-
-def note_placed(target: Path) -> None:
-    """Remember an output that is complete and in place."""
-    _State.placed.append(str(target))
-
-
-def placed() -> tuple[str, ...]:
-    """Outputs of this process that are complete and in place."""
-    return tuple(_State.placed)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from mobilecal_cli.errors import OutputError
-from mobilecal_cli.files.interruption import note_placed, uninterrupted
+from mobilecal_cli.files.interruption import placed, uninterrupted
 from mobilecal_cli.files.scratch import abandoned, temporary
 
 #: Names of the files inside an output directory, () for a file; raises OutputError for anything else.
@@ -82,7 +82,7 @@ def place(partial: Path, target: Path, recognize: Recognize, force: bool) -> Non
             partial.parent.rename(folder)
             _replace(folder / partial.name, target, recognize)
         _sync(target.parent)
-        note_placed(target)
+        placed.append(target)
 
 
 def already_exists(target: Path) -> OutputError:

@@ -29,18 +29,19 @@ _existing: set[Path] = set()
 
 @contextmanager
 def scratch_directory() -> Iterator[Path]:
-    """A new directory for temporary files, removed at the end of the block.
+    """A new directory for temporary files, removed at the end of the block, or at the latest with the process.
 
     Raises:
         ResourceError: it cannot be created.
     """
     with ExitStack() as stack:
         try:
-            for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
-                with abandoned(path) as free:
-                    if free:
-                        shutil.rmtree(path, ignore_errors=True)
-            path = stack.enter_context(temporary(_created, _remove))
+            with uninterrupted():
+                for path in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):
+                    with abandoned(path) as free:
+                        if free:
+                            shutil.rmtree(path, ignore_errors=True)
+                path = stack.enter_context(temporary(_created, _remove))
         except OSError as error:
             raise _no_space(error) from error
         yield path
@@ -50,16 +51,6 @@ def _created() -> Path:
     path = Path(tempfile.mkdtemp(prefix=_PREFIX))
     _existing.add(path)
     return path
-
-
-def enter_scratch(stack: ExitStack) -> Path:
-    """A scratch directory that is removed with the stack. A signal while it is created takes effect afterwards.
-
-    Raises:
-        ResourceError: it cannot be created.
-    """
-    with uninterrupted():
-        return stack.enter_context(scratch_directory())
 
 
 def _remove(path: Path) -> None:

@@ -11,7 +11,6 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,9 +39,9 @@ NOISE = Noise(pixel_px=0.1, wheel_rad_per_sqrt_rad=0.002, joint_rad=2e-4)
 ROBOTS_HERE = 2
 
 
-def test_a_robot_that_was_finished_before_an_interruption_is_named(fleet, tmp_path, monkeypatch):
+def test_a_robot_that_was_finished_before_an_interruption_is_named(fleet, tmp_path):
     """ "Nothing was written", it said."""
-    monkeypatch.setattr(interruption._State, "placed", [])
+    interruption.placed.clear()
 
     def run_one(jobs):
         job = jobs[0]
@@ -52,7 +51,7 @@ def test_a_robot_that_was_finished_before_an_interruption_is_named(fleet, tmp_pa
 
     with pytest.raises(KeyboardInterrupt):
         batch_module.batch(fleet, tmp_path / "out", run=run_one)
-    assert [Path(path).parent for path in interruption.placed()] == [tmp_path / "out"]
+    assert [path.parent for path in interruption.placed] == [tmp_path / "out"]
 
 
 @pytest.fixture(scope="module")

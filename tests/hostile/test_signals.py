@@ -219,7 +219,7 @@ def test_a_signal_while_a_temporary_directory_is_created_or_removed(tmp_path, st
 import os, shutil, signal, tempfile
 from contextlib import ExitStack
 from mobilecal_cli.files.interruption import unwind_on_signals
-from mobilecal_cli.files.scratch import enter_scratch
+from mobilecal_cli.files.scratch import scratch_directory
 
 unwind_on_signals()
 call, seen = {step}, []
@@ -233,7 +233,7 @@ def interrupted(*given, **named):
 
 {step} = interrupted
 with ExitStack() as stack:
-    enter_scratch(stack)
+    stack.enter_context(scratch_directory())
 """
     result = python("-c", code, TMPDIR=str(tmp_path))
     assert (result.returncode, result.stderr) == (128 + TERM, "")
@@ -278,13 +278,13 @@ def test_a_signal_while_nothing_is_responsible_for_a_temporary_directory(tmp_pat
 from contextlib import ExitStack
 from mobilecal_cli.files.interruption import Interrupted
 from mobilecal_cli.calibrate.workers import ending_on_signals
-from mobilecal_cli.files.scratch import enter_scratch
+from mobilecal_cli.files.scratch import scratch_directory
 
 kept = []
 
 def task():
     kept.append(ExitStack())
-    enter_scratch(kept[0])
+    kept[0].enter_context(scratch_directory())
     raise Interrupted(143)
 
 {end}

@@ -10,7 +10,7 @@ from pathlib import Path, PurePath
 
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.files.reading import LARGEST_BYTES, load_yaml, read_text
-from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
+from mobilecal_cli.files.scratch import full_disk_told, scratch_directory
 from mobilecal_cli.readers.containers import mcap, rosbag1, sqlite
 from mobilecal_cli.readers.containers.recording import Recording, boundary
 from mobilecal_cli.readers.containers.storage import LATEST_NS, LEAST_STEP_NS, Storage, expand
@@ -68,7 +68,7 @@ def _opened(recording: Recording, path: Path) -> Storage:
     trouble = ""
     source = path
     if magic == ZSTD_MAGIC:
-        folder = enter_scratch(recording)
+        folder = recording.enter_context(scratch_directory())
         source = folder / path.stem
         with path.open("rb") as packed, full_disk_told():
             trouble = expand(packed, source)

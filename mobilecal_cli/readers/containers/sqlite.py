@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 
 from mobilecal_cli.errors import RecordingError
-from mobilecal_cli.files.scratch import enter_scratch, full_disk_told
+from mobilecal_cli.files.scratch import full_disk_told, scratch_directory
 from mobilecal_cli.model import IntArray
 from mobilecal_cli.readers.containers.sqlite_pages import LeafPages
 from mobilecal_cli.readers.containers.storage import (
@@ -84,7 +84,7 @@ class SqliteStorage(Storage):
     def _connect(self, path: Path) -> sqlite3.Connection:
         log, options = path.with_name(f"{path.name}-wal"), "immutable=1"
         if log.is_file() and log.stat().st_size > 0:
-            self.opened = enter_scratch(self._copies) / path.name
+            self.opened = self._copies.enter_context(scratch_directory()) / path.name
             with full_disk_told():
                 shutil.copyfile(path, self.opened)
                 log = Path(shutil.copyfile(log, self.opened.with_name(log.name)))
