@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from contextlib import suppress
 from dataclasses import replace
 from xml.dom.minidom import parseString
 from xml.etree import ElementTree
@@ -12,6 +13,8 @@ import numpy as np
 import pytest
 import xacro
 import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
 from pytransform3d.rotations import matrix_from_quaternion
 
 from mobilecal_cli import se3
@@ -21,6 +24,8 @@ from mobilecal_cli.export.formats import foxglove
 from mobilecal_cli.export.formats.camchain import camchain_yaml
 from mobilecal_cli.export.formats.camera_info import camera_info_yaml, rectified_pair
 from mobilecal_cli.export.formats.ros2_control import diff_drive_yaml
+from mobilecal_cli.export.formats.urdf import patched_urdf
+from mobilecal_cli.kinematics.urdf import parse_urdf
 from mobilecal_cli.model import NINE, CalibratedRobot, Knowledge, WheelGeometry
 from mobilecal_cli.simulate.robot import ROBOTS
 from tests.formats import HEAD_EYE, text_of
@@ -223,3 +228,37 @@ def test_camera_info_makes_rows_of_one_height(model):
         named[1],
     )
     assert (len(shown.K), len(shown.R), len(shown.P)) == (9, 9, 12)
+
+
+FRAMES = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=12)
+FIXED = (
+    b'<robot name="r"><link name="base"/><link name="head"/><joint name="tilt" type="fixed"><parent link="base"/>'
+    b'<child link="head"/></joint></robot>'
+)
+
+
+@given(FRAMES, FRAMES)
+@example("---", "-")
+@example("a--", "b\x07\x1b[31m")
+@example("$(env HOME)", "${x}")
+@example("]]>", "<!--")
+def test_any_frame_name(parent, child):
+    """A file that the parser of its format reads, or an error that says so."""
+    named = replace(ROBOT, parent_frame=parent, child_frame=child, rectified=True)
+    assert json.loads(text_of("json", named))["child_frame"] == child
+    parseString(text_of("xacro", named))
+    message = yaml.safe_load(text_of("static_transform_yaml", named))
+    assert (message["header"]["frame_id"], message["child_frame_id"]) == (parent, child)
+    drive = yaml.safe_load(diff_drive_yaml(named, {"left": parent, "right": child}))
+    assert drive["diff_drive_controller"]["ros__parameters"]["left_wheel_names"] == [parent]
+    with suppress(ConfigError):
+        node = parseString(text_of("static_transform_launch", named)).getElementsByTagName("node")[0]
+        words = shlex.split(node.getAttribute("args"))
+        assert words[-4:] == ["--frame-id", parent, "--child-frame-id", child]
+        assert "$(" not in node.getAttribute("args")
+    with suppress(ConfigError):
+        patched = patched_urdf(FIXED, replace(named, parent_frame="head"), {}).content
+        joints = parse_urdf(patched.decode()).joints.values()
+        assert child in {"base", "head"} or ("head", child) in {
+            (joint.parent, joint.child) for joint in joints
+        }
