@@ -1,7 +1,7 @@
 """The verdict on a solution, without the report."""
 
 from mobilecal_cli.model import Provenance
-from mobilecal_cli.report.criteria import Case, Check
+from mobilecal_cli.report.criteria import Case
 from mobilecal_cli.report.verdict import Verdict, verdict_of
 
 NOWHERE = Provenance("", "", "", (), {})
@@ -9,8 +9,3 @@ NOWHERE = Provenance("", "", "", (), {})
 
 def judge(solution, extraction, gates=None, trial=None, change=None) -> Verdict:
     return verdict_of(Case(solution, extraction, NOWHERE, gates or {}, trial, change))
-
-
-def by_id(verdict: Verdict) -> dict[str, Check]:
-    """The checks of a verdict by their id."""
-    return {check.id: check for check in verdict.checks}

@@ -57,7 +57,7 @@ def compare(
         for name, change in zip(names[1:], differences, strict=True)
         for what in broken_limits(change, max_sigma, max_ray_mm, max_heading_deg)
     )
-    comparison = Comparison(names, robots, differences, past if len(files) > 2 else None, broken)
+    comparison = Comparison(names, robots, differences, past if len(files) > 2 else None)
     typer.echo(comparison_json(comparison) if as_json else comparison_text(comparison), nl=False)
     if broken:
         conclude(

@@ -82,14 +82,12 @@ class Comparison:
         robots: the calibrations.
         differences: change from the first to each other one.
         past: test of each parameter over all calibrations; None for two files.
-        broken: limits that are exceeded, as text.
     """
 
     names: tuple[str, ...]
     robots: tuple[CalibratedRobot, ...]
     differences: tuple[Difference, ...]
     past: History | None
-    broken: tuple[str, ...] = ()
 
 
 def comparison_text(comparison: Comparison) -> str:

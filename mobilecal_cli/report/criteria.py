@@ -51,7 +51,7 @@ class Case:
     @property
     def accurate(self) -> bool:
         """Whether all expected errors in use are within their limits; also where none are known."""
-        return all(use.within for use in uses(self.solution, self.gates))
+        return all(use.value <= use.limit for use in uses(self.solution, self.gates))
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,7 +36,7 @@ class FleetRow:
         stations: number of stations used.
         rotvec_rad: rotation vector of the reference camera in the head frame, (3,); empty without a result.
         lengths_m: its position, then radius_right, radius_left, separation, (6,); empty without a result.
-        std: nine standard deviations, rad and m, None where unknown; empty for methods that give none.
+        std: nine standard deviations, rad and m, None where unknown; empty without a result.
         skipped: why the robot was not calibrated in this run; empty if it was.
         hint: what to do next, if it did not pass.
         seconds: how long it took, s.

@@ -144,7 +144,7 @@ def numbers_of(solution: Solution, rig: Rig) -> tuple[NumberData, ...]:
     """Head-eye transform of the reference camera, and wheels or factors: the numbers that every output shows."""
     T, uncertainty = solution.T_h_reference, solution.uncertainty
     values = [*se3.log_so3(T[:3, :3]), *T[:3, 3], *solution.parameters.wheels.vector]
-    stds = reference_std(solution) or (None,) * len(PARAMETERS)
+    stds = reference_std(solution)
     states = [""] * len(PARAMETERS)
     if uncertainty is not None:
         for k, std in enumerate(stds):
@@ -224,12 +224,12 @@ def rotation_std_deg(solution: Solution) -> tuple[FloatArray | None, FloatArray 
 def reference_std(solution: Solution) -> tuple[float | None, ...]:
     """Nine standard deviations for the reference camera, rad and m; None where the user fixed a parameter.
 
-    Empty for methods that give none. With the left camera fixed, the pose of a right reference camera varies with the
-    estimated stereo pair.
+    All are None for methods that give none. With the left camera fixed, the pose of a right reference camera varies
+    with the estimated stereo pair.
     """
     uncertainty = solution.uncertainty
     if uncertainty is None:
-        return ()
+        return (None,) * len(NINE)
     std = np.sqrt(np.diag(uncertainty.reference_covariance))
     return tuple(
         None if fixed and s == 0 else float(s) for s, fixed in zip(std, uncertainty.fixed, strict=True)

@@ -45,7 +45,6 @@ def change(case: Case) -> Iterator[Table]:
         return f"{value:+.{digits}f}" if np.isfinite(value) else ""
 
     parameters = parameters_of(case.extraction.rig.sources.assumed_wheels)
-    stds = reference_std(case.solution) or (None,) * len(NINE)
     columns = (each.tolist() for each in (difference.value, difference.sigmas, difference.percent))
     rows = [
         (
@@ -55,7 +54,9 @@ def change(case: Case) -> Iterator[Table]:
             shown(sigmas, 1),
             shown(percent, 2),
         )
-        for p, std, value, sigmas, percent in zip(parameters, stds, *columns, strict=True)
+        for p, std, value, sigmas, percent in zip(
+            parameters, reference_std(case.solution), *columns, strict=True
+        )
         if np.isfinite(value)
     ]
     over = ", also in standard deviations of the difference" if np.isfinite(difference.sigmas).any() else ""

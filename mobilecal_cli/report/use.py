@@ -74,11 +74,6 @@ class Error:
     shares: Sequence[tuple[float, str]]
 
     @property
-    def within(self) -> bool:
-        """Whether the error is within its limit; not if it is no number."""
-        return self.value <= self.limit
-
-    @property
     def share(self) -> float:
         """Error over limit."""
         return self.value / self.limit if self.limit > 0 else math.inf if self.value > 0 else 0.0

@@ -236,21 +236,20 @@ def _by_parameter(name: str) -> Any:  # noqa: ANN401
     return by(lambda uncertainty: dict(zip(NINE, getattr(uncertainty, name).tolist(), strict=True)))
 
 
-def _std(uncertainty: Uncertainty) -> FloatArray:
-    return np.asarray(np.sqrt(np.diag(uncertainty.reference_covariance)))
-
-
 def _correlation(uncertainty: Uncertainty) -> FloatArray:
-    std = _std(uncertainty)
+    C = uncertainty.reference_covariance
+    std = np.sqrt(np.diag(C))
     known = np.where(std > 0, std, 1.0)
-    return np.asarray(uncertainty.reference_covariance / np.outer(known, known))
+    return np.asarray(C / np.outer(known, known))
 
 
 class UncertaintyData(JsonValue):
     """Standard deviations and covariance, in the order of `order`; directions are in units of `scales`."""
 
     order: tuple[str, ...] = by(lambda _: NINE)
-    std: ByName = by(lambda uncertainty: dict(zip(NINE, _std(uncertainty).tolist(), strict=True)))
+    std: ByName = by(
+        lambda of: dict(zip(NINE, np.sqrt(np.diag(of.reference_covariance)).tolist(), strict=True))
+    )
     covariance: Matrix = by(lambda uncertainty: uncertainty.reference_covariance)
     correlation: Matrix = by(_correlation)
     observable: Mapping[str, bool] = _by_parameter("observable")
@@ -439,18 +438,15 @@ def _frames(case: Case) -> tuple[FrameData, ...]:
     )
 
 
-def _nominal_camera(case: Case) -> FloatArray | None:
-    T = case.extraction.rig.nominal.T_h_reference
-    return None if T is None else T[:3]
-
-
 class RobotData(JsonValue):
     """Frames from the base to the head, and the poses of the reference camera in the head, three rows each."""
 
     base_frame: str = by(lambda case: case.extraction.rig.chain.base_frame)
     frames: tuple[FrameData, ...] = by(_frames)
     camera: Matrix = by(lambda case: case.solution.T_h_reference[:3])
-    nominal_camera: Matrix | None = by(_nominal_camera)
+    nominal_camera: Matrix | None = by(
+        lambda case: None if (T := case.extraction.rig.nominal.T_h_reference) is None else T[:3]
+    )
 
 
 class PathData(JsonValue):
@@ -486,17 +482,15 @@ class RejectionCount(JsonValue):
     count: int
 
 
-def _counts(extraction: Extraction) -> tuple[RejectionCount, ...]:
-    return tuple(
-        RejectionCount(stage=stage, reason=reason, count=count)
-        for (stage, reason), count in rejection_counts(extraction).items()
-    )
-
-
 class RejectionsData(JsonValue):
     """What was rejected before the solve."""
 
-    counts: tuple[RejectionCount, ...] = by(_counts)
+    counts: tuple[RejectionCount, ...] = by(
+        lambda extraction: tuple(
+            RejectionCount(stage=stage, reason=reason, count=count)
+            for (stage, reason), count in rejection_counts(extraction).items()
+        )
+    )
     items: tuple[Rejection, ...] = by(lambda extraction: extraction.rejections)
 
 
@@ -505,16 +499,6 @@ class ProvenanceData(Provenance, JsonValue):
 
     tool: Literal["mobilecal"] = by(lambda _: "mobilecal")
     config: Mapping[str, Any]
-
-
-def _image_coverage(case: Case) -> dict[str, float]:
-    names = case.extraction.rig.cameras.names
-    return {name: image_coverage(case.extraction, k) for k, name in enumerate(names)}
-
-
-def _image_counts(case: Case) -> dict[str, int]:
-    counts = case.extraction.counts
-    return {"images" if name == "pictures" else name: count for name, count in counts.items()}
 
 
 class ReportData(JsonValue):
@@ -551,10 +535,19 @@ class ReportData(JsonValue):
     robot: RobotData = by(lambda case: like(RobotData, case))
     paths: tuple[PathData, ...] = by(_paths)
     motion: ByName
-    image_coverage: ByName = by(_image_coverage)
+    image_coverage: ByName = by(
+        lambda case: {
+            name: image_coverage(case.extraction, k)
+            for k, name in enumerate(case.extraction.rig.cameras.names)
+        }
+    )
     board: BoardData = by(lambda case: like(BoardData, case.extraction, case.extraction.board))
     rejections: RejectionsData = by(lambda case: like(RejectionsData, case.extraction))
-    counts: Mapping[str, int] = by(_image_counts)
+    counts: Mapping[str, int] = by(
+        lambda case: {
+            "images" if name == "pictures" else name: count for name, count in case.extraction.counts.items()
+        }
+    )
     notes: tuple[str, ...]
     setting_sources: Mapping[str, str] = by(lambda case: case.extraction.rig.setting_sources)
     provenance: ProvenanceData = by(lambda case: like(ProvenanceData, case.provenance))

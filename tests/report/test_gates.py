@@ -25,7 +25,7 @@ from mobilecal_cli.report.verdict import (
     gates_of,
 )
 from tests.conftest import REPOSITORY
-from tests.judging import by_id, judge
+from tests.judging import judge
 from tests.report.example import case_of, made, make_solution
 
 EVALUATION = Evaluation(
@@ -235,9 +235,8 @@ def test_metrics_are_the_numbers_in_si_units_in_theirs(report, solution):
         assert report.metrics[name] == pytest.approx(value * PER_SI[METRICS[name].unit]), name
     for parameter in PARAMETERS:
         assert METRICS[parameter.gate].unit == parameter.unit
-    checks = by_id(report.verdict)
     for figure in (figure for figure in FIGURES if figure.limit is not None):
-        assert checks[figure.name].value == report.metrics[figure.name]
+        assert report.verdict.check(figure.name).value == report.metrics[figure.name]
 
 
 def test_a_part_of_an_id_has_the_unit_of_its_kind():

@@ -22,7 +22,7 @@ from mobilecal_cli.report.use import (
     worst_error,
 )
 from mobilecal_cli.report.verdict import figures_of
-from tests.judging import by_id, judge
+from tests.judging import judge
 from tests.report.example import (
     case_of,
     drawn,
@@ -65,7 +65,7 @@ def test_a_gate_replaces_a_default_limit(limit, level):
     solution, extraction = drawn()
     verdict = judge(solution, extraction, {"predicted.camera_mm": limit})
     assert verdict.level == level
-    check = by_id(verdict)["predicted.camera_mm"]
+    check = verdict.check("predicted.camera_mm")
     assert (check.limit, check.unit) == (limit, "mm")
     assert figures_of(case_of(solution, extraction))[check.id] == check.value
     assert check.limit_text == f"at most {limit:g} mm"
@@ -185,4 +185,4 @@ def test_a_fixed_camera_is_not_known_to_zero_millimeters():
     at_work = replace(solution.uncertainty.at_work, camera_m=0.0, camera_rad=0.0)
     verdict = judge(with_uncertainty(solution, at_work=at_work), extraction)
     assert "camera fixed by the user; dead reckoning" in verdict.reason
-    assert by_id(verdict)["predicted.camera_mm"].measured_text == "fixed by the user"
+    assert verdict.check("predicted.camera_mm").measured_text == "fixed by the user"

@@ -19,7 +19,7 @@ from tests.bench import imperfect
 from tests.bench.simulated import errors, spoiled
 from tests.extractions import STATION_NOISE, Noise, simulated, slipped
 from tests.fits import maximum_likelihood
-from tests.judging import by_id, judge
+from tests.judging import judge
 from tests.pairs import measured_anew, with_views
 from tests.report.example import case_of, made, rows_of
 from tests.robots import true_nominal
@@ -140,7 +140,7 @@ def test_the_joint_noise_of_a_head_with_prismatic_joints_only_is_in_mm():
     lifted = replace(extraction, rig=replace(extraction.rig, chain=chain))
     (table,) = noise(case_of(found, lifted))
     assert [unit for meaning, _, unit, _ in table.rows if meaning == "joint reading"] == ["mm"]
-    check = by_id(judge(found, lifted))["noise.sliding_joint"]
+    check = judge(found, lifted).check("noise.sliding_joint")
     assert (check.limit, check.unit, check.outcome) == (0.7, "mm", "pass")
 
 

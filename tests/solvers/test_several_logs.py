@@ -26,7 +26,7 @@ from tests.extractions import (
     simulated,
 )
 from tests.fits import maximum_likelihood
-from tests.judging import by_id, judge
+from tests.judging import judge
 from tests.pairs import with_views
 from tests.report.example import made, rows_of
 from tests.robots import true_nominal
@@ -175,7 +175,7 @@ def test_recordings_that_hide_a_parameter_by_their_difference_need_no_more_motio
     extraction = joined(
         *(recorded("standard", seed, stations=8, grown_m=m) for seed, m in ((1, 0.0), (2, 0.02)))
     )
-    check = by_id(judge(solve(extraction), extraction))["observable"]
+    check = judge(solve(extraction), extraction).check("observable")
     assert check.why.endswith("not determined: the recordings differ from one another.")
     assert check.next_step.startswith("Calibrate each recording alone")
 
