@@ -89,8 +89,12 @@ def decided_by(check: Check, checks: tuple[Check, ...], gates: Collection[str] =
     if check.id.startswith(GATE):
         level = "GATE FAILED"
     first = _first(checks) if level == "NOT ENOUGH" else ""  # a new recording would show the same
-    asked = (each for each in checks if each.id.startswith(GATE) or each.id in gates)
-    others = (each.why for each in asked if not each.met and each is not check)
+    label = "" if level == "GATE FAILED" else "Gate failed: "
+    others = (
+        f"{label * each.id.startswith(GATE)}{each.why}"
+        for each in checks
+        if not each.met and each is not check and (each.id.startswith(GATE) or each.id in gates)
+    )
     return Verdict(level, " ".join((check.why, *others)), check.next_step + first, checks)
 
 

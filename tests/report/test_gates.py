@@ -129,7 +129,8 @@ def test_a_failed_gate_shows_a_value_that_differs_from_its_limit():
 )
 def test_the_reason_names_every_failed_gate(solution, extraction, gates):
     verdict = judge(solution, extraction, gates_of(gates, {}))
-    assert verdict.reason == " ".join(verdict.reasons)
+    assert verdict.reason.replace("Gate failed: ", "") == " ".join(verdict.reasons)
+    assert ("Gate failed: legs = 11" in verdict.reason) == (verdict.level == "NOT ENOUGH")
     assert len(verdict.reasons) == len(gates)
 
 

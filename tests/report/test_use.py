@@ -108,12 +108,6 @@ def test_a_base_at_rest_does_not_show_the_zero_of_the_pan_joint():
     assert "improves from 0.5" in verdict.next_step
 
 
-def test_a_base_at_rest_is_not_enough_for_the_wheels():
-    verdict = judge(*solved(motion="base_fixed"))
-    assert verdict.level == "NOT ENOUGH"
-    assert "turn the base by 20 degrees or more between stops; drive forward" in verdict.next_step
-
-
 @pytest.mark.parametrize(
     ("motion", "unknown", "cures", "said"),
     [
