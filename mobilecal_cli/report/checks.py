@@ -352,11 +352,10 @@ def observable(case: Case, metric: Metric) -> Iterator[Check]:
 
 def _motion_to_add(case: Case, missing: list[str]) -> tuple[str, str]:
     """Why these parameters are not determined, after a colon, and what to do."""
-    head, base = bool(set(missing) & set(NINE[:6])), bool(set(missing) & set(NINE[6:]))
     constants, motion = case.solution.constants.values(), case.solution.motion
     free = {c.kind for c in constants if c.prior >= nuisance.FREE * nuisance.kind(c.kind).sigma}
     ignored = sorted(free - ({"square_size"} if case.extraction.board.square_m is None else set()))
-    if ignored and not small_motion(motion, head, base):
+    if ignored and not small_motion(motion, missing):
         return (
             f": the stated values of {', '.join(ignored)} are ignored",
             "Use them: leave out --estimate, and free in priors of rig.yaml.",
@@ -978,7 +977,7 @@ def expected_errors(case: Case, *metrics: Metric) -> Iterator[Check]:
         by_base = figure.field not in ("camera_m", "camera_rad") and not uncertainty.fixed[6:].all()
         yield of[figure].check(
             use.value, use.limit, f"expected error: {figure.meaning}",
-            motion_cure(case.solution.motion, by_head, by_base)
+            motion_cure(case.solution.motion, NINE[:6] * by_head + NINE[6:] * by_base)
             or next_step_of(use, case.solution, case.extraction),
             measured=value if use.value else "fixed by the user",
             why=f"The expected error (1 sigma) of the {figure.meaning} is {value} "

@@ -15,6 +15,7 @@ import numpy as np
 from mobilecal_cli.errors import MobilecalError
 from mobilecal_cli.model import (
     MOST_ERROR_PX,
+    NINE,
     CalibratedRobot,
     Drift,
     Evaluation,
@@ -166,8 +167,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
         covariance += mine @ robot.knowledge.covariance @ mine
     covariance *= np.outer(scales, scales)
     for key, name, whole, limit, unit in _QUANTITIES:
-        of_camera = key.startswith("camera")
-        if robot.odometry is not None and not of_camera:
+        if robot.odometry is not None and not key.startswith("camera"):
             name = f"{name} multiplier"  # nobody measured the wheels
         part = np.arange(9)[whole][~uncertainty.described[whole]]
         x, C = change[part], covariance[np.ix_(part, part)]
@@ -189,7 +189,7 @@ def _agreement(robot: CalibratedRobot, own: Solution, missing: str) -> Iterator[
             cure = "Calibrate again, and check what has changed on the robot: camera mount, tires, load."
         elif largest > needed:
             why = f"This recording gives the {name} to {std_text(largest)} {unit} (1 sigma, limit {needed:.2g} {unit})."
-            cure = motion_cure(own.motion, of_camera, not of_camera)
+            cure = motion_cure(own.motion, NINE[whole])
             cure = cure or "Record more stations; mobilecal suggest lists the most useful ones."
         yield Metric("agreement", unit).check(
             value, limit, name, cure,

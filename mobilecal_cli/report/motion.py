@@ -63,18 +63,19 @@ MOTION = {
 }  # fmt: skip
 
 
-def small_motion(motion: Mapping[str, float], head: bool, base: bool) -> dict[str, Extent]:
-    """Extents of the head, or of the base, that are below their limits, by their keys."""
+def small_motion(motion: Mapping[str, float], names: Collection[str]) -> dict[str, Extent]:
+    """Extents below their limits, by their keys: of the head or of the base, that show some of these parameters."""
     return {
         key: extent
         for key, extent in MOTION.items()
-        if (head if extent.of_head else base) and motion.get(key, extent.least) < extent.least
+        if motion.get(key, extent.least) < extent.least
+        and not set(NINE[:6] if extent.of_head else NINE[6:]).isdisjoint(names)
     }
 
 
-def motion_cure(motion: Mapping[str, float], head: bool, base: bool) -> str:
-    """What to do about small motion of the head, or of the base, as sentences; "" where it is enough."""
-    small = small_motion(motion, head, base).items()
+def motion_cure(motion: Mapping[str, float], names: Collection[str]) -> str:
+    """What to do about motion too small to show these parameters, as sentences; "" where it is enough."""
+    small = small_motion(motion, names).items()
     return " ".join(f"{extent.cure.capitalize()} (now {extent.text(motion[key])})." for key, extent in small)
 
 
@@ -86,18 +87,17 @@ def missing_motion(motion: Mapping[str, float], names: Sequence[str], chain: Hea
         names: some of `NINE`, at least one.
         chain: base to head.
     """
-    head, base = bool(set(names) & set(NINE[:6])), bool(set(names) & set(NINE[6:]))
-    small = small_motion(motion, head, base)
+    small = small_motion(motion, names)
     too_little = [extent.too_small.format(extent.text(motion[key])) for key, extent in small.items()]
     cures, turns = [extent.cure for extent in small.values()], "turned_deg" in small
-    if base and not turns and "driven_m" not in small:
+    if set(names) & set(NINE[6:]) and not turns and "driven_m" not in small:
         driven, turned = (MOTION[key].text(motion[key]) for key in ("driven_m", "turned_deg"))
         too_little.append(f"the base drove {driven} and turned by {turned}, almost always in one proportion")
         cures.append("turn in place at some stops, and drive straight between others")
         turns = True
-    told = turns if unseen_height(chain) is not None else "tilt_range_deg" in small
-    if head and not told:
-        shows_head = "tilt_range_deg" if unseen_height(chain) is None else "turned_deg"
+    shows_head = "tilt_range_deg" if unseen_height(chain) is None else "turned_deg"
+    told = turns if shows_head == "turned_deg" else shows_head in small
+    if set(names) & set(NINE[:6]) and not told:
         cures.insert(0, MOTION[shows_head].cure)
     return " and ".join(too_little), "; ".join(cures)
 
