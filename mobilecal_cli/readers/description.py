@@ -194,7 +194,7 @@ def _of_topic(
         return ()
     decoded = first.decode()
     paths = [
-        FieldPath.parse(path)
+        FieldPath(path)
         for path, value in leaves_of(decoded)
         if isinstance(value, (int, float, np.number))
         and not isinstance(value, bool)

@@ -153,11 +153,12 @@ class McapStorage(BlockStorage):
             at = end
 
     def _define(self, opcode: int, body: bytes) -> None:
+        stream = ReadDataStream(BytesIO(body))
         if opcode == Opcode.SCHEMA:
-            schema = records.Schema.read(_data_stream(body))
+            schema = records.Schema.read(stream)
             self._schemas.setdefault(schema.id, schema)
         else:
-            self._register(records.Channel.read(_data_stream(body)))
+            self._register(records.Channel.read(stream))
 
     def _register(self, channel: records.Channel) -> None:
         if channel.id in self.channels:
@@ -208,7 +209,3 @@ class McapStorage(BlockStorage):
             return False
         (stored,) = struct.unpack("<Q", self.read_at(body + _CHUNK.size + 4 + name, 8))
         return bool(_CHUNK.size + 4 + name + 8 + stored == length)
-
-
-def _data_stream(body: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(body))

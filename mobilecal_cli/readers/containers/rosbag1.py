@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -43,7 +43,7 @@ def _time_ns(fields: Fields, name: bytes) -> int:
     return int(seconds) * 10**9 + int(nanoseconds)
 
 
-def _fields(header: memoryview) -> Fields:
+def _fields(header: Payload) -> Fields:
     """Fields name=value of a record header.
 
     Raises:
@@ -65,19 +65,25 @@ def _fields(header: memoryview) -> Fields:
     return fields
 
 
-def _split(data: memoryview, at: int) -> tuple[Fields, int, int]:
-    """Header fields of the record at `at`, and begin and end of its data."""
+def _record(read: Callable[[int, int], Payload], at: int) -> tuple[Fields, int, int]:
+    """Header fields of the record at a byte, and begin and end of its data; `read` gives a number of bytes from one."""
     header = at + _U32.size
-    end = _end(data, header)
-    return _fields(data[header:end]), end + _U32.size, _end(data, end + _U32.size)
+    (size,) = _U32.unpack(read(at, _U32.size))
+    body = header + size + _U32.size
+    (length,) = _U32.unpack(read(body - _U32.size, _U32.size))
+    return _fields(read(header, size)), body, body + length
 
 
-def _end(data: memoryview, body: int) -> int:
-    """End of what begins at `body`; its size is stored before it."""
-    end = body + int.from_bytes(data[body - _U32.size : body], "little")
-    if end > len(data):
-        raise EOFError("a record extends beyond the end of the data")
-    return end
+def _reads(data: bytes) -> Callable[[int, int], memoryview]:
+    """What reads a number of bytes from one of `data`."""
+    view = memoryview(data)
+
+    def read(at: int, size: int) -> memoryview:
+        if at + size > len(view):
+            raise EOFError("a record extends beyond the end of the data")
+        return view[at : at + size]
+
+    return read
 
 
 class BagStorage(BlockStorage):
@@ -109,11 +115,7 @@ class BagStorage(BlockStorage):
 
     def _head(self, at: int) -> tuple[Fields, int, int]:
         """Header fields of the record at byte `at` of the file, and begin and end of its data."""
-        (header_size,) = _U32.unpack(self.read_at(at, _U32.size))
-        header = self.read_at(at + _U32.size, header_size)
-        body = at + _U32.size + header_size + _U32.size
-        (size,) = _U32.unpack(self.read_at(body - _U32.size, _U32.size))
-        return _fields(memoryview(header)), body, body + size
+        return _record(self.read_at, at)
 
     def _read_index(self, bag: Fields, at: int) -> bool:
         """Use the index that begins at byte `at`; False if any of it is missing or wrong."""
@@ -158,25 +160,21 @@ class BagStorage(BlockStorage):
         return ""
 
     def decompressed(self, chunk: bytes) -> bytes:
-        view = memoryview(chunk)
-        body = _end(view, _U32.size) + _U32.size
-        fields, (length,) = (
-            _fields(view[_U32.size : body - _U32.size]),
-            _U32.unpack_from(view, body - _U32.size),
-        )
-        data, method = chunk[body : body + length], fields[b"compression"].decode()
-        return decompress(data, method, _u32(fields, b"size"), truncated=len(data) < length)
+        fields, body, end = _record(_reads(chunk), 0)
+        data, method = chunk[body:end], fields[b"compression"].decode()
+        return decompress(data, method, _u32(fields, b"size"), truncated=end > len(chunk))
 
     def parse(self, data: bytes) -> Iterator[tuple[int, int, Payload]]:
-        view = memoryview(data)
+        read = _reads(data)
         at = 0
-        while at < len(view):
-            fields, body, end = _split(view, at)
+        while at < len(data):
+            fields, body, end = _record(read, at)
             kind = fields[b"op"][0]
+            content = read(body, end - body)
             if kind == _MESSAGE:
-                yield _u32(fields, b"conn"), _time_ns(fields, b"time"), view[body:end]
+                yield _u32(fields, b"conn"), _time_ns(fields, b"time"), content
             elif kind == _CONNECTION:
-                self._define(fields, data[body:end])
+                self._define(fields, bytes(content))
             at = end
 
     def index_of(self, block: Block) -> Iterator[tuple[int, IntArray]]:
@@ -195,7 +193,7 @@ class BagStorage(BlockStorage):
         number = _u32(fields, b"conn")
         if number in self.channels:
             return
-        inner = _fields(memoryview(data))
+        inner = _fields(data)
         name, topic = ros2_spelling(inner[b"type"].decode()), fields[b"topic"].decode()
         self.channels[number] = Channel(topic, name, "ros1", inner.get(b"message_definition", b""), "msg")
 

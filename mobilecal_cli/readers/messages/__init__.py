@@ -222,35 +222,26 @@ def content_of(message: Decoded) -> bytes:
 _STEP = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[\d+\])*)")
 
 
-@dataclass(frozen=True, slots=True)
 class FieldPath:
-    """A parsed path.
+    """The path of a number in messages.
 
-    Attributes:
-        text: as given by the user.
-        steps: attribute names and list indices, in order.
+    Args:
+        text: names of fields, with dots between them and indices of lists in brackets.
+
+    Raises:
+        RecordingError: not a valid path.
     """
 
-    text: str
-    steps: tuple[str | int, ...]
-
-    @classmethod
-    def parse(cls, text: str) -> FieldPath:
-        """Parse a path.
-
-        Raises:
-            RecordingError: not a valid path.
-        """
-        steps: list[str | int] = []
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self._steps: list[str | int] = []
         for part in text.split("."):
             match = _STEP.fullmatch(part.strip())
             if match is None:
                 raise RecordingError(
                     f"{text!r} is not a field path", 'use a path such as "data", "left.ticks" or "values[0]"'
                 )
-            steps.append(match[1])
-            steps.extend(int(index) for index in re.findall(r"\[(\d+)\]", match[2]))
-        return cls(text, tuple(steps))
+            self._steps += [match[1], *map(int, re.findall(r"\[(\d+)\]", match[2]))]
 
     def number(self, message: Decoded, topic: str, setting: str) -> int | float:
         """The number at the path.
@@ -262,7 +253,7 @@ class FieldPath:
             RecordingError: a step is missing, or the value is not a number; the message lists the fields present.
         """
         value = message
-        for step in self.steps:
+        for step in self._steps:
             try:
                 value = value[step] if isinstance(step, int) else getattr(value, step)
             except (AttributeError, IndexError, TypeError, KeyError) as error:

@@ -154,7 +154,7 @@ class FieldSource(Source):
 
     def __init__(self, topic: str, path: str, of: str, setting: str, scale: float = 1.0) -> None:
         super().__init__(topic, f"{of} ({topic} {path})")
-        self._path, self._setting, self._scale = FieldPath.parse(path), setting, scale
+        self._path, self._setting, self._scale = FieldPath(path), setting, scale
         self._error: RecordingError | None = None
 
     def reading(self, value: float) -> float:
