@@ -103,10 +103,18 @@ def test_a_recording_of_which_nothing_is_used_is_named(sample_logs, tmp_path):
 
 
 def test_damage_is_noted(sample_logs, tmp_path):
-    whole = (sample_logs / "paper_robot.mcap").read_bytes()
+    topic = "/stereo/left/image_raw/compressed"
+    records = list(records_of(sample_logs / "paper_robot.mcap"))
+    for number, record in list(enumerate(records))[len(records) // 2 :]:
+        if record.topic == topic:
+            message = replace(STORE.deserialize_cdr(record.data, record.type), data=np.zeros(4, np.uint8))
+            records[number] = replace(record, data=bytes(STORE.serialize_cdr(message, record.type)))
+    whole = written(tmp_path / "cut.mcap", records).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 85 // 100])
     extraction, _ = extract([tmp_path / "cut.mcap"], load_rig(None))
     assert any("the file ends inside a chunk" in note for note in extraction.notes)
+    (note,) = (note for note in extraction.notes if "images cannot be decoded" in note)
+    assert f"such as one on {topic}: image damaged, or not JPEG or PNG: 4 bytes" in note
 
 
 @pytest.mark.long

@@ -8,6 +8,7 @@ import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -73,16 +74,15 @@ class Target:
     zipped: bool = False
 
 
-def _read(path: Path) -> None:
+def _read(path: Path, sources: Sources = r.SOURCES) -> None:
     """All that calibrate, inspect and init do with a recording before they look at pictures."""
     with open_recording([path]) as recording:
         recording.log_times()
         description = read_description(recording)
         survey_rig(load_rig(None, {}), description)
-        for signals in read_signals(recording, r.SOURCES):
-            for _ in read_images(recording, r.SOURCES, signals.images):
+        for signals in read_signals(recording, sources):
+            for _ in read_images(recording, sources, signals.images):
                 pass
-        sources = Sources(image=r.SOURCES.image, info={}, joints={}, wheels={})
         for _ in pictures_near(recording, sources, [recording.start_ns or 0]):
             pass
 
@@ -233,16 +233,6 @@ _ELSEWHERE = Sources(
 )
 
 
-def _foreign(path: Path) -> None:
-    """What does not speak ROS."""
-    with open_recording([path]) as recording:
-        recording.log_times()
-        read_description(recording)
-        for _, picture in pictures_near(recording, _ELSEWHERE, [recording.start_ns or 0]):
-            assert picture is not None
-        read_signals(recording, _ELSEWHERE)
-
-
 def _pictures_only(path: Path) -> None:
     """Pictures and calibrations without anything that moves: all messages are decoded."""
     with open_recording([path]) as recording:
@@ -269,7 +259,7 @@ def targets(folder: Path) -> dict[str, Target]:
         if not path.is_dir():
             files = {path.name: files[path.name]}
         found[name] = Target(files, "" if path.is_dir() else path.name, _read)
-    foreign = (("mcap-json", _in_json, _foreign), ("mcap-protobuf", _in_protobuf, _pictures_only))
+    foreign = (("mcap-json", _in_json, partial(_read, sources=_ELSEWHERE)), ("mcap-protobuf", _in_protobuf, _pictures_only))
     for name, write, use in foreign:
         path = folder / f"{name}.mcap"
         write(path)
