@@ -45,7 +45,7 @@ def test_every_error_has_its_own_code_and_exit_code_and_says_what_to_do():
     page = generator.TARGET.read_text(encoding="utf-8")
     lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")]
     without = {module.removeprefix("| ").strip("`") for module, _, cure in lines if cure in ("|", " |")}
-    assert without == {"readers/pixels"}
+    assert without == {"readers/pictures"}
 
 
 def test_the_overview_of_the_commands_is_up_to_date():

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 
-from mobilecal_cli.readers.pixels import decode_image
+from mobilecal_cli.readers.pictures import decode_image
 from mobilecal_cli.vision import Detection, detect
 from mobilecal_cli.vision.grid_map import fit_grid
 from tests.bench.pictures import BOARD, View, nearest, view

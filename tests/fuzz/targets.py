@@ -259,7 +259,10 @@ def targets(folder: Path) -> dict[str, Target]:
         if not path.is_dir():
             files = {path.name: files[path.name]}
         found[name] = Target(files, "" if path.is_dir() else path.name, _read)
-    foreign = (("mcap-json", _in_json, partial(_read, sources=_ELSEWHERE)), ("mcap-protobuf", _in_protobuf, _pictures_only))
+    foreign = (
+        ("mcap-json", _in_json, partial(_read, sources=_ELSEWHERE)),
+        ("mcap-protobuf", _in_protobuf, _pictures_only),
+    )
     for name, write, use in foreign:
         path = folder / f"{name}.mcap"
         write(path)

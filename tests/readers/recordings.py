@@ -24,8 +24,7 @@ from mobilecal_cli import readers
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import PictureIndex, Sources, WheelSource
 from mobilecal_cli.readers import read_signals
-from mobilecal_cli.readers.messages import stamp_of
-from mobilecal_cli.readers.pixels import codec_of
+from mobilecal_cli.readers.messages import codec_of, stamp_of
 from tests.records import Record, written
 
 START_NS = 1_700_000_000_000_000_000

@@ -10,7 +10,7 @@ from PIL import Image
 from mobilecal_cli.errors import RecordingError
 from mobilecal_cli.model import Rejection
 from mobilecal_cli.readers import open_recording
-from mobilecal_cli.readers.pixels import decode_image
+from mobilecal_cli.readers.pictures import decode_image
 
 from . import recordings as r
 

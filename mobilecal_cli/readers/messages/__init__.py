@@ -211,6 +211,15 @@ def stamp_of(message: Decoded, log_ns: int) -> int:
     return header_stamp_ns(message) or log_ns
 
 
+#: Formats as stated in messages → name of the codec.
+CODECS = {"h264": "h264", "h.264": "h264", "avc": "h264", "h265": "hevc", "h.265": "hevc", "hevc": "hevc"}
+
+
+def codec_of(message: Decoded) -> str | None:
+    """Codec of a message's image, None if it is not video."""
+    return CODECS.get(str(getattr(message, "format", "")).strip().lower())
+
+
 def content_of(message: Decoded) -> bytes:
     """Pixels of an image message, as encoded; b"" without any."""
     try:

@@ -13,9 +13,8 @@ from mobilecal_cli.model import IMAGES, PictureIndex, Track
 from mobilecal_cli.ranges import READING
 from mobilecal_cli.readers.containers.recording import Recording
 from mobilecal_cli.readers.containers.storage import Extent
-from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, content_of, header_stamp_ns
+from mobilecal_cli.readers.messages import NOT_ITS_TYPE, FieldPath, codec_of, content_of, header_stamp_ns
 from mobilecal_cli.readers.messages.types import Decoded
-from mobilecal_cli.readers.pixels import codec_of
 from mobilecal_cli.readers.signals.camera_infos import InfoChanges
 from mobilecal_cli.readers.signals.series import Clock, Samples
 
