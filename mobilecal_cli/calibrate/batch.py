@@ -8,7 +8,7 @@ import os
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
@@ -174,15 +174,16 @@ def _of_directory(folder: Path) -> Sequence[_Robot]:
     return robots
 
 
-def skipped_entries(source: Path, output: Path) -> tuple[FleetRow, ...]:
-    """The entries of a directory that are no recordings; none for a manifest."""
+def skipped_entries(source: Path, output: Path, robots: Collection[str]) -> tuple[FleetRow, ...]:
+    """The entries of a directory that are no recordings, nor results of the robots; none for a manifest."""
     if not source.is_dir():
         return ()
+    results = {path.absolute() for path in (output, *(output / name for name in (*SUMMARIES, *robots)))}
     return tuple(
         FleetRow(path.name, "SKIPPED", 0, f"{path.name} is not a recording", skipped=NO_RECORDING)
         for path in sorted(source.iterdir())
         if not (path.name.startswith(".") or path.name.endswith(".rig.yaml") or looks_recorded(path))
-        and path.absolute() != output.absolute()
+        and path.absolute() not in results
     )
 
 
@@ -393,7 +394,7 @@ def batch(
             with suppress(OSError):  # it contains results
                 path.rmdir()
         raise
-    ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output))
+    ordered = (*(rows[job.name] for job in jobs), *skipped_entries(source, output, rows))
     tables = (fleet_csv(ordered).encode(), fleet_html(ordered).encode())
     write_files(dict(zip((output / name for name in SUMMARIES), tables, strict=True)), force=True)
     return ordered

@@ -222,8 +222,7 @@ def extract(
     extracted: list[ExtractedLog] = []
     recordings = join_splits(logs)
     paths = [path for parts in recordings for path in parts]
-    # A file that does not exist, or is a device or a pipe, is refused where it is opened.
-    sources = [LogSource(str(path), sha256_of(path)) for path in paths if path.is_file() or path.is_dir()]
+    sources = [LogSource(str(path), sha256_of(path)) for path in paths]
     refuse_equal_files(sources)
     for parts in recordings:
         with _named(parts[0], several=len(recordings) > 1), open_recording(parts) as recording:

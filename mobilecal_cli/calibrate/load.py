@@ -62,11 +62,12 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
         ConfigError: an extraction was given together with recordings, or with settings that were used to make it, or
             a recording twice.
     """
-    archive = next((path for path in logs if path.is_file() and _is_archive(path)), None)
+    archive = next(filter(_is_archive, logs), None)
     if archive is None:
         for path in logs:
-            if (inside := path / "extraction.npz").is_file() and not looks_recorded(path):
-                raise RecordingError(f"{path}: a directory without a recording", f"give {inside}")
+            with suppress(OSError):  # what cannot be read is refused where it is opened
+                if (inside := path / "extraction.npz").is_file() and not looks_recorded(path):
+                    raise RecordingError(f"{path}: a directory without a recording", f"give {inside}")
         return Data(*extract(logs, config, progress, jobs), config.gates)
     if len(logs) > 1 or config.path is not None:
         raise ConfigError(
@@ -80,8 +81,10 @@ def load(logs: Sequence[Path], config: RigConfig, progress: Progress = silent, j
 
 def _is_archive(path: Path) -> bool:
     """Whether a file is a zip file such as an .npz, also a truncated one."""
-    with suppress(OSError), path.open("rb") as stream:
-        return stream.read(len(_ARCHIVE)) == _ARCHIVE or zipfile.is_zipfile(stream)
+    with suppress(OSError):
+        if path.is_file():
+            with path.open("rb") as stream:
+                return stream.read(len(_ARCHIVE)) == _ARCHIVE or zipfile.is_zipfile(stream)
     return False
 
 

@@ -87,7 +87,7 @@ def _usage_error(error: Any) -> ConfigError:  # noqa: ANN401 - see `_UsageError`
 
     from mobilecal_cli.files.reading import problem_of
 
-    message = error.format_message()
+    message = error.format_message().replace("\n\t", " ")  # a list of choices
     if not sys.argv[1:]:
         with suppress(OSError):
             print(message, file=sys.stderr)

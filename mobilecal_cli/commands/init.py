@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -68,16 +69,17 @@ def draft(
 
     Raises:
         RecordingError: the recording cannot be read.
-        ConfigError: the URDF cannot be read.
+        ConfigError: the URDF cannot be read, or two paths have the same content.
     """
     from mobilecal_cli.calibrate.extract import describe
+    from mobilecal_cli.calibrate.inspect import recordings
     from mobilecal_cli.calibrate.sample import sample_board
     from mobilecal_cli.readers import open_recording
     from mobilecal_cli.rig.config import load_rig
     from mobilecal_cli.rig.draft import draft_rig
 
     config = load_rig(None, {"head.urdf": urdf})
-    with open_recording(logs) as recording:
+    with open_recording(list(chain(*recordings(logs)))) as recording:
         progress("topics", 0, None)
         survey = describe(recording, config, joints_too=True)
         board = None

@@ -1,6 +1,7 @@
 """Extractions as input: their own settings, and those that may replace them."""
 
 import math
+import os
 import re
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from mobilecal_cli.errors import ConfigError, RecordingError
 from mobilecal_cli.export.extraction import extraction_to_npz
 from mobilecal_cli.likelihood.nuisance import OF_RECORDINGS, table
 from mobilecal_cli.model import LogSource, WheelGeometry, WheelSource
-from mobilecal_cli.rig.config import load_rig
+from mobilecal_cli.rig.config import UNCONFIGURED, load_rig
 from mobilecal_cli.rig.settings import refuse_others, with_settings
 from mobilecal_cli.solvers import Constraints
 from mobilecal_cli.solvers.inference import dataset_for
@@ -160,3 +161,15 @@ def test_wheels_from_odometry_keep_their_sizes(npz):
     ):
         with pytest.raises(ConfigError, match=words):
             with_settings(extraction, load_rig(None, flags))
+
+
+def test_a_directory_that_cannot_be_read_is_named(tmp_path):
+    """It was extraction.npz in it, which nobody gave."""
+    (closed := tmp_path / "closed").mkdir(mode=0)
+    user = os.geteuid()
+    try:
+        os.seteuid(user or 65534)  # root reads all
+        with pytest.raises(RecordingError, match=r"closed: cannot be read: Permission denied"):
+            load([closed], UNCONFIGURED)
+    finally:
+        os.seteuid(user)

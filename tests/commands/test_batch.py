@@ -240,15 +240,19 @@ def test_a_robot_that_stands_out():
     assert standing_out(rows[2:6]) == {}  # too few to say
 
 
-def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_path):
-    folder, out = tmp_path / "recordings", tmp_path / "recordings" / "out"
-    folder.mkdir()
+@pytest.mark.parametrize("place", [".", "out"])
+def test_what_a_directory_holds_beside_recordings_is_counted(sample_logs, tmp_path, place):
+    """Results are none of it, also where they are written beside the recordings."""
+    folder, out = tmp_path / "recordings", tmp_path / "recordings" / place
+    (out / "paper_robot").mkdir(parents=True)
+    (out / "summary.csv").touch()
     (folder / "paper_robot.mcap").symlink_to(sample_logs / "paper_robot.mcap")
     (folder / "paper_robot.rig.yaml").write_text("{}", encoding="utf-8")
     (folder / "notes.txt").write_text("monday", encoding="utf-8")
     (folder / "empty").mkdir()
     (folder / ".hidden").write_bytes(b"")
-    rows = batch_module.batch(folder, out, run=lambda jobs: [FleetRow(j.name, "PASS", 0, "") for j in jobs])
+    passed = partial(map, lambda job: FleetRow(job.name, "PASS", 0, ""))
+    rows = batch_module.batch(folder, out, force=True, run=passed)
     assert [(row.name, row.verdict, row.skipped) for row in rows] == [
         ("paper_robot", "PASS", ""),
         ("empty", "SKIPPED", "no recording"),

@@ -320,6 +320,8 @@ CASES = (
     Case("a setting twice", ("calibrate", LOG, "--set", "board.rows=6", "--set", "board.rows=5"), 2, "--set board.rows: given twice, as 6 and 5"),
     Case("one recording twice", ("calibrate", LOG, LOG), 2, "have the same content"),
     Case("one recording twice, `inspect`", ("inspect", LOG, LOG), 2, "have the same content"),
+    Case("one recording twice, `init`", ("init", LOG, LOG), 2, "have the same content"),
+    Case("no format", ("export", "params.yaml"), 2, "Choose from: camchain, camera_info,"),
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
     Case("`--hold-out 0.7` of 12 stations", (*SOLVE, "--hold-out", "0.7"), 4, "--hold-out 0.7 leaves 3 of 12 stations, with 2 legs between them; at least 3 legs are needed", extraction),
     Case("a key twice in rig.yaml", RIG, 2, "line 2, column 1: found duplicate key \"board\"", text("rig.yaml", "board: {}\nboard: {}\n")),

@@ -275,11 +275,11 @@ def sha256_of(path: Path) -> str:
     digest = hashlib.sha256()
     if path.name == METADATA:
         path = path.parent
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file or directory", "check the path")
-    if not path.is_dir() and not path.is_file():  # reading a pipe would wait forever
-        raise RecordingError(f"{path}: not a regular file", "give a recording: a file or a directory")
     try:
+        if not path.exists():
+            raise RecordingError(f"{path}: no such file or directory", "check the path")
+        if not path.is_dir() and not path.is_file():  # reading a pipe would wait forever
+            raise RecordingError(f"{path}: not a regular file", "give a recording: a file or a directory")
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
         for file in files:
             with file.open("rb") as stream:
