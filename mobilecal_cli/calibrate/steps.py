@@ -394,9 +394,10 @@ def suggest(logs: Sequence[Path], config: RigConfig, progress: Progress = silent
     Raises:
         MobilecalError: see `errors`.
     """
+    limits = gates_of((), config.gates)
     data = load(logs, config, progress)
     solution = fitted(data.extraction, progress=progress).solution
-    return advice_on(solution, data.extraction, data.gates)
+    return advice_on(solution, data.extraction, limits)
 
 
 def calibrate(

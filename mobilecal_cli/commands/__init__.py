@@ -15,9 +15,11 @@ from mobilecal_cli.commands.options import add_command
 from mobilecal_cli.errors import ConfigError, MobilecalError, OutputError, RecordingError, ResourceError
 from mobilecal_cli.files.interruption import naming_interruptions
 
-#: In the order of `mobilecal --help`.
-EVERYDAY = ("calibrate", "init", "check", "inspect", "suggest", "evaluate", "compare")
-FURTHER = ("export", "batch", "board", "simulate")
+#: In the order of `mobilecal --help`: the everyday ones first.
+COMMANDS = (
+    *("calibrate", "init", "check", "inspect", "suggest", "evaluate", "compare"),
+    *("export", "batch", "board", "simulate"),
+)
 #: Error code of OpenCV where memory cannot be allocated.
 _OPENCV_NO_MEMORY = -4
 #: A wrong command line: the class of the command-line library that has all of them, and that it does not export.
@@ -51,7 +53,7 @@ def common(
     """
 
 
-for name in (*EVERYDAY, *FURTHER):
+for name in COMMANDS:
     add_command(app, getattr(import_module(f"{__name__}.{name}"), name))
 
 
@@ -60,6 +62,10 @@ def main() -> None:
     try:
         with naming_interruptions():
             source_date()  # before libraries are imported that read it too
+            if "" in sys.argv[1:]:  # as a path it would be the working directory
+                raise ConfigError(
+                    "an argument is empty", "leave it out, or set the variable that it comes from"
+                )
             code = app(standalone_mode=False)
         sys.exit(code)
     except MobilecalError as error:

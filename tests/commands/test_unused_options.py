@@ -39,7 +39,7 @@ def test_the_method_does_not_use_it(extraction, tmp_path, method, option):
     assert done.err.startswith(f"error: {option}: not used by --method {method}\nhint: ")
 
 
-@pytest.mark.parametrize("estimate", [",,,", "", " , "])
+@pytest.mark.parametrize("estimate", [",,,", " , "])
 def test_no_constant_is_named(extraction, tmp_path, estimate):
     done = run("calibrate", extraction, "--estimate", estimate, cwd=tmp_path)
     assert (done.code, done.left) == (2, [])
@@ -99,13 +99,6 @@ def test_the_format_does_not_use_it(tmp_path, option, target):
     params.write_text(PARAMS)
     with pytest.raises(ConfigError, match=f"{option} applies only to --to {' and '.join(formats)}$"):
         export(params, target, **given)
-
-
-def test_an_empty_name_is_no_joint(tmp_path):
-    (tmp_path / "params.yaml").write_text(PARAMS)
-    done = run("export", "params.yaml", "--to", "ros2_control", "--left-joint", "", cwd=tmp_path)
-    assert (done.code, done.out) == (2, "")
-    assert "'left': '' is not a side and the name of its joint" in done.err
 
 
 PARAMS = """\

@@ -321,6 +321,8 @@ CASES = (
     Case("one recording twice", ("calibrate", LOG, LOG), 2, "have the same content"),
     Case("one recording twice, `inspect`", ("inspect", LOG, LOG), 2, "have the same content"),
     Case("one recording twice, `init`", ("init", LOG, LOG), 2, "have the same content"),
+    Case("an empty argument", ("calibrate", ""), 2, "an argument is empty"),
+    Case("`suggest` with an unknown gate", ("suggest", "e.npz", "--set", "gates.foo=1"), 2, "gates.foo: unknown figure", extraction),
     Case("no format", ("export", "params.yaml"), 2, "Choose from: camchain, camera_info,"),
     Case("a device as the recording", ("calibrate", "/dev/null"), 3, "/dev/null: not a regular file"),
     Case("`--hold-out 0.7` of 12 stations", (*SOLVE, "--hold-out", "0.7"), 4, "--hold-out 0.7 leaves 3 of 12 stations, with 2 legs between them; at least 3 legs are needed", extraction),
