@@ -367,6 +367,8 @@ def refuse_equal_files(logs: Sequence[LogSource]) -> None:
     """
     first: dict[str, str] = {}
     for log in logs:
+        if first.get(log.sha256) == log.path:
+            raise ConfigError(f"{log.path} is given twice", _HINT)
         if log.sha256 in first:
             raise ConfigError(f"{first[log.sha256]} and {log.path} have the same content", _HINT)
         first[log.sha256] = log.path
