@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from mobilecal_cli import se3
 from mobilecal_cli.kinematics import head_pose
@@ -41,7 +42,11 @@ _NOISE = 6.0  # times this quantile: noise changes by more at no station
 _FREE_STATIONS = 40  # at which a free part is estimated: each has an unknown of its own, or three
 _FREE_STEPS = 30  # of this estimate
 _SPREAD = 0.01  # of the board's corners over the distance: stations beyond count less in this estimate
-_MOUNT_RAD, _MOUNT_M = 0.2, 0.05  # prior of the nominal head-eye transform in this estimate
+# Prior sigmas, rad and m, of the nominal head-eye transform in this estimate, and of one along the head's axes
+_NOMINAL_MOUNT, _ANY_MOUNT = np.repeat([0.2, 0.05], 3), np.repeat([0.6, 0.2], 3)
+_SCOUT_STATIONS, _SCOUT_STEPS = 12, 10  # with which the latter is chosen
+#: With which readings of wheels are made where none are nominal.
+ANY_WHEELS = WheelGeometry(0.1, 0.1, 0.4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -372,59 +377,89 @@ def _free_wheels(readings: Readings) -> Iterator[Hypothesis]:
 
 
 def _joint_as_seen(readings: Readings, column: int) -> Readings:
-    """The readings of one joint by the images, with nominal wheels; none if it is at rest or nothing is nominal."""
+    """The readings of one joint by the images, with nominal wheels or any; none if it is at rest."""
     readings = readings.of(slice(_FREE_STATIONS))
-    joints, wheels, X = readings.joints.copy(), readings.nominal.wheels, readings.nominal.T_h_c
-    if X is None or wheels is None:
-        return readings.of(slice(0))
-    T_w_v = dead_reckoned(readings.pairs, wheels)
+    wheels = readings.nominal.wheels
 
-    def head(angles: FloatArray) -> FloatArray:
-        joints[:, column] = angles
-        return T_w_v @ head_pose(readings.rig.chain, joints)
+    def free(some: Readings) -> _Free:
+        joints, count = some.joints.copy(), len(some.joints)
+        T_w_v = dead_reckoned(some.pairs, wheels or ANY_WHEELS)
 
-    head(_as_seen(readings, X, head, np.full(len(joints), np.median(joints[:, column]))))
+        def head(free: FloatArray) -> FloatArray:
+            joints[:, column], sizes = free[:count], np.exp(free[count:])
+            base = (
+                dead_reckoned(some.pairs, WheelGeometry.of(ANY_WHEELS.vector * sizes))
+                if len(sizes)
+                else T_w_v
+            )
+            return base @ head_pose(some.rig.chain, joints)
+
+        angles = np.full(count, np.median(some.joints[:, column]))
+        return head, lambda _: np.append(angles, np.zeros(3 * (wheels is None)))
+
+    joints = readings.joints.copy()
+    joints[:, column] = _as_seen(readings, free)[: len(joints)]
     moves = np.ptp(joints[:, column]) > MOVED
     return replace(readings, joints=joints) if moves else readings.of(slice(0))
 
 
 def _wheels_as_seen(readings: Readings) -> Readings:
-    """The readings of nominal wheels by the images and the joints; none if nothing is nominal."""
+    """The readings of nominal wheels, or of any, by the images and the joints."""
     readings = readings.of(slice(_FREE_STATIONS))
-    wheels, X = readings.nominal.wheels, readings.nominal.T_h_c
-    if X is None or wheels is None:
-        return readings.of(slice(0))
-    T_v_h = head_pose(readings.rig.chain, readings.joints)
 
     def base(planar: FloatArray) -> FloatArray:
         return planar_pose(np.concatenate([np.zeros((1, 3)), planar.reshape(-1, 3)]))
 
-    T_v_k = T_v_h @ X @ readings.T_c_k
-    T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
-    heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
-    start = np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()
-    planar = _as_seen(readings, X, lambda planar: base(planar) @ T_v_h, start)
-    return replace(readings, wheels=(_rolled(base(planar), wheels, readings.time_ns),))
+    def free(some: Readings) -> _Free:
+        T_v_h = head_pose(some.rig.chain, some.joints)
+
+        def start(X: FloatArray) -> FloatArray:
+            T_v_k = T_v_h @ X @ some.T_c_k
+            T_v0_vn = T_v_k[0] @ se3.inverse(T_v_k[1:])
+            heading = np.arctan2(T_v0_vn[:, 1, 0] - T_v0_vn[:, 0, 1], T_v0_vn[:, 0, 0] + T_v0_vn[:, 1, 1])
+            return np.column_stack([T_v0_vn[:, :2, 3], heading]).ravel()
+
+        return lambda planar: base(planar) @ T_v_h, start
+
+    wheels = readings.nominal.wheels or ANY_WHEELS
+    return replace(readings, wheels=(_rolled(base(_as_seen(readings, free)), wheels, readings.time_ns),))
 
 
-def _as_seen(
-    readings: Readings, X: FloatArray, head: Callable[[FloatArray], FloatArray], start: FloatArray
-) -> FloatArray:
+#: T_w_h (N, 4, 4) by a free part (F,), and this part at the start, by the head-eye transform.
+_Free = tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]
+
+
+def _as_seen(readings: Readings, free: Callable[[Readings], _Free]) -> FloatArray:
     """The free part (F,) with which the board stays at its place, and the head-eye transform near its nominal one.
 
-    X is the nominal T_h_c; `head` gives T_w_h (N, 4, 4) by the free part.
+    Without a nominal one, near that of all cameras along the axes of the head with which a few stations fit best.
     """
+    X, sigma = readings.nominal.T_h_c, _NOMINAL_MOUNT
+    if X is None:
+        sigma, few = _ANY_MOUNT, readings.of(slice(_SCOUT_STATIONS))
+        along = se3.transform(Rotation.create_group("O").as_matrix(), np.zeros(3))
+        fits = [_fitted(few, free(few), each, sigma, _SCOUT_STEPS) for each in along]
+        X = min(fits, key=lambda fit: fit[0])[1]
+    return _fitted(readings, free(readings), X, sigma, _FREE_STEPS)[2]
+
+
+def _fitted(
+    readings: Readings, free: _Free, X: FloatArray, sigma: FloatArray, steps: int
+) -> tuple[float, FloatArray, FloatArray]:
+    """Cost, head-eye transform and free part (F,) of the fit near a head-eye transform, with sigmas of its twist."""
+    head, start = free
     scale_m = _SPREAD * float(np.linalg.norm(readings.T_c_k[:, :3, 3], axis=1).mean())
     corners_k = np.broadcast_to(readings.corners_k, (len(readings.T_c_k), 4, 3))
 
     def residuals(x: FloatArray) -> FloatArray:
-        mount = X @ se3.exp(x[:6] * ([_MOUNT_RAD] * 3 + [_MOUNT_M] * 3))
+        mount = X @ se3.exp(x[:6] * sigma)
         corners_w = se3.act(head(x[6:]) @ mount @ readings.T_c_k, corners_k)
         spread = (corners_w - np.median(corners_w, axis=0)) / scale_m
         return np.concatenate([spread.ravel(), x[:6]])
 
-    x = np.concatenate([np.zeros(6), start])
-    return np.asarray(least_squares(residuals, x, loss="soft_l1", max_nfev=_FREE_STEPS).x[6:])
+    x0 = np.concatenate([np.zeros(6), start(X)])
+    fit = least_squares(residuals, x0, loss="soft_l1", max_nfev=steps)
+    return float(fit.cost), X @ se3.exp(fit.x[:6] * sigma), np.asarray(fit.x[6:])
 
 
 def _rolled(T_w_v: FloatArray, wheels: WheelGeometry, time_ns: IntArray) -> WheelTrack:

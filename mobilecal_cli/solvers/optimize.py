@@ -47,9 +47,8 @@ def proposed(lin: Posterior, damping: float = 0.0) -> tuple[Step, float]:
     normal = eliminated(lin, damping) if damping else lin.normal
     S = priors.reduced(normal.S + np.diag(priors.weight))
     s = priors.onto_free(normal.s + priors.gradient(lin.state))
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with solvable(), np.errstate(invalid="ignore", divide="ignore"):
         unit = 1 / np.sqrt(np.diag(S))
-    with solvable():
         along = -unit * np.asarray(cho_solve(cho_factor(S * np.outer(unit, unit)), unit * s))
     return normal.step(priors.from_free(along)), normal.gain - float(s @ along)
 

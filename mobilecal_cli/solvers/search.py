@@ -28,6 +28,7 @@ from mobilecal_cli.model import (
     WheelGeometry,
 )
 from mobilecal_cli.solvers.hypotheses import (
+    ANY_WHEELS,
     FREE,
     FROZEN,
     MOVED,
@@ -203,9 +204,9 @@ class Search:
 
     @cached_property
     def _starts(self) -> list[FloatArray]:
-        """Wheel ratios to start from: the nominal ones, and those of the readings as they stand."""
+        """Wheel ratios to start from: the nominal ones or any, and those of the readings as they stand."""
         nominal = self._readings.rig.nominal.wheels
-        starts = [] if nominal is None else [ratios_of(nominal)]
+        starts = [ratios_of(nominal or ANY_WHEELS)]
         if self._readings.distinguishes:
             try:
                 linear = linear_estimate(_thinned(self._readings.pairs), nominal).parameters
